@@ -308,7 +308,7 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
-    distances: list[float] = []
+    distances: dict[bool, list[float]] = {False: [], True: []}
     mission = HoverMission("hover", 10.0 * STRETCH)
     for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
@@ -327,30 +327,36 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
                 fly(log, drawn, mission, seed, flown, seconds)
         for speeds in (True, False):
             both = {u: tally[speeds, u] for u in (False, True)}
-            distances.append(_judge(both, names, drawn, rotor, speeds=speeds))
+            margins = _judge(both, names, drawn, rotor, speeds=speeds)
+            for unchanged, margin in margins.items():
+                distances[unchanged].append(margin)
     for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
         kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
             f"| {kind} | {right:.0f} | {wrong:.0f} | {silent:.0f} | {alarms:.0f} "
             f"| {seconds / 3600.0:.2f} |"
         )
-    # Neyman-Pearson: of two normal hypotheses so far apart, an ideal test takes the right one.
-    best = float(np.mean([0.5 + 0.5 * math.erf(math.sqrt(d / 8.0)) for d in distances]))
     yield ""
-    yield (
-        f"chi-square of the fault over the next best explanation without noise, --unchanged: least "
-        f"{min(distances):.0f}, median {np.median(distances):.0f}; an ideal test of those two is "
-        f"right in {100.0 * best:.1f} %"
-    )
+    for unchanged, apart in distances.items():
+        # Neyman-Pearson: of two normal hypotheses so far apart, an ideal test takes the right one.
+        best = float(np.mean([0.5 + 0.5 * math.erf(math.sqrt(d / 8.0)) for d in apart]))
+        enough = np.count_nonzero(np.array(apart) > TUNING.named_margin)
+        yield (
+            f"chi-square of the fault over the next best explanation without noise"
+            f"{', --unchanged' if unchanged else ''}: least {min(apart):.0f}, median "
+            f"{np.median(apart):.0f}, enough for a name in {enough} of {len(apart)}; an ideal test "
+            f"of those two is right in {100.0 * best:.1f} %"
+        )
 
 
 def _judge(
     tally: dict[bool, Array], names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool
-) -> float:
+) -> dict[bool, float]:
     """Count what a vehicle's flights tell, by whether it is known that nothing was moved.
 
     Returns:
-        Chi-square by which the fault, without noise, would beat the next best explanation.
+        Chi-square by which the fault, without noise, would beat the next best explanation, by
+        whether it is known that nothing was moved.
     """
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
@@ -377,7 +383,7 @@ def _judge(
     lost = effect[:, rotor] * base.value[rotor]
     change = effect.T @ np.linalg.solve(effect @ effect.T, lost) / base.value
     clean = replace(weak[0], value=base.value * np.exp(-math.log1p(-LOSS) * change))
-    return compare_loads(base, clean, airframe, cg, unchanged=True).margin
+    return {u: compare_loads(base, clean, airframe, cg, unchanged=u).margin for u in tally}
 
 
 def main() -> None:

@@ -20,9 +20,9 @@ import numpy as np
 from benchmarks.health import hover_of, streams_in
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
-from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
+from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
@@ -74,24 +74,30 @@ def thinned_logs(folder: Path) -> Iterator[str]:
 
 
 def repeated(folder: Path) -> Iterator[str]:
-    """One real log in three parts: how far they agree."""
+    """One real log in three parts: how far they agree, as flown and in the whole flight's wind."""
     log, arm, mass = folder / "real" / "quiver_00000087.bin", 0.75, 18.0
     if not log.exists():
         return
     airframe = load_airframe("ardupilot-quad-x").with_arm(arm).with_anchor("mass", mass)
-    whole = hover_of(log, airframe, speeds=True)
-    yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
-    yield "|---|---|---|---|---|"
-    n = len(whole.t)
-    parts = {"all": slice(0, n)}
-    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
-    for label, rows in parts.items():
-        part = whole.part(rows)
-        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
-        shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
-        scale, _ = balance.specific_thrust(part, part.speeds)
-        told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
-        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
+    yield (
+        f"| {log.name} | CG forward, mm | right, mm | forward, in one wind | right, in one wind "
+        "| thrust shares, % | k_T, 1e-6 N s^2 |"
+    )
+    yield "|---|---|---|---|---|---|---|"
+    t = hover_of(log, airframe, speeds=True).t
+    ends = [t[0], *(t[len(t) * i // 3] for i in (1, 2)), t[-1] + 1.0]
+    spans = [(0.0, np.inf), *((a, b - 1e-3) for a, b in pairwise(ends))]
+    told = [health_of_log(log, Given(airframe), span=span) for span in spans]
+    labels = ("all", "first", "second", "third")
+    one_wind = [series.values for series in series_of(told[1:])[:2]]
+    for i, (label, health) in enumerate(zip(labels, told, strict=True)):
+        assert health.cg is not None
+        assert health.scale is not None
+        x, y = (1e3 * (place.value or 0.0) for place in health.cg)
+        same = [""] * 2 if i == 0 else [f"{values[i - 1]:.1f}" for values in one_wind]
+        shares = ", ".join(f"{100.0 * (r.thrust_share.value or 0.0):.1f}" for r in health.rotors)
+        scale = 1e6 * (health.scale[1].value or 0.0)
+        yield f"| {label} | {x:.1f} | {y:.1f} | {same[0]} | {same[1]} | {shares} | {scale:.1f} |"
 
 
 def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:

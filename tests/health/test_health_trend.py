@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.health.health_trend import Series, trend_text
+from gcs_sysid.health.balance import Center, Quantity
+from gcs_sysid.health.health_trend import Series, series_of, trend_text
+from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 
 
@@ -40,3 +42,33 @@ def test_small_numbers_get_a_power_of_ten():
 
 def test_one_flight_has_no_trend():
     assert trend_text([Health("a.tlog"), Health("b.tlog")]) == []
+
+
+def test_flights_in_different_winds_show_one_cg():
+    lever, still = np.array([0.05, 0.06]), np.array([0.004, -0.002])
+    flights = [
+        in_wind(still + lever * force, force, lever * (1.0 + error), std)
+        for force, error, std in (
+            (np.array([-0.2, 0.1]), 0.02, 0.002),
+            (np.array([-0.5, 0.3]), -0.02, 0.002),
+            (np.array([0.1, 0.0]), 1.5, 0.5),  # hardly shows the lever
+        )
+    ]
+    forward, right = series_of(flights)[:2]
+    assert np.ptp(forward.values) < 0.5
+    assert np.ptp(right.values) < 0.5
+    mean = np.array([-0.2, 0.4 / 3.0])
+    assert forward.values[0] == pytest.approx(4.0 + 50.0 * mean[0], abs=0.5)
+    # What the accelerometer's bias may do from flight to flight stays in.
+    assert forward.stds == pytest.approx([0.05e3 * 0.3 / 3.0 / 2.0**0.5] * 3, rel=0.1)
+
+
+def in_wind(cg, force, lever, lever_std):
+    """A flight whose wind moved its center of thrust, as health tells it."""
+    center = Center(cg, 1e-8 * np.eye(2), lever * force, lever, np.full(2, lever_std), force)
+    scatter = np.sqrt(1e-8 + (TUNING.wind_share * center.by_wind) ** 2)
+    places = [
+        Quantity(float(v), float(np.hypot(s, 0.005)), "m", 0.005)
+        for v, s in zip(cg, scatter, strict=True)
+    ]
+    return Health("flight", cg=tuple(places), center=center)

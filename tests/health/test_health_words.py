@@ -1,6 +1,7 @@
 """Health in words: one number format, and values of its file."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -34,6 +35,17 @@ def test_advice_on_the_cg_is_written_like_every_other_number():
 def test_battery_travel_is_computed_with_both_masses():
     given = Given(battery_mass=HEALTH.known_mass / 2.0)
     assert "move the battery 200 ± 13 mm forward" in advice(given)
+
+
+@pytest.mark.parametrize(("share", "more"), [(-0.098, "clockwise"), (0.15, "counter-clockwise")])
+def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
+    health = replace(HEALTH, yaw_imbalance=Quantity(share, 0.002, "1"))
+    told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+    assert any(f"the {more} rotors carry {100.0 * abs(share):.0f} %" in text for text in told)
+    for small, std in ((0.035, 0.002), (0.1, 0.03)):
+        health = replace(HEALTH, yaw_imbalance=Quantity(small, std, "1"))
+        told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+        assert not any("hold the heading" in text for text in told)
 
 
 def test_a_weak_rotor_is_written_like_every_other_number():

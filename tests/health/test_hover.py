@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.health import balance
+from gcs_sysid.health import balance, command_curve
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.hover import _Integrals, _rotor_means, windows_of
@@ -159,7 +159,43 @@ def test_the_thrust_curve_by_climbs(airframe, curve, commands):
 def test_without_climbs_the_curve_is_assumed_and_says_so(airframe):
     health = told(flight(commands="alone", climb=False), airframe)
     assert health.curve.c.std == pytest.approx(0.35)
-    assert any("thrust curve: assumed" in text for text in health.assumptions)
+    assert any("thrust curve: near 0.5" in text for text in health.assumptions)
+
+
+def test_a_curve_that_no_propeller_has_is_not_taken(airframe, monkeypatch):
+    windows = hover_windows(airframe, flight(commands="alone"))
+    for c, taken in ((2.1, False), (-0.9, False), (1.1, True)):
+        monkeypatch.setattr(command_curve, "_by_lift", lambda _, c=c: (c, 0.1, "thrust"))
+        curve = command_curve.curve_of(windows, None, 0.8, "MOT_THST_EXPO")
+        assert curve.c.value == (1.0 if taken else 0.8)
+        assert curve.origin == ("thrust" if taken else "MOT_THST_EXPO of the vehicle, assumed to "
+                                "be near")  # fmt: skip
+
+
+def hover_windows(airframe, blocks):
+    return windows_of(streams_of(blocks, airframe, "px4", {}), 4)
+
+
+def test_the_drag_of_climbs_is_no_part_of_the_thrust_coefficient(airframe):
+    steady = hover_windows(airframe, flight(seconds=80.0, climb=False))
+    sink = 0.8 * np.sin(0.5 * steady.t)
+    sink -= sink.mean()
+    noise = np.random.default_rng(4).normal(0.0, 0.01, len(sink))
+    # m (g - sink') = T + D sink, D / m of 0.2 1/s.
+    lift = G - 0.4 * np.cos(0.5 * steady.t)
+    speeds = steady.speeds * ((lift - 0.2 * sink + noise) / G)[:, None]
+    flown = replace(steady, sink=sink, lift=lift, speeds=speeds)
+    value, std = balance.specific_thrust(flown, flown.speeds)
+    assert value == pytest.approx(G / 4e5, rel=5e-4)
+    unseen = replace(flown, sink=np.full_like(sink, np.nan))
+    _, wide = balance.specific_thrust(unseen, unseen.speeds)
+    assert std < 0.0011 * value
+    assert wide > 2.0 * std
+    # A flight that climbs all the while shows what that may have cost.
+    climbing = replace(flown, sink=sink - 1.0, speeds=speeds + steady.speeds * 0.2 / G)
+    same, wider = balance.specific_thrust(climbing, climbing.speeds)
+    assert same == pytest.approx(value / (1.0 + 0.2 / G), rel=2e-3)
+    assert wider > 0.4 * 0.2 / G * value
 
 
 def test_wind_is_told_from_the_drag_and_widens_the_interval(airframe):

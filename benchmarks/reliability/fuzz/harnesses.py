@@ -54,6 +54,10 @@ HARNESSES = (
         definitions.choices, 1.0, (), 600,
     ),
     Harness(
+        "bbl-frames", "frames of .bbl", definitions.check_bbl_frames, definitions.choices, 1.0,
+        (), 2000,
+    ),
+    Harness(
         "table", "tables and mappings", definitions.check_table, definitions.table_seeds, 3.0,
         (*_TOML, *b"nan inf 1e308 -1e308 true ; , FLU ENU xyzw ms".split(), b"\n%\n", b'"'), 4096,
     ),

@@ -54,7 +54,9 @@ def _head(health: Health) -> Iterator[str]:
             "thrust curve",
             health.curve.c,
             1.0,
-            f"by {health.curve.origin}".replace("by given", "given"),
+            health.curve.origin
+            if health.curve.origin in ("given", "assumed")
+            else f"by {health.curve.origin}",
         )
     yield from _pure("thrust drift", health.drift, 100.0, "% a minute, for the same command")
     if health.motor_lag:

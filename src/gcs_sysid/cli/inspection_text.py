@@ -50,7 +50,7 @@ _LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
-    "in part": "scale and CG; inertia as far as it was flown",
+    "in part": "scale, CG from hover; inertia as far as it was flown, perhaps rough",
     "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
     "nothing": "nothing",
 }

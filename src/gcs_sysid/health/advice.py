@@ -25,6 +25,7 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
         )
     out += _weak_motor(health)
     out += _cg(health, given)
+    out += _yaw(health)
     out += _margins(health)
     if health.condition is None and health.available and len(health.rotors) == 4:
         out.append(
@@ -65,6 +66,22 @@ def _cg(health: Health, given: Given) -> list[str]:
     return [
         f"shift the CG {' and '.join(moves)}. Battery travel = shift × vehicle mass / battery mass "
         "(computed with --mass and --battery-mass)"
+    ]
+
+
+def _yaw(health: Health) -> list[str]:
+    """What holds the heading in hover, where that is a lot."""
+    share = health.yaw_imbalance
+    if share is None or share.value is None or share.std is None:
+        return []
+    if abs(share.value) - TUNING.sure * share.std < TUNING.much_yaw:
+        return []
+    more, less = "counter-clockwise", "clockwise"
+    if share.value < 0.0:
+        more, less = less, more
+    return [
+        f"to hold the heading the {more} rotors carry {100.0 * abs(share.value):.0f} % of the load "
+        f"more than the {less} ones: look for a motor that leans or an arm that is twisted"
     ]
 
 

@@ -276,10 +276,11 @@ def _balances(
         slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
         by_curve, shares_by_curve = slope[:2], slope[2:-2]
         yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
-    flown = np.sqrt(np.diag(center.covariance) + by_curve**2)
+    # Wind is another one in the next flight: its part is the flight's, not the airframe's.
+    by_wind = TUNING.wind_share * center.by_wind
+    flown = np.sqrt(np.diag(center.covariance) + by_curve**2 + by_wind**2)
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
-    assumed = np.hypot(assumed, TUNING.wind_share * center.by_wind)
     places = tuple(
         Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
         for v, f, a in zip(cg, flown, assumed, strict=True)
@@ -317,6 +318,7 @@ def _balances(
         airframe=airframe,
         cg=(places[0], places[1]),
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
+        center=center,
         rotors=rotors,
         yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
         scale=scale,
@@ -353,7 +355,7 @@ def _compared(
     if problem and base.asked:
         raise InputError(f"{base.source}: {problem}; take a flight of this vehicle as baseline")
     if problem:
-        return replace(health, apart=f"not held against {Path(base.source).name}: {problem}")
+        return replace(health, apart=f"not compared with {Path(base.source).name}: {problem}")
     load = health.load
     if base.load.thrust_curve is not None and base.load.thrust_curve != c:
         again = load_of(hover, thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve)
@@ -389,6 +391,7 @@ def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]
         f"placed to {100.0 * TUNING.position_std:g} % of the arm",
         f"airframe: {guess.origin}",
     ]
-    if curve is not None:
-        out.append(f"thrust curve: {curve.origin}")
+    if curve is not None and "assumed" in curve.origin:
+        usual = "near 0.5, as of most propellers"
+        out.append(f"thrust curve: {usual if curve.origin == 'assumed' else curve.origin}")
     return tuple(out)

@@ -231,11 +231,17 @@ class Center:
         covariance: (2, 2) by the flight's own scatter.
         by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as
             observable; it is in `cg`.
+        lever: (2,) m per m/s^2 of specific force, by which drag moves it.
+        lever_std: (2,) standard deviations of those.
+        force: (2,) m/s^2, the specific force that `cg` is at.
     """
 
     cg: Array
     covariance: Array
     by_wind: Array
+    lever: Array
+    lever_std: Array
+    force: Array
 
 
 def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
@@ -262,23 +268,24 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
     arm = airframe.arm
     # In meters: an inertia of m L^2 moves the center by L^2/g; damping and products less.
     ridge = np.array([np.inf, arm**2, arm**2, 5.0 * arm**2, TUNING.drag_lever * arm / GRAVITY])
-    values, variances, moved = [], [], []
+    values, variances, levers = [], [], []
+    force = np.median(drag, axis=0)
     for place, axis in ((x, 1), (y, 0)):
-        mean = float(np.median(drag[:, 1 - axis]))
         columns = np.column_stack(
             [
                 np.ones(len(total)),
                 turning[:, axis],
                 products[:, axis],
                 rates[:, axis],
-                drag[:, 1 - axis] - mean,
+                drag[:, 1 - axis] - force[1 - axis],
             ]
         )
         fit = robust_fit(columns, thrust @ place / total, ridge)
         values.append(float(fit.value[0]))
         variances.append(float(fit.covariance[0, 0]) + (TUNING.cg_floor * arm) ** 2)
-        moved.append(float(fit.value[4]) * mean)
-    return Center(np.array(values), np.diag(variances), np.array(moved))
+        levers.append((float(fit.value[4]), math.sqrt(float(fit.covariance[4, 4]))))
+    lever, lever_std = np.array(levers).T
+    return Center(np.array(values), np.diag(variances), lever * force, lever, lever_std, force)
 
 
 def turns_otherwise(windows: Windows, airframe: Airframe, thrust: Array) -> bool:
@@ -339,15 +346,23 @@ def share_std(shares: Array) -> Array:
 def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
     """Thrust over mass per unit of the sum of thrust, and its standard deviation.
 
+    Drag and inflow of climbs are regressed out where a vertical speed is logged: they are most of
+    what is left of the balance, and last as long as a climb. What the mean climb costs stays in, as
+    thermals and a vertical speed that drifts look like one, and widens the interval.
+
     Args:
         windows: of hover.
         thrust: (n, rotors), in any unit.
     """
     lift = lift_of(windows)
     total = thrust.sum(axis=1)
-    fit = robust_fit(total[:, None] / total.mean(), lift)
+    sink = np.nan_to_num(windows.sink)
+    mean = float(sink.mean())
+    columns = np.column_stack([total / total.mean(), sink - mean])
+    fit = robust_fit(columns, lift, np.array([np.inf, TUNING.climb_drag]))
     value = float(fit.value[0] / total.mean())
-    std = math.sqrt(float(fit.covariance[0, 0])) / total.mean()
+    by_climb = TUNING.wind_share * float(fit.value[1]) * mean
+    std = math.hypot(math.sqrt(float(fit.covariance[0, 0])), by_climb) / total.mean()
     floor = TUNING.lift_std
     if not np.isfinite(windows.lift).any():
         floor = TUNING.accelerometer_std / GRAVITY

@@ -48,13 +48,18 @@ def curve_of(
     if own is not None and 0.0 < own <= 1.0:
         # Half of the fleet never touched it: it says little more than the usual.
         guess, origin = own, f"{autopilot_name} of the vehicle, assumed to be near"
-    found = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
-    if found is None:
+    by_speeds = bool(np.isfinite(windows.speeds).any())
+    found = _by_speeds(windows) if by_speeds else _by_lift(windows)
+    if found is None or not -TUNING.sure * found[1] < found[0] < 1.0 + TUNING.sure * found[1]:
+        # None, or none of a propeller: something else moves thrust and commands.
         return Curve(Quantity(guess, sigma, "1", sigma), origin)
     c, std, by = found
     gain = sigma**2 / (sigma**2 + std**2)
-    merged = float(np.clip(guess + gain * (c - guess), 0.0, 1.0))
-    return Curve(Quantity(merged, math.sqrt(gain) * std, "1"), by if gain > 0.5 else origin)
+    merged = guess + gain * (c - guess)
+    clipped = float(np.clip(merged, 0.0, 1.0))
+    widened = (1.0 if by_speeds else TUNING.gusts_beside) * math.sqrt(gain) * std
+    whole = math.hypot(min(widened, sigma), merged - clipped)
+    return Curve(Quantity(clipped, whole, "1"), by if gain > 0.5 else origin)
 
 
 def _ratio(fit: Fit) -> tuple[float, float]:

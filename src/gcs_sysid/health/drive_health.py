@@ -34,15 +34,21 @@ def motor_gains(
     ratio = ratio / ratio.mean(axis=1, keepdims=True)
     by_curve = np.zeros(n)
     if curve_found.c.std:
-        other = hover.speeds / thrust_of(hover, min(c + 0.05, 1.0))
+        step = _step(c)
+        other = hover.speeds / thrust_of(hover, c + step)
         other = other / other.mean(axis=1, keepdims=True)
-        by_curve = (other - ratio).mean(axis=0) / 0.05 * curve_found.c.std
+        by_curve = (other - ratio).mean(axis=0) / step * curve_found.c.std
     out = []
     for column, extra in zip(ratio.T, by_curve, strict=True):
         fit = balance.robust_fit(np.ones((len(column), 1)), column)
         std = math.sqrt(float(fit.covariance[0, 0]))
         out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
     return tuple(out)
+
+
+def _step(c: float) -> float:
+    """From a thrust curve to another one nearby, of 0 to 1."""
+    return 0.05 if c <= 0.95 else -0.05
 
 
 def with_throttle(
@@ -82,8 +88,9 @@ def with_throttle(
     share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
     hover_thrust = mean_of(share)
     if curve.c.std:
-        other = thrust_of(hover, min(curve.c.value + 0.05, 1.0))[rows].mean(axis=1) * unit
-        by_curve = float((other - share).mean()) / 0.05 * curve.c.std
+        step = _step(curve.c.value)
+        other = thrust_of(hover, curve.c.value + step)[rows].mean(axis=1) * unit
+        by_curve = float((other - share).mean()) / step * curve.c.std
         assert hover_thrust.std is not None
         hover_thrust = replace(hover_thrust, std=math.hypot(hover_thrust.std, by_curve))
     assert hover_thrust.value is not None

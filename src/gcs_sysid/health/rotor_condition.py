@@ -143,7 +143,8 @@ class Condition:
             "unclear": something changed, but these data cannot separate the causes.
         rotor: which, from 0, where one is named.
         loss: share of thrust that it lost, where one is named.
-        margin: chi-square by which the best explanation beats the next one of another kind.
+        margin: chi-square by which the best explanation beats the next one of another kind; where
+            it is "unclear", by which the likeliest rotor does, if at all.
         moved: (2,) m that the CG would have moved by, were it that.
         changes: (rotors,) relative change of load.
         efficiency: of each rotor against the baseline, shrunk to the mean.
@@ -258,6 +259,7 @@ def compare_loads(
         if extra > 0.0:
             best.append((left, i, extra, std))
     best.sort()
+    margin = 0.0
     others = min(left_unchanged, left_cg, left_all, left_both, left_yaw)
     changes: Array = np.expm1(r)
     efficiency = _shrunk(r, noise, n)
@@ -281,7 +283,8 @@ def compare_loads(
         if left_best - left > TUNING.rival_margin and left < least + each:
             margin = left_best - left
             return Condition(verdict, None, None, margin, shift, changes, efficiency)
-    return Condition("unclear", None, None, 0.0, shift, changes, efficiency, suspect)
+    margin = max(margin, 0.0)
+    return Condition("unclear", None, None, margin, shift, changes, efficiency, suspect)
 
 
 def _pooled(before: Load, now: Load) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.balance import Center, Quantity
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.model.airframe import Airframe
@@ -98,6 +98,7 @@ class Health:
         seconds: of hover.
         cg: x and y from the geometric center, m.
         by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
+        center: of thrust, and how drag moves it.
         rotors: in motor order.
         yaw_imbalance: share of the rotors' load that turns counter-clockwise less the other's.
         hover_throttle: mean command in hover, 0 to 1; None without commands.
@@ -134,6 +135,7 @@ class Health:
     seconds: float = 0.0
     cg: tuple[Quantity, Quantity] | None = None
     by_wind: tuple[float, float] | None = None
+    center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()
     yaw_imbalance: Quantity | None = None
     hover_throttle: Quantity | None = None

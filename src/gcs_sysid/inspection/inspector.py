@@ -298,7 +298,7 @@ def inspect_log(
 
 
 def judged(inspection: Inspection) -> Inspection:
-    """With the findings that its facts lead to, and with how much can be had."""
+    """With the findings that its facts lead to, and with how much is obtainable."""
     whole = replace(inspection, findings=findings_of(inspection))
     return replace(whole, obtainable=obtainable(whole))
 

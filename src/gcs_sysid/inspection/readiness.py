@@ -87,7 +87,7 @@ def obtainable(found: Inspection) -> Obtainable:
     """Obtainable results: the most that `analyze`, and `health` beside it, would give."""
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
-        if 0.0 < found.in_air < LIMITS.short:
+        if 0.0 < found.in_air < LIMITS.short or _is_rough(found):
             return "in part"
         if not little:
             return "everything"
@@ -212,14 +212,41 @@ def _is_little(found: Inspection, axis: str) -> bool:
 
 def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
     """What turns the vehicle must be its rotors, at the rates of this log and in this order."""
-    flown = any(a in found.motion and not _is_little(found, a) for a in ("roll", "pitch"))
-    if flown and found.explained is not None and found.explained < LIMITS.explained:
+    if not _is_flown(found) or found.explained is None:
+        return
+    if found.explained < LIMITS.explained:
         yield Finding(
             "blocks",
             f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: vibration, "
             "gusts, slow data or another motor order",
             f"give --airframe with the motors in the autopilot's order; {_faster(found)}",
         )
+    elif _is_rough(found):
+        yield Finding(
+            "limits",
+            f"the rotors explain {100.0 * found.explained:.0f} % of roll or pitch: what else moves "
+            "the vehicle (propeller wash, gusts, the ground) may leave the inertia rough",
+            "fly doublets from hover, in calm air, for half a minute",
+        )
+
+
+def _is_flown(found: Inspection) -> bool:
+    """Whether there is motion that rotors could explain."""
+    return any(a in found.motion and not _is_little(found, a) for a in ("roll", "pitch"))
+
+
+def _is_rough(found: Inspection) -> bool:
+    """Whether much else than measured rotors turns the vehicle.
+
+    Neither commands, which motors lag behind, nor slow data show this.
+    """
+    chosen, share = found.rotor_input.chosen, found.explained
+    imu = found.stream(Stream.IMU)
+    if chosen is None or chosen.kind == "command" or imu is None or share is None:
+        return False
+    if min(chosen.rate or 0.0, imu.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
+        return False
+    return _is_flown(found) and share < LIMITS.explained_well
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:
