@@ -9,8 +9,8 @@ from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
 _WHITENED = 0.008
 """s between samples, above which rows of one step were not found to be better. Commands are
-whitened up to `SLOW_COMMANDS`: at 100 Hz nearly all `identified` intervals hold so, and three
-quarters of those by the window (`benchmarks.truth --only dslow`)."""
+whitened up to `SLOW_COMMANDS`: by the window motors were a tenth too fast at 100 Hz, and intervals
+missed; `benchmarks.truth --only dslow` has those that hold now."""
 
 
 @dataclass(frozen=True)
