@@ -192,7 +192,7 @@ class _Trial:
         return cause, holds
 
     def may_be_rotor(self, cause: Cause) -> bool:
-        """Whether a weaker rotor explains what is seen: a tenth of its thrust hardly shows in all."""
+        """Whether a weaker rotor explains it: a tenth of its thrust hardly shows in all."""
         return (
             cause.kind == "rotor_failure"
             and cause.loss >= max(self._tuning.least_loss, _SURE * cause.loss_std)
