@@ -133,6 +133,7 @@ SCENARIOS = (
     ),
     Scenario("s", "k_T and k_M differ by 3 % from rotor to rotor", lambda _: Physics(scatter=0.03)),
     Scenario("d", "commands, rotors with inertia", commands=True),
+    Scenario("dslow", "commands, IMU and commands at 100 Hz", commands=True, imu=(100.0,)),
     Scenario(
         "c",
         "commands, a battery that loses 5 % of its voltage",

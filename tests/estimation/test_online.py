@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
@@ -77,3 +78,19 @@ def test_a_rigid_body_is_held_against_nothing(truth, flight):
     assert not fit.rigid_body_test.contradicted
     assert fit.rotation.std[2] < 0.05 * truth.theta[2]
     assert abs(fit.rotation.theta - truth.theta)[2] < 3.0 * fit.rotation.std[2]
+
+
+@pytest.mark.parametrize("cutoff", [None, 25.0])
+def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutoff):
+    samples = noisy(flight)
+    if cutoff is not None:
+        b, a = butter(2, 2.0 * DT * cutoff)
+        gyro = lfilter(b, a, samples.gyro, axis=0)
+        samples = replace(samples, gyro=gyro, rates=gyro)
+    estimator = estimator_of(truth, samples.part(slice(0, 3600)), Tuning())
+    fit = estimator.fit().rotation
+    assert estimator.other_layout(fit) is None
+    # Rows of one step hold the filter's own motion: the window takes it for a delay.
+    assert bool(fit.whiteners) == (cutoff is None)
+    assert np.all(fit.r_squared > 0.9)
+    assert np.all(np.abs(fit.theta - truth.theta)[:3] < 0.01 * truth.theta[:3])

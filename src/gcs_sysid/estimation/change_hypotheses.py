@@ -93,11 +93,11 @@ def judge(
     if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
         return Judgement("disturbance" if last else "undecided", onset, nothing)
     trial = _Trial(window, reference, history, tuning)
-    cause, sure = trial.best(tuning.sure[age_index])
+    cause, sure = trial.best(tuning.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
         return Judgement("changed", onset, cause)
-    over = trial.is_over() and not sure
+    over = trial.is_over() and not sure and not (decide and trial.may_be_rotor(cause))
     probability = trial.disturbance(cause, force=force)
     return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
 
@@ -135,11 +135,12 @@ class _Trial:
 
     # ---- what is said of the step ------------------------------------------------------------
 
-    def best(self, sure: float) -> tuple[Cause, bool]:
+    def best(self, sure: float, *, last: bool = False) -> tuple[Cause, bool]:
         """The best explanation by a change, and whether it holds.
 
         Args:
             sure: standard deviations by which its interval must exclude zero.
+            last: whether it is decided now or never.
         """
         window, tuning = self._window, self._tuning
         free = self._fit(self._free(self._since(self.at)))
@@ -160,9 +161,12 @@ class _Trial:
             cause = Cause("rotor_failure", i, loss, std, 1.0, (0.0, 0.0), share)
             speed, pull = self._away()
             lift = self._fit({0: self._rotor(i, self._since(self.at))[0]})
+            less, off = float(lift.value[0]), float(lift.std[0])
+            # Of vehicles whose thrust is not well known, that it agrees must do, in the end.
+            agrees = last and less > _AGREES * off and abs(less - loss) < _AGREES * off
             holds = (
                 loss >= max(tuning.least_loss, sure * std)
-                and bool(lift.value[0] > _SURE * lift.std[0])
+                and (less > _SURE * off or agrees)
                 and share > tuning.explained
                 and speed < tuning.far[0]
                 and pull < tuning.far[1]
@@ -186,6 +190,14 @@ class _Trial:
             and (share > 0.0 or self._flies(share))
         )
         return cause, holds
+
+    def may_be_rotor(self, cause: Cause) -> bool:
+        """Whether a weaker rotor explains it: a tenth of its thrust hardly shows in all."""
+        return (
+            cause.kind == "rotor_failure"
+            and cause.loss >= max(self._tuning.least_loss, _SURE * cause.loss_std)
+            and cause.explained > self._tuning.explained
+        )
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
@@ -387,6 +399,9 @@ Columns = Callable[[Mask], dict[int, Array]]
 _NOTHING = _Fit(np.zeros(1), np.zeros((1, 1)), 0.0)
 _SURE = 3.0
 """Standard deviations that name a cause."""
+_AGREES = 2.0
+"""Standard deviations of the thrust by which a weaker rotor must show in it, at least, and by which
+it may differ from what the moments show."""
 _MIN_CG = 0.002
 """m, least shift of the CG that is named from a second."""
 _CARRIED = 0.8

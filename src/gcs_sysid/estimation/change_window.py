@@ -63,7 +63,7 @@ class HypothesisTuning:
     sure: tuple[float, ...] = (9.0, 7.0, 6.0, 5.0, 5.0, 5.0)
     search: float = 0.3
     least_mass: float = 0.04
-    least_loss: float = 0.05
+    least_loss: float = 0.04
     agree: float = 0.3
     explained: float = 0.8
     # Priors, one standard deviation.

@@ -45,6 +45,16 @@ nothing of the rows."""
 _AT_ONCE = 1000
 """Samples made into rows at a time."""
 
+_BETWEEN = 0.006
+"""s between commands, above which what was commanded in between counts: noise of the gyro that no
+sample shows looks like inertia to rows of one step, most of all where it is strong, and the curve
+of thrust to the symmetric window. By what both differ, either may be off. On PX4's simulator at
+125 Hz Ixx was 2 to 6 % too large, with intervals of 3 %."""
+_JUMPS = 1.0 / 16.0
+"""Of the time between these, by which all jumps of commands together may seem late, one standard
+deviation: each falls anywhere between two, and a flight has some twenty. Damping is what such a
+delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
+
 _TIMING = np.array([DELAY, LAG])
 _Samples = tuple[Array, Array, Array, Array, Array]
 """Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
@@ -96,8 +106,8 @@ class CommandRecord:
         self._next, self._curve_doubt = FIRST, 0.0
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
-        self._apart = np.zeros(CURVE)
-        """s, by which delay and lag differ from those that the symmetric window finds."""
+        self._apart = np.zeros(N_UNKNOWNS)
+        """By which estimates differ from those of the symmetric window."""
         self._settled: tuple[int, _Tuned, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """Error of an estimate from not knowing what lags."""
@@ -197,7 +207,7 @@ class CommandRecord:
             if float(rotation.r_squared[:2].min()) < _BELIEVED:
                 self._now = None
             elif window is not None:
-                self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
+                self._apart = rotation.unknowns - window.unknowns
             self.narrowed = True
         if last:
             self._kept = None
@@ -246,7 +256,13 @@ class CommandRecord:
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt += np.outer(found[best].away, found[best].away)
-        doubt[_TIMING, _TIMING] += (0.5 * self._apart) ** 2
+        doubt[_TIMING, _TIMING] += (0.5 * self._apart[_TIMING]) ** 2
+        if self._dt > _BETWEEN:
+            doubt += np.outer(self._apart, self._apart)
+            known = found[best].fit.rotation.full_covariance
+            late = np.linalg.solve(known[np.ix_(_TIMING, _TIMING)], [_JUMPS * self._dt, 0.0])
+            off = known[:, _TIMING] @ late
+            doubt += np.outer(off, off)
         # Delay and lag trade against each other within a sample: on three flights of PX4's
         # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
         doubt[np.ix_(_TIMING, _TIMING)] += self._dt**2

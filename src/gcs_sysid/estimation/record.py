@@ -8,23 +8,44 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import article_estimator as article
-from gcs_sysid.estimation.actuator_dynamics import LAGS_OF, ActuatorDynamics, LagOf, LagPlace
+from gcs_sysid.estimation.actuator_dynamics import (
+    DELAY,
+    LAGS_OF,
+    ActuatorDynamics,
+    LagOf,
+    LagPlace,
+)
 from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.command_record import CommandRecord
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
+from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.whitened_fit import explained_by
 from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for
 from gcs_sysid.signals.one_step import step_for
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
+_JUDGED, _JUDGED_AGAIN = 6.0, 2.0
+"""s of flight after which it is first asked whether the gyro is filtered; growth until the next."""
+_LATE_GYRO = 0.003
+"""s, by which a filtered gyro lags behind rotor speeds, at least: a second-order low-pass of 75 Hz.
+Without one, speeds are as late as the gyro or later."""
+_BY_WINDOW, _BY_STEPS = 0.95, 0.6
+"""Shares of the motion of an axis that the window explains where a low-pass is behind it, at least,
+and rows of one step, at most. What a low-pass does shows within a step, and the window passes
+little above 5 Hz. Disturbances show in the window too."""
+_SLOW_CURVE = 0.025
+"""Thrust curve from slow commands, one standard deviation: what they miss bends it, by 0.04 to 0.05
+on flights of another simulator at 50 Hz, whose intervals were 0.025."""
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
 _NOTED_TIME = 2.0
@@ -114,6 +135,10 @@ class FlightRecord:
                 tuning.batch_time,
                 offline=offline,
             )
+        self.low_passed = False
+        """Whether the gyro comes through an undeclared low-pass."""
+        self._judge_at = _JUDGED
+        self._slow_curve = _SLOW_CURVE if commands and dt >= SLOW_COMMANDS else 0.0
         self.drift = ThrustDrift(dt) if commands else None
         """Of thrust at a given command; speeds need none."""
         self._rows = RowMaker(path, basis, smoother, steps, self.drift)
@@ -186,7 +211,7 @@ class FlightRecord:
         steps = [self._rows.steps_after(end) for end in edges]
         made = self._rows.update(samples)
         if self.drift is not None:
-            self.basis.curve_doubt = self.drift.curve_doubt
+            self.basis.curve_doubt = float(np.hypot(self.drift.curve_doubt, self._slow_curve))
             if self.commands is not None:
                 self.commands.doubt_curve(self.drift.curve_doubt)
         sections = _Sections(made, self._leaks)
@@ -209,13 +234,16 @@ class FlightRecord:
                 self.rotation.add(sections.rotation(*rows))
                 self.momentum.add(sections.momentum(*rows))
                 self.accelerometer.add(sections.accelerometer(*rows))
-            if self._of_speeds is not None and few[0] < few[1]:
+            if self._of_speeds is not None and not self.low_passed and few[0] < few[1]:
                 self._of_speeds.add(made.one_step[slice(*few)], self._noted_noise)
             self._since_noted += part[1] - part[0]
             if self._since_noted >= every:
                 self._since_noted = 0
                 if self.commands is None:
                     self._note = self._signals_noise()
+                    white = self._of_speeds
+                    if white is not None and self.seconds >= self._judge_at:
+                        self._judge_gyro(white)
                 elif self.commands.due:
                     self._tune(self.commands)
             if ends_left and part[1] == ends_left[0]:
@@ -225,7 +253,27 @@ class FlightRecord:
     @property
     def whitened(self) -> WhitenedRecord | None:
         """Moments of whitened rows, where they are asked for; with commands, as soon as any are."""
+        if self.low_passed:
+            return None
         return self._of_speeds if self.commands is None else self.commands.white
+
+    def _judge_gyro(self, white: WhitenedRecord) -> None:
+        """Leave rows of one step where only a filtered gyro explains what they leave."""
+        if self.low_passed:
+            return
+        self._judge_at = _JUDGED_AGAIN * self.seconds
+        noise = np.stack([self.noise(i) for i in range(len(self.memories))])
+        window = fit_rotation(
+            self.rotation.batches, self.rotation.counts, self.basis, noise, doubt=self.noise_doubt
+        )
+        if window is None or window.coordinates[DELAY] > -_LATE_GYRO:
+            return
+        well = window.r_squared >= _BY_WINDOW
+        if not well[:2].all():
+            return
+        by_steps = explained_by(white.moments(self._noted_noise()), white.basis)
+        if by_steps is None or (by_steps[well] < _BY_STEPS).any():
+            self.low_passed = white.narrowed = True
 
     def was_renewed(self) -> bool:
         """Whether what whitened rows are made of has changed since this was last asked."""
