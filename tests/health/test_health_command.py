@@ -128,7 +128,7 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
     assert health.available
     assert health.condition is None
     assert "another vehicle's" in health.apart
-    assert "not held against" in health_text(health)
+    assert "not compared with" in health_text(health)
     assert trend_text([health, replace(health, apart="")]) == []
 
 

@@ -467,3 +467,8 @@ def test_no_drift_is_neither_fast_nor_slow(drift, said):
     clock = ClockFacts(drift, 0, 0)
     found = SimpleNamespace(vehicle="PX4", clock=clock)
     assert f"; {said} " in " ".join(inspection_text._clock(found, 100))
+
+
+def test_without_yaw_two_parameters_are_poorly_determined():
+    text = inspection_text._OBTAINABLE["all but Izz"]
+    assert text.endswith("yaw was hardly flown, so Izz and k_M are poorly determined")

@@ -49,7 +49,8 @@ _LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
 """Parameters of a vehicle that reports where its rotors are."""
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
-    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly determined",
+    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
+    "determined",
     "in part": "scale and CG; inertia as far as it was flown",
     "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
     "nothing": "nothing",

@@ -353,7 +353,7 @@ def _compared(
     if problem and base.asked:
         raise InputError(f"{base.source}: {problem}; take a flight of this vehicle as baseline")
     if problem:
-        return replace(health, apart=f"not held against {Path(base.source).name}: {problem}")
+        return replace(health, apart=f"not compared with {Path(base.source).name}: {problem}")
     load = health.load
     if base.load.thrust_curve is not None and base.load.thrust_curve != c:
         again = load_of(hover, thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve)
