@@ -3,6 +3,7 @@
 
 let current = null; // the log in hand: {id, name}
 let told = null; // the airframe that it proposes
+let kindBefore = "builtin"; // of airframe: whose rotors a drawing begins with
 let builtins = [];
 let rotors = []; // drawn ones: {x, y, spin}
 let toml = null;
@@ -98,7 +99,8 @@ function showKind() {
   toggle(byId("builtin-choice"), kind === "builtin");
   toggle(byId("file-choice"), kind === "file");
   toggle(byId("drawing"), kind === "rotors");
-  if (kind === "rotors" && !rotors.length) rotors = shownRotors("builtin").map((rotor) => ({ ...rotor }));
+  if (kind === "rotors" && !rotors.length) rotors = shownRotors(kindBefore).map(({ x, y, spin }) => ({ x, y, spin }));
+  kindBefore = kind;
   draw();
 }
 
