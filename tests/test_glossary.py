@@ -21,7 +21,8 @@ REPLACED = re.compile(
 DOCS = re.compile(
     r"\b(told|tells?|speaks?|spoken|yardstick|reckon\w*|makes of|balance point|heard|written over|"
     r"roughly known|anew|learnt|metres?|centres?|colours?|neighbours?|analys(?:ed|es|ing)|"
-    r"behaviour|modelled)\b",
+    r"behaviour|modelled|held\s+against|the\s+lesser|looked\s+at\s+once|sent\s+as\s+rpm|"
+    r"by\s+speeds|one\s+value\s+must\s+be\s+given|result\s+is\s+of)\b",
     re.IGNORECASE,
 )
 PROSE = re.compile(

@@ -9,7 +9,7 @@ from importlib import resources
 import pytest
 
 from gcs_sysid.cli import arguments
-from gcs_sysid.cli.program import run
+from gcs_sysid.cli.program import build_parser, run
 from gcs_sysid.estimation import article_estimator as article
 
 ERROR = "gcs-sysid: error: "
@@ -248,6 +248,32 @@ def test_help_fits_a_terminal_of_80_columns():
         timeout=60,
     )
     assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def without_help(parser):
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from without_help(command)
+        elif not action.help:
+            yield parser.prog, action.option_strings or action.dest
+
+
+def test_every_option_of_every_command_has_help():
+    assert list(without_help(build_parser())) == []
+
+
+def test_the_default_airframe_is_that_of_the_command(capsys):
+    for command, said in (
+        ("live", "default auto"),
+        ("analyze", "default auto"),
+        ("demo", "default paper"),
+        ("batch", "default: the nearest airframe.toml"),
+        ("health", "default: by the vehicle's parameters or type"),
+    ):
+        assert run([command, "--help"]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert f"or .toml file ({said}" in text, command
 
 
 def test_names_of_the_articles_methods_are_the_estimators():

@@ -181,3 +181,26 @@ def test_both_reasons_are_given():
         "residuals on pitch are not noise (whiteness 7.0 on pitch): "
         "the model lacks something there",
     )
+
+
+def hover(validation, **options):
+    window = np.eye(rb.N_SIGNALS + 3)  # 0.03 rad/s rms in 1000 samples
+    moments = FitMoments(window[None], window, 1000)
+    return evidence_of(
+        Fit(ROTATION, None, 30.0, validation, moments=moments, **options), "speed", 0.004
+    )
+
+
+def test_a_hover_is_told_what_to_fly_and_nothing_else():
+    """The rest follows: without motion nothing can be predicted."""
+    evidence = hover(replace(GOOD, r_squared=np.full(3, -0.2)))
+    (reason,) = evidence.reasons
+    assert reason.startswith("hardly any rotation in roll, pitch, yaw")
+    assert reason.endswith("fly doublets there")
+    assert evidence.still
+    assert evidence.capped == (True, True, True)
+    short = hover(None)
+    assert [reason[:10] for reason in short.reasons] == ["the flight", "hardly any"]
+    assert short.still
+    running = hover(None, running=True)
+    assert (running.reasons, running.capped) == ((reason,), (False, False, False))

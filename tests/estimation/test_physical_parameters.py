@@ -217,6 +217,13 @@ def test_verdict_and_its_reasons(statuses, word, said):
     assert bool(reasons) is bool(said)
 
 
+def test_a_hover_is_not_told_to_separate_what_it_did_not_move():
+    hover = parameters(**dict.fromkeys(CORE[1:], "unobservable"))
+    word, reasons = verdict(hover, still=True)
+    assert (word, len(reasons)) == ("refused", 1)
+    assert "one scale" not in reasons[0]
+
+
 def test_commands_name_their_own_parameters():
     anchor = ScaleReference("mass", MASS)
     for translation in (TRANSLATION, None):

@@ -64,6 +64,12 @@ def test_text_and_panel_say_which_rotors_their_interval_assumes():
     assert "identical rotors: ± 1.8 mm" in panel
 
 
+def test_what_the_wind_adds_to_the_cg_has_a_plain_name():
+    windy = health_text(replace(HEALTH, by_wind=(0.004, 0.0)))
+    assert "\n  wind contribution " in windy
+    assert "wind" not in health_text(replace(HEALTH, by_wind=(0.001, 0.0)))
+
+
 def test_text_without_plus_minus_signs_is_still_readable():
     shown = health_text(HEALTH).encode("ascii", "replace").decode()
     assert "100.0 ? 6.7 mm aft of the center" in shown

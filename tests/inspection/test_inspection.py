@@ -3,12 +3,14 @@
 import functools
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from gcs_sysid.cli import inspection_text
 from gcs_sysid.inspection.derived_facts import assumed_airframe
-from gcs_sysid.inspection.facts import that_matter
+from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import load_airframe
@@ -455,3 +457,18 @@ def test_it_ends_early_when_told_to(recording):
 def test_only_parameters_that_matter_are_shown():
     named = {"ZZZ": 1.0, "INS_GYRO_FILTER": 20.0, "FRAME_CLASS": 1.0, "INS_GYRO_FILTERX": 2.0}
     assert that_matter(named) == {"FRAME_CLASS": 1.0, "INS_GYRO_FILTER": 20.0}
+
+
+@pytest.mark.parametrize(
+    ("drift", "said"),
+    [(0.3, "0 ppm against"), (-0.3, "0 ppm against"), (12.0, "12 ppm fast"), (-3.0, "3 ppm slow")],
+)
+def test_no_drift_is_neither_fast_nor_slow(drift, said):
+    clock = ClockFacts(drift, 0, 0)
+    found = SimpleNamespace(vehicle="PX4", clock=clock)
+    assert f"; {said} " in " ".join(inspection_text._clock(found, 100))
+
+
+def test_without_yaw_two_parameters_are_poorly_determined():
+    text = inspection_text._OBTAINABLE["all but Izz"]
+    assert text.endswith("yaw was hardly flown, so Izz and k_M are poorly determined")

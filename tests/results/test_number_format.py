@@ -129,3 +129,8 @@ def test_an_event_names_what_surely_changed():
     assert words.event_text(event) == "mass change: mass 1.500 -> 1.650 kg"
     failed = {"kind": "rotor_failure", "rotor": 2, "loss": {"ci95": [0.18, 0.22]}}
     assert words.event_text(failed) == "rotor failure: rotor 3 lost 18 to 22 % of its thrust"
+
+
+def test_an_undecided_disturbance_bounds_what_the_result_covers():
+    said = words.disturbance_text({"cause": "force", "undecided": True})
+    assert said.endswith("undecided at the end: the result covers only the flight up to it")

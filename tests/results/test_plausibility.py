@@ -4,15 +4,17 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.status import Value, judged
+from gcs_sysid.estimation.physical_parameters import verdict
+from gcs_sysid.estimation.status import Status, Value, judged
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
-from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.results.plausibility import RANGES, capped, objections
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.words import shown
@@ -80,6 +82,25 @@ def test_the_arm_of_a_layout_is_a_placeholder():
 )
 def test_what_no_multirotor_is_like(changes, said):
     assert said in reasons(**changes)
+
+
+def test_the_k_t_limit_is_doubled_for_coaxial_rotors_alone():
+    pairs = tuple(rotor for rotor in QUAD.rotors for _ in range(2))
+    coaxial = replace(QUAD, rotors=pairs)
+    k_T, said = 0.039 * 0.25**4, "takes rotors that do not fit an arm"
+    assert said in reasons(k_T=k_T)
+    assert said not in reasons(k_T=0.024 * 0.25**4)
+    assert said not in reasons(coaxial, k_T=k_T)
+    assert said in reasons(coaxial, k_T=0.051 * 0.25**4)
+
+
+def test_what_the_documentation_says_of_a_wrong_mass():
+    page = Path(__file__).parents[2] / "docs" / "intervals.md"
+    text = " ".join(page.read_text("utf-8").split())
+    as_wide_as_the_arm = 0.1 * 1.225 / (4.0 * math.pi**2)  # C_T rho D^4 / (4 pi^2 arm^4)
+    factor = RANGES.rotor[1] / as_wide_as_the_arm
+    assert f"reach the k_T limit at {factor:.0f} times the true mass" in text
+    assert f"and at {2.0 * factor:.0f} times if rotors share a position" in text
 
 
 def test_a_wrong_unit_caps_all_but_the_given():
@@ -152,3 +173,22 @@ def test_bounded_intervals_hold_wherever_the_truth_is(true):
     ).T
     holds = np.mean((low <= true) & (true <= high))
     assert 0.945 < holds <= 1.0
+
+
+def test_the_verdicts_rule_in_the_documentation_is_the_one_in_force():
+    """One core parameter is enough for `partial`; with none the result is refused."""
+    core = dict.fromkeys(CORE_OF["speed"], "weak") | {"mass": "given"}
+    for known, word in (
+        ({}, "refused"),
+        ({"k_T": "identified"}, "partial"),
+        ({"Ixy": "zero"}, "partial"),
+    ):
+        statuses = {**core, **known}
+        found = verdict({n: Value(1.0, 0.1, s) for n, s in statuses.items()})
+        assert found[0] == word
+
+
+def test_every_status_is_explained_beside_the_intervals():
+    page = Path(__file__).parents[2] / "docs" / "intervals.md"
+    listed = re.findall(r"^\| `(\w+)` \|", page.read_text("utf-8"), re.M)
+    assert sorted(listed) == sorted(get_args(Status))

@@ -2,13 +2,15 @@
 
 import argparse
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
 
 from gcs_sysid.cli import reported_airframe
+from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.model.airframe import Airframe, Rotor, builtin_names, load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.reported_layout import (
     airframe_of_layout,
@@ -16,13 +18,18 @@ from gcs_sysid.session.reported_layout import (
     notes,
     proposal,
     reported_layout,
+    suggested_airframe,
 )
 from gcs_sysid.setup_help.layouts import layout_rotors
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.web import log_worker
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.cli import main as sim_bridge
 from sim_bridge.px4_parameters import px4_parameters
 from sim_bridge.uneven_rotors import even
 from sim_bridge.vehicle_files import load_vehicle
+from tests.blackbox_logs import blackbox_of
 
 QUAD = load_airframe("px4-quad-x")
 
@@ -236,6 +243,64 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     assert found.anchor() == ("mass", 1.5)
     assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err
     assert analyze_log(flight, found).verdict != "refused"
+
+
+LINE = "gcs-sysid: error: {}: the log does not contain the vehicle's {}: give "
+ARM, MASS = "--arm M (center to each motor)", "--mass KG (weighed; or --k-t, or --t-max with"
+
+
+@pytest.mark.parametrize(
+    ("given", "lacking", "named"),
+    [
+        ([], "layout, size and mass", ("--airframe betaflight-quad-x", ARM, MASS)),
+        (["--mass", "1"], "layout and size", ("--airframe betaflight-quad-x", ARM)),
+        (["--arm", "0.1"], "layout and mass", ("--airframe betaflight-quad-x", MASS)),
+        (["--arm", "0.1", "--k-t", "1e-7"], "layout", ("--airframe betaflight-quad-x",)),
+    ],
+)
+def test_the_first_error_names_all_that_is_missing(tmp_path, capsys, given, lacking, named):
+    log = blackbox_of(tmp_path, motors=4)
+    assert run(["analyze", str(log), *given]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(LINE.format(log, lacking))
+    assert said.count("\n") == 1
+    for option in ("--airframe betaflight-quad-x", ARM, MASS):
+        assert (option in said) is (option in named), option
+
+
+@pytest.mark.parametrize(
+    ("layout", "lacking"),
+    [
+        (None, "layout, size and mass"),
+        (reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}), "size and mass"),
+        (px4(QUAD.rotors), "mass"),
+    ],
+)
+def test_what_other_logs_lack(layout, lacking):
+    options = argparse.Namespace(arm=None, mass=None, k_t=None, t_max=None)
+    said = reported_airframe._missing(layout, options, None)
+    assert said.startswith(f"the log does not contain the vehicle's {lacking}: give ")
+    assert ("--airframe FILE.toml or one of" in said) is ("layout" in lacking)
+    assert ("--arm M" in said) is ("size" in lacking)
+
+
+def test_only_a_blackbox_log_of_a_quad_has_a_suggestion(tmp_path):
+    assert suggestion_of(blackbox_of(tmp_path, motors=4)) == "betaflight-quad-x"
+    assert suggestion_of(blackbox_of(tmp_path, motors=6)) is None
+    quad = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+    assert suggested_airframe("tlog", quad) is None
+    assert suggested_airframe("blackbox", None) is None
+
+
+def suggestion_of(log):
+    return log_worker.look(log, lambda *_: None)["suggestion"]
+
+
+def test_the_page_preselects_the_suggestion_and_no_layout_of_its_own():
+    script = (resources.files("gcs_sysid.web") / "assets" / "analysis.js").read_text("utf-8")
+    assert 'byId("builtin").value = found.suggestion || "";' in script
+    assert 'make("option", { value: "" }, "choose a layout")' in script
+    assert not [name for name in builtin_names() if name in script]
 
 
 def test_canted_rotors_of_px4_are_taken_over():

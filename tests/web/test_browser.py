@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.telemetry.tlog import read_tlog
+from tests.blackbox_logs import blackbox_of
 from tests.screen import fake
 
 from .conftest import served
@@ -152,6 +153,22 @@ def test_a_dropped_log_becomes_a_report_in_two_clicks(web, bench, fly):
     assert page.locator("#rotor-rows tr").count() == 5
     page.click("text=Remove last")
     assert page.locator("#rotor-rows tr").count() == 4
+
+
+def test_a_layout_that_no_log_gives_is_the_users_choice(web, bench, paper_flight, tmp_path):
+    _, _, site = bench
+    page = web.page(site.address("pilot"))
+    drop(page, paper_flight.tlog)
+    page.locator("#setup").wait_for()
+    assert page.input_value("#builtin") == ""
+    page.fill("#scale", "1.5")
+    page.click("#identify")
+    assert page.inner_text("#problem") == "choose a layout first"
+    audited(page)
+    drop(page, blackbox_of(tmp_path, motors=4))
+    page.locator("#about-log", has_text="log.bbl").wait_for()
+    assert page.input_value("#builtin") == "betaflight-quad-x"
+    assert page.locator("#picture svg text.spin").count() == 4
 
 
 def test_what_is_wrong_is_said_in_a_line(web, bench, tmp_path):

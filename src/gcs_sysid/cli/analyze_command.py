@@ -33,7 +33,6 @@ def run(options: argparse.Namespace) -> int:
     if options.end <= options.start:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
     if arguments.is_auto(options):
-        arguments.check_scale_given(options)
         airframe = reported_airframe.of_log(Path(options.logs[0]), options)
     else:
         airframe = arguments.airframe_of(options)

@@ -92,16 +92,26 @@ def setting(text: str) -> tuple[str, float]:
     return name.strip(), number(value)
 
 
-def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> _Group:
-    """Options of the airframe and its scale."""
+_REPORTED = "default auto: the layout in the vehicle's parameters"
+
+
+def _add_layout(
+    parser: argparse.ArgumentParser, unnamed: str = "", default: str | None = None
+) -> _Group:
+    """Options of the airframe and its scale.
+
+    Args:
+        parser: of the command.
+        unnamed: what the command does without an airframe, in words.
+        default: the airframe that it takes.
+    """
     group = parser.add_argument_group("vehicle and scale")
     group.add_argument(
         "--airframe",
         metavar="NAME|FILE",
         default=default,
-        help="built-in name (paper, px4-quad-x, ...) or .toml file; live and analyze "
-        "default to auto: the layout in the vehicle's parameters"
-        + (f" (default {default})" if default else ""),
+        help="built-in name (paper, px4-quad-x, ...) or .toml file"
+        + (f" ({unnamed})" if unnamed else ""),
     )
     group.add_argument(
         "--arm",
@@ -132,8 +142,10 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
     return group
 
 
-def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    _add_layout(parser, default).add_argument(
+def _add_airframe(
+    parser: argparse.ArgumentParser, unnamed: str = "", default: str | None = None
+) -> None:
+    _add_layout(parser, unnamed, default).add_argument(
         "--prior",
         type=prior,
         action="append",
@@ -229,17 +241,36 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
 
 def add_demo(parser: argparse.ArgumentParser) -> None:
     """Options of `demo`."""
-    _add_airframe(parser, "paper")
+    _add_airframe(parser, "default paper", "paper")
     parser.add_argument(
         "--speed", choices=("1", "max"), default="1", help="1: real time; max: as fast as possible"
     )
-    parser.add_argument("--mission", choices=("paper", "all-axes", "hover"), default="all-axes")
-    parser.add_argument("--noise", choices=("none", "paper", "white", "mems"), default="mems")
+    parser.add_argument(
+        "--mission",
+        choices=("paper", "all-axes", "hover"),
+        default="all-axes",
+        help="what the emulator flies: the article's maneuvers, every axis at once, or hover alone "
+        "(default all-axes)",
+    )
+    parser.add_argument(
+        "--noise",
+        choices=("none", "paper", "white", "mems"),
+        default="mems",
+        help="sensor noise (default mems)",
+    )
     parser.add_argument(
         "--sigma", type=not_negative, help="noise of paper and white, rad and rad/s"
     )
-    parser.add_argument("--rate", type=rate, default=250.0, metavar="HZ")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--rate",
+        type=rate,
+        default=250.0,
+        metavar="HZ",
+        help="message rate of IMU and rotors (default 250)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed of all randomness (default 1)"
+    )
     parser.add_argument("--duration", type=positive, metavar="S", help="length of the flight")
     parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
@@ -247,7 +278,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     option_groups.add_options(parser)
 
 
-def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
+def _add_vehicle_choice(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--vehicle",
         type=vehicle_address,
@@ -282,7 +313,7 @@ def _add_link(group: argparse._ActionsContainer) -> None:
 def add_live(parser: argparse.ArgumentParser) -> None:
     """Options of `live`."""
     parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
-    _add_airframe(parser)
+    _add_airframe(parser, _REPORTED)
     parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
     parser.add_argument("--no-record", action="store_true", help="do not record")
     _add_link(parser)
@@ -300,7 +331,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg, .bin, .bbl or .csv file")
     _add_csv(parser)
     _add_airframe(parser)
-    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    _add_vehicle_choice(parser)
     parser.add_argument(
         "--speed", choices=("1", "10", "max"), default="1", help="initial speed (default 1)"
     )
@@ -313,15 +344,32 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
 
 def add_analyze(parser: argparse.ArgumentParser) -> None:
     """Options of `analyze`."""
-    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help=".tlog, .ulg, .bin, .bbl, .csv or .parquet file; several: each by itself",
+    )
     _add_csv(parser)
-    _add_airframe(parser)
+    _add_airframe(parser, _REPORTED)
     parser.add_argument("--json", metavar="FILE", help="write the result; - is stdout")
     parser.add_argument("--report", metavar="FILE.html", help="write an HTML report with figures")
     _add_force(parser)
-    parser.add_argument("--start", type=not_negative, default=0.0, metavar="S")
-    parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
-    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--start",
+        type=not_negative,
+        default=0.0,
+        metavar="S",
+        help="use the log from S seconds after its beginning (default 0)",
+    )
+    parser.add_argument(
+        "--end",
+        type=positive,
+        default=math.inf,
+        metavar="S",
+        help="use the log up to S seconds after its beginning (default: all of it)",
+    )
+    _add_vehicle_choice(parser)
     parser.add_argument(
         "--truth", metavar="FILE", help="true parameters, shown beside the estimates"
     )
@@ -350,7 +398,9 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
 def add_inspect(parser: argparse.ArgumentParser) -> None:
     """Options of `inspect`."""
     # Left out by `inspect --json LOG`, see the command.
-    parser.add_argument("target", nargs="?", metavar="LOG|URL")
+    parser.add_argument(
+        "target", nargs="?", metavar="LOG|URL", help="a log, or a link such as udpin:0.0.0.0:14550"
+    )
     _add_csv(parser)
     parser.add_argument(
         "--json",
@@ -361,7 +411,7 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
     )
     _add_force(parser)
     _add_vehicle_choice(parser)
-    _add_layout(parser).add_argument(
+    _add_layout(parser, "default: the rotors by the vehicle's type").add_argument(
         "--rotors",
         type=rotors,
         metavar="N",
@@ -400,11 +450,13 @@ def add_export(parser: argparse.ArgumentParser) -> None:
         "PlotJuggler, Foxglove or MATLAB; needs --airframe and a scale",
     )
     _add_csv(group)
-    group.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    _add_vehicle_choice(group)
     scale = group.add_mutually_exclusive_group()
     scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as for analyze")
-    scale.add_argument("--k-t", type=measured(positive), metavar="N_S2[±STD]")
-    scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]")
+    scale.add_argument(
+        "--k-t", type=measured(positive), metavar="N_S2[±STD]", help="as for analyze"
+    )
+    scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]", help="as for analyze")
     add_vehicle_name(parser)
     parser.add_argument(
         "--ensemble",
@@ -477,8 +529,8 @@ def add_twin(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="write the errors; - is stdout")
     parser.add_argument("--picture", metavar="FILE.svg", help="draw how the errors grow")
     _add_force(parser)
-    _add_airframe(parser)
-    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    _add_airframe(parser, "default: the result's; auto: the layout in the vehicle's parameters")
+    _add_vehicle_choice(parser)
     parser.add_argument(
         "--seed",
         type=int,
@@ -531,8 +583,8 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="memory limit for one log, on Linux (default 4000)",
     )
-    _add_airframe(parser)
-    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    _add_airframe(parser, "default: the nearest airframe.toml")
+    _add_vehicle_choice(parser)
     parser.add_argument(
         "--offline", action="store_true", help="maximum likelihood over whole records (slower)"
     )
@@ -554,7 +606,7 @@ def add_health(parser: argparse.ArgumentParser) -> None:
         help=".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle",
     )
     _add_csv(parser)
-    _add_layout(parser).add_argument(
+    _add_layout(parser, "default: by the vehicle's parameters or type").add_argument(
         "--battery-mass",
         type=mass,
         metavar="KG",
@@ -619,12 +671,15 @@ def check_scale_given(options: argparse.Namespace) -> None:
     Raises:
         InputError: nothing does.
     """
+    if not is_scale_given(options):
+        also = "" if options.arm is not None else "; most vehicles also need --arm M"
+        raise InputError(f"{NO_SCALE}; without --airframe the layout comes from the vehicle{also}")
+
+
+def is_scale_given(options: argparse.Namespace) -> bool:
+    """Whether an option sets the scale."""
     given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
-    if given.count(None) == len(given):
-        raise InputError(
-            f"{NO_SCALE}; without --airframe the layout comes from the log; most logs also need "
-            "--arm M"
-        )
+    return given.count(None) < len(given)
 
 
 def airframe_of(options: argparse.Namespace, reported: "Airframe | None" = None) -> "Airframe":

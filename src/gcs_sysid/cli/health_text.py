@@ -40,7 +40,7 @@ def _head(health: Health) -> Iterator[str]:
         )
     yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
-        yield _line("  of it by wind", _as_flown(health.by_wind))
+        yield _line("  wind contribution", _as_flown(health.by_wind))
     yield from _pure("yaw imbalance", health.yaw_imbalance, 100.0, "% of the load, ccw minus cw")
     yield from _pure("hover throttle", health.hover_throttle, 100.0, "%")
     yield from _pure("full thrust", health.thrust_to_weight, 1.0, "times the weight")

@@ -49,7 +49,8 @@ _LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
 """Parameters of a vehicle that reports where its rotors are."""
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
-    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
+    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
+    "determined",
     "in part": "scale, CG from hover; inertia as far as it was flown, perhaps rough",
     "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
     "nothing": "nothing",
@@ -195,8 +196,9 @@ def _clock(found: Inspection, width: int) -> list[str]:
     if drift is None:
         against = "drift unknown"
     else:
-        way = "fast" if drift >= 0.0 else "slow"
-        against = f"{abs(drift):.0f} ppm {way} against the computer that received"
+        ppm = round(drift)
+        way = "" if ppm == 0 else " fast" if ppm > 0 else " slow"
+        against = f"{abs(ppm)} ppm{way} against the computer that received"
     text = (
         f"the autopilot's; {against}; {_times(found.clock.reboots, 'reboot')}, "
         f"{_times(found.clock.wraps, 'wrap')} of a 32-bit stamp"

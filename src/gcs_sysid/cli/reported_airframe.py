@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, builtin_names
 from gcs_sysid.session.reported_layout import (
     ReportedLayout,
     airframe_of_layout,
     proposal,
     reported_layout,
+    suggested_airframe,
 )
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
@@ -33,16 +34,43 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     """The airframe for a log, by the parameters in it.
 
     Raises:
-        InputError: the log cannot be read, or has no layout; nothing sets the scale.
+        InputError: the log cannot be read; or the line names every option that is missing.
     """
     log = open_log(path, options.vehicle)
     for _ in log.blocks():
         pass
     reported = None if log.vehicle is None else reported_layout(log.vehicle.key, log.parameters)
-    problem = f"{path} does not hold the vehicle's layout"
-    if log.kind == "blackbox":
-        problem += "; Betaflight's usual one is --airframe betaflight-quad-x with --arm M"
-    return _airframe(reported, options, problem)
+    missing = _missing(reported, options, suggested_airframe(log.kind, log.vehicle))
+    if missing:
+        raise InputError(f"{path}: {missing}")
+    return _airframe(reported, options, str(path))
+
+
+def _missing(
+    reported: ReportedLayout | None, options: argparse.Namespace, suggestion: str | None
+) -> str:
+    """What a log and the options lack, and all the options that give it; empty if nothing."""
+    lacking, give = [], []
+    if reported is None:
+        lacking.append("layout")
+        give.append(
+            f"--airframe {suggestion} (the firmware's default order of motors; or FILE.toml)"
+            if suggestion
+            else f"--airframe FILE.toml or one of {', '.join(builtin_names())}"
+        )
+    if options.arm is None and not (reported is not None and reported.sized):
+        lacking.append("size")
+        give.append("--arm M (center to each motor)")
+    if not arguments.is_scale_given(options):
+        lacking.append("mass")
+        give.append("--mass KG (weighed; or --k-t, or --t-max with commands)")
+    if not give:
+        return ""
+    return f"the log does not contain the vehicle's {_listed(lacking)}: give {_listed(give)}"
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:

@@ -43,7 +43,6 @@ def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
     """What is given of the vehicle; None: taken from the result."""
     given = (options.arm, options.mass, options.k_t, options.t_max)
     if options.airframe == "auto":
-        arguments.check_scale_given(options)
         return reported_airframe.of_log(log, options)
     if options.airframe is not None:
         return arguments.airframe_of(options)

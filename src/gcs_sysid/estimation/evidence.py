@@ -69,6 +69,8 @@ class Evidence:
     capped: tuple[bool, bool, bool] = (False, False, False)
     reasons: tuple[str, ...] = ()
     unmoved: tuple[bool, bool, bool] = (False, False, False)
+    still: bool = False
+    """Whether hardly any rotation was flown on any axis: other reasons follow from that one."""
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""
@@ -93,12 +95,14 @@ def evidence_of(
     """
     if fit.rotation is None:
         return Evidence()
+    still, rest = _still(fit)
+    hovered = bool(still.all())
     found = fit.validation
     if found is None:
         if fit.running:
-            return Evidence()
+            return Evidence(reasons=rest, still=True) if hovered else Evidence()
         why = "the flight is too short to hold out a part of it: nothing checks the fit"
-        return Evidence((True, True, True), (why,))
+        return Evidence((True, True, True), (why, *(rest if hovered else ())), still=hovered)
     whitened = bool(fit.rotation.whiteners)
     fine = whitened or rotor_input == "speed"
     limit = RULES.whiteness if fine else RULES.whiteness_commands
@@ -106,7 +110,7 @@ def evidence_of(
     colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
     colored &= not (filtered or (rotor_input == "speed" and dt > RULES.slow))
     reasons = []
-    if unpredicted.any():
+    if unpredicted.any() and not hovered:
         worst = int(np.argmin(found.r_squared))
         share = max(0.0, 100.0 * float(found.r_squared[worst]))
         reasons.append(
@@ -119,13 +123,7 @@ def evidence_of(
             f"residuals on {_named(colored)} are not noise (whiteness {found.whiteness[worst]:.1f} "
             f"on {AXES[worst]}): the model lacks something there"
         )
-    rates = None if fit.moments is None else fit.moments.rates
-    still = np.zeros(3, dtype=bool) if rates is None else rates < RULES.still
-    if rates is not None and still.any():
-        reasons.append(
-            f"hardly any rotation in {_named(still)} "
-            f"({', '.join(f'{rate:.2g}' for rate in rates[still])} rad/s rms): fly doublets there"
-        )
+    reasons += rest
     explained = fit.rotation.r_squared
     high, low = RULES.crossed
     if rotors > 4 and not still[2] and explained[:2].min() > high and explained[2] < low:
@@ -138,7 +136,21 @@ def evidence_of(
     least = RULES.least_whitened_r2 if whitened else RULES.least_r2
     capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored | still)
     unmoved = tuple(bool(c) for c in (unpredicted | still) & ~colored)
-    return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]
+    return Evidence(capped, tuple(reasons), unmoved, hovered)  # type: ignore[arg-type]
+
+
+def _still(fit: Fit) -> tuple[Mask, tuple[str, ...]]:
+    """Axes that hardly turn, and what to fly there."""
+    rates = None if fit.moments is None else fit.moments.rates
+    if rates is None:
+        return np.zeros(3, dtype=bool), ()
+    still: Mask = rates < RULES.still
+    if not still.any():
+        return still, ()
+    return still, (
+        f"hardly any rotation in {_named(still)} "
+        f"({', '.join(f'{rate:.2g}' for rate in rates[still])} rad/s rms): fly doublets there",
+    )
 
 
 def _named(axes: Mask) -> str:

@@ -405,8 +405,17 @@ def verdict(
     parameters: Mapping[str, Value],
     rotor_input: RotorInput = "speed",
     rigid_body_test: RigidBodyTest | None = None,
+    *,
+    still: bool = False,
 ) -> tuple[str, tuple[str, ...]]:
-    """One word for the whole, and why it is not better."""
+    """One word for the whole, and why it is not better.
+
+    Args:
+        parameters: values by name.
+        rotor_input: that they were fitted to.
+        rigid_body_test: of the flight, if there was enough rotation for one.
+        still: whether no axis was flown, which says why nothing of rotation is known.
+    """
     core = CORE_OF[rotor_input]
     missing = [n for n in core if parameters[n].status == "unobservable"]
     weak = [n for n in core if parameters[n].status == "weak"]
@@ -423,7 +432,7 @@ def verdict(
             f"yaw {share} "
             "times expected): Izz, products of inertia and rotor torque are not observable"
         )
-    elif {"Izz", torque} <= set(missing) | set(weak):
+    elif not still and {"Izz", torque} <= set(missing) | set(weak):
         reasons.append(
             f"Izz and {torque} share one scale: fly several axes at once, such as roll and "
             "yaw, to separate them"

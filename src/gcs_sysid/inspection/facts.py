@@ -150,7 +150,7 @@ class Inspection:
     hover: float | None = None
     """Seconds of hover that `health` uses; None: not looked for."""
     explained: float | None = None
-    """Share of roll or pitch acceleration, the lesser, that the rotors' moments explain; None: too
+    """The smaller of the roll and pitch shares that the rotors' moments explain; None: too
     little was flown, or not looked for."""
     findings: tuple[Finding, ...] = ()
     obtainable: Obtainable = "nothing"

@@ -8,6 +8,7 @@ derivation: docs/result.md, "Plausibility"); values outside come from what was e
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -26,9 +27,9 @@ class PlausibleRanges:
     density: Range = (10.0, 2500.0)
     """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
     quad with ducts: 898."""
-    rotor: Range = (1e-5, 0.05)
+    rotor: Range = (1e-5, 0.025)
     """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
-    of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms, the upper end doubled for coaxial pairs."""
+    of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms. Coaxial rotors: up to twice the upper end."""
     thrust_to_weight: Range = (1.05, 30.0)
     """Full thrust of all rotors over weight: below it does not climb; racers reach 15."""
     roll_pitch: Range = (0.01, 1.0)
@@ -134,7 +135,9 @@ def _sizes(
     thrust = found.get(name)
     if thrust is None or thrust <= 0.0:
         return
-    if rotor_input == "speed" and not _within(thrust / arm**4, RANGES.rotor):
+    low, high = RANGES.rotor
+    high *= 2.0 if _coaxial(airframe) else 1.0
+    if rotor_input == "speed" and not _within(thrust / arm**4, (low, high)):
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield (
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
@@ -176,6 +179,16 @@ def _inertia(found: Mapping[str, float], arm: float) -> Iterable[str]:
 
 _TRIANGLE = 1.05
 """A flat vehicle has Izz = Ixx + Iyy; identified moments scatter by up to 5 %."""
+
+
+def _coaxial(airframe: Airframe) -> bool:
+    """Whether two rotors share a position, seen from above."""
+    near = _SAME_PLACE * airframe.arm
+    return any(math.hypot(a.x - b.x, a.y - b.y) < near for a, b in combinations(airframe.rotors, 2))
+
+
+_SAME_PLACE = 0.05
+"""Arms between the axes of two rotors, below which they are coaxial."""
 
 
 def _short(kilograms: float) -> str:

@@ -129,7 +129,9 @@ def disturbance_text(event: Mapping[str, Any]) -> str:
     """What moved the vehicle without changing it."""
     cause = _DISTURBANCES.get(str(event.get("cause")), "a disturbance")
     if event.get("undecided"):
-        return f"{cause} or a change, undecided at the end: the result is of the flight before"
+        return (
+            f"{cause} or a change, undecided at the end: the result covers only the flight up to it"
+        )
     return f"{cause}; the vehicle is unchanged"
 
 

@@ -73,10 +73,13 @@ class Findings:
         fit, anchor = self.learner.fit, self._anchor
         # What is implausible is partial at most, but not refused.
         whole = self._estimates(values, fit, anchor)[1]
-        word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
+        evidence = self.learner.evidence(fit)
+        word, reasons = verdict(
+            whole, self.learner.rotor_input, fit.rigid_body_test, still=evidence.still
+        )
         reasons = (*reasons, *limit_by_given(values, whole))
-        first = data_reasons(self.sampler, self.learner, self.outdated)
-        doubts = self.learner.evidence(self.learner.fit).reasons
+        first = data_reasons(self.sampler, self.learner, self.outdated, still=evidence.still)
+        doubts = evidence.reasons
         if word == "identified" and doubts:
             word = "partial"
         reasons = (*doubts, *reasons)

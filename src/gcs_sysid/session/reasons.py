@@ -20,13 +20,16 @@ def blames_rotors(reason: str) -> bool:
     return reason.startswith(_MISMATCH) or reason.endswith(_CORRECTED)
 
 
-def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[str, ...]:
+def data_reasons(
+    sampler: Sampler, learner: Learner, outdated: bool, *, still: bool = False
+) -> tuple[str, ...]:
     """What is missing, the first cause alone: the rest follows from it.
 
     Args:
         sampler: of the chain.
         learner: of the chain.
         outdated: whether parameters came too late to be used.
+        still: whether no axis was flown: rotors then explain nothing, even where they are right.
     """
     seen = sampler.seen
     if not seen:
@@ -61,7 +64,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
         return ("too little flight with all needed data",)
     rotation = learner.fit.rotation
     least, _ = RULES.explained(whitened=bool(rotation.whiteners))
-    if rotation.r_squared.min() < least:
+    if not still and rotation.r_squared.min() < least:
         share = max(100.0 * rotation.r_squared.min(), 0.0)
         return (
             f"the rotors explain only {share:.0f} % of the motion on one axis: "

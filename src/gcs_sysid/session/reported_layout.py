@@ -20,6 +20,8 @@ from gcs_sysid.model.airframe import (
     is_evenly_canted,
     load_airframe,
 )
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.vehicles import Vehicle
 
 _MOST_ROTORS = 12
 _UNIT = 1e-3
@@ -120,6 +122,18 @@ def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> Reported
     if reported is None:
         return None
     return replace(reported, outputs=_outputs(autopilot, parameters, len(reported.rotors)))
+
+
+def suggested_airframe(kind: str, vehicle: Vehicle | None) -> str | None:
+    """The built-in airframe to try where no parameters report a layout; None: any is a guess.
+
+    Args:
+        kind: of the log.
+        vehicle: that flew.
+    """
+    # Betaflight numbers motors in one way; its logs do not hold where they are.
+    quad = vehicle is not None and vehicle.vehicle_type == mavlink.MAV_TYPE_QUADROTOR
+    return "betaflight-quad-x" if kind == "blackbox" and quad else None
 
 
 def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:

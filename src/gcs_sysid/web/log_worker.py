@@ -16,7 +16,7 @@ from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.reported_layout import proposal, reported_layout
+from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import parse_request
 
@@ -27,7 +27,7 @@ OnProgress = Callable[[str, float], None]
 
 
 def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
-    """Who flew, for how long, and the layout by the log's parameters.
+    """Who flew, for how long, and the layout by the log's parameters, else one to try.
 
     Raises:
         InputError: the log cannot be read.
@@ -52,6 +52,7 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
             "by": layout.by,
             "words": proposal(layout),
         },
+        "suggestion": None if layout else suggested_airframe(opened.kind, vehicle),
     }
 
 

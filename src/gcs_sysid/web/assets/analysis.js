@@ -3,6 +3,7 @@
 
 let current = null; // the log in hand: {id, name}
 let told = null; // the airframe that it proposes
+let kindBefore = "builtin"; // of airframe: whose rotors a drawing begins with
 let builtins = [];
 let rotors = []; // drawn ones: {x, y, spin}
 let toml = null;
@@ -82,6 +83,7 @@ async function look(item) {
   setText(byId("log-words"), told ? told.words : "");
   const kind = document.querySelector(`input[value="${told ? "log" : "builtin"}"]`);
   kind.checked = true;
+  byId("builtin").value = found.suggestion || "";
   toggle(byId("setup"), true);
   toggle(byId("result"), false);
   showKind();
@@ -97,7 +99,8 @@ function showKind() {
   toggle(byId("builtin-choice"), kind === "builtin");
   toggle(byId("file-choice"), kind === "file");
   toggle(byId("drawing"), kind === "rotors");
-  if (kind === "rotors" && !rotors.length) rotors = shownRotors("builtin").map((rotor) => ({ ...rotor }));
+  if (kind === "rotors" && !rotors.length) rotors = shownRotors(kindBefore).map(({ x, y, spin }) => ({ x, y, spin }));
+  kindBefore = kind;
   draw();
 }
 
@@ -177,7 +180,10 @@ async function identify(event) {
   problem("");
   const kind = chosenKind();
   const airframe = { kind };
-  if (kind === "builtin") airframe.name = byId("builtin").value;
+  if (kind === "builtin") {
+    airframe.name = byId("builtin").value;
+    if (!airframe.name) return problem("choose a layout first");
+  }
   if (kind === "rotors") airframe.rotors = rotors;
   if (kind === "file") {
     if (!toml) return problem("choose an airframe file first");
@@ -295,8 +301,7 @@ async function setUp() {
     const { role } = await ask("/role");
     if (role !== "pilot") toggle(byId("drop-section"), false);
     builtins = await ask("/airframes");
-    fill(byId("builtin"), ...builtins.map((one) => make("option", { value: one.name }, one.name)));
-    byId("builtin").value = "px4-quad-x";
+    fill(byId("builtin"), make("option", { value: "" }, "choose a layout"), ...builtins.map((one) => make("option", { value: one.name }, one.name)));
     await listItems();
   } catch (error) { problem(error.message); }
 }
