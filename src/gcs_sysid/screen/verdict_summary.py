@@ -13,7 +13,7 @@ from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result, Verdict
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.results.summary import MIN_SECONDS
+from gcs_sysid.results.summary import before_data
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
@@ -73,11 +73,6 @@ def standing_of(snapshot: Snapshot) -> Standing:
 
 Level = Verdict | Literal["waiting"]
 """What sign and color of the headline go by."""
-
-
-def before_data(snapshot: Snapshot) -> bool:
-    """Whether there is too little flight for any estimate, and more may come."""
-    return snapshot.used_seconds < MIN_SECONDS and snapshot.link.state is not LinkState.ENDED
 
 
 def headline(snapshot: Snapshot) -> str:

@@ -8,9 +8,9 @@ from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.summary import before_data
 from gcs_sysid.results.words import rows
 from gcs_sysid.screen import formatting
-from gcs_sysid.screen.verdict_summary import before_data
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.number_format import PAGE, engineering_exponent, scaled_unit
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
+from gcs_sysid.results.summary import before_data
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.call_outs import call_outs, seconds_left
 from gcs_sysid.screen.verdict_summary import (
-    before_data,
     compared,
     headline,
     level_of,
