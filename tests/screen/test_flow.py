@@ -217,7 +217,8 @@ async def test_after_the_end_nothing_is_to_come(run_screen):
     """No `yet`, and no advice on what to fly."""
     empty = fake.bare().history
     flying = replace(fake.snapshot(), history=empty)
-    async with run_screen(flying) as s:
+    lost = replace(flying, link=fake.link(LinkState.LOST))
+    async with run_screen(lost) as s:
         await s.press("2")
         assert "no history yet" in s.text()
         await s.serve(replace(flying, link=fake.link(LinkState.ENDED, recording="")))
