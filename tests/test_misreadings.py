@@ -11,9 +11,10 @@ from gcs_sysid.cli.inspection_text import next_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.results import words
+from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Estimate, Result, Scale
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.screen.verdict_summary import headline
+from gcs_sysid.screen.verdict_summary import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
 from tests.screen import fake
 
@@ -116,11 +117,25 @@ def test_inspect_proposes_a_command_that_fits_the_log(parameters, kind, options)
 
 def test_the_headline_follows_the_target():
     identified = replace(fake.snapshot(), result=replace(fake.result(), verdict="identified"))
-    assert headline(identified) == "TARGET"  # 5 of 10 within it
-    assert headline(replace(identified, target=0.5)) == "TARGET"  # Izz is weak all the same
+    assert headline(identified) == "ABOVE TARGET"  # 5 of 10 within it
+    assert (sign_of(identified), level_of(identified)) == ("~", "partial")
+    assert short_headline(identified) == "WIDE"
+    assert headline(replace(identified, target=0.5)) == "ABOVE TARGET"  # Izz is weak all the same
     good = {n: replace(e, status="identified") for n, e in fake.estimates().items() if e.value}
     result = replace(fake.result(), verdict="identified", parameters=good)
-    assert headline(replace(identified, result=result, target=5.0)) == "IDENTIFIED"
+    reached = replace(identified, result=result, target=5.0)
+    assert headline(reached) == short_headline(reached) == "IDENTIFIED"
+    assert (sign_of(reached), level_of(reached)) == ("✓", "identified")
+
+
+@pytest.mark.parametrize(
+    ("share", "target", "text"),
+    [(0.02004, 0.02, "2.1 %"), (0.02, 0.02, "2.0 %"), (0.0962, 0.02, "9.6 %"),
+     (0.100049, 0.1, "11 %"), (0.019996, 0.02, "2.0 %"), (0.02004, None, "2.0 %")],
+)  # fmt: skip
+def test_what_is_above_the_target_never_reads_as_within_it(share, target, text):
+    assert PLAIN.percent(share, target=target) == text
+    assert named([("Ixy", share)], 40, target=target) == f"Ixy ±{text}"
 
 
 @pytest.mark.parametrize("picture", ["screen.svg", "pilot.svg"])

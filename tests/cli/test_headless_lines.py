@@ -30,6 +30,11 @@ def test_what_cannot_be_told_has_no_number():
 def test_a_refusal_says_why():
     line = status_line(shown(verdict="refused", reasons=("no IMU data", "nor anything else")))
     assert line.endswith("(no IMU data)")
+    assert "  refused  " in line
+    early = replace(shown(verdict="refused", reasons=("no IMU data",)), used_seconds=1.0)
+    assert "  waiting  " in status_line(early)
+    assert "refused" not in status_line(early)
+    assert "  refused  " in status_line(replace(early, link=link(LinkState.ENDED)))
     assert "no IMU data" not in status_line(shown(reasons=("no IMU data",)))
 
 

@@ -15,7 +15,7 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.batch_table import row, write_table
 from gcs_sysid.fleet.jobs import Job, Task
 from gcs_sysid.fleet.trend import mean, scatter_of, vehicles_of
-from gcs_sysid.fleet.trend_page import render
+from gcs_sysid.fleet.trend_page import render, value_text
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.comparison import LEVEL
@@ -199,3 +199,9 @@ def test_a_fleet_that_tells_nothing_and_no_fleet(tmp_path, capsys):
     assert run(["trend", str(tmp_path), "-o", str(tmp_path / "a.html")]) == 1
     assert "too quiet" in (tmp_path / "a.html").read_text(encoding="utf-8")
     assert capsys.readouterr().out == ""
+
+
+def test_a_changed_lag_is_in_milliseconds():
+    for value, text in ((0.05, "(50.0 ± 2.0) ms"), (5e-5, "(0.1 ± 2.0) ms")):
+        assert value_text("motor_lag", Estimate(value, 0.001, "s", "identified")) == text
+    assert value_text("mass", Estimate(1.5, 0.01, "kg", "identified")) == "(1.500 ± 0.020) kg"

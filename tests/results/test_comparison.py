@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.cli.compare_command import report
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.web.result_view import comparison_rows
 
 STD = 0.01
 MASS = Scale("mass", 1.5, "kg")
@@ -179,3 +181,15 @@ def test_what_was_given_is_the_same_in_both():
     found = compare(*wide).differences["Ixx"]
     assert found.std == pytest.approx(narrow.std)
     assert found.verdict == narrow.verdict == "changed"
+
+
+def test_a_lag_is_compared_in_milliseconds():
+    timing = {"motor_lag": Estimate(0.05, 0.001, "s", "identified")}
+    before = replace(result(Ixx=0.5), timing=timing)
+    timing = {"motor_lag": Estimate(0.0612, 0.001, "s", "identified")}
+    comparison = compare(before, replace(before, timing=timing))
+    line = next(line for line in report(comparison).splitlines() if "motor_lag" in line)
+    assert line.split() == ["motor_lag", "50.0", "61.2", "11.2", "2.8", "+22", "ms", "changed"]
+    row = next(row for row in comparison_rows(comparison)["rows"] if row["name"] == "motor_lag")
+    assert (row["before"], row["difference"]) == ("50.0 ± 2.0 ms", "11.2 ± 2.8 ms")
+    assert comparison.as_json()["parameters"]["motor_lag"]["unit"] == "s"

@@ -64,6 +64,13 @@ def test_the_words():
     )
 
 
+def test_the_verdict_is_not_announced_before_there_are_data():
+    refused = replace(fake.result(), verdict="refused")
+    early = led(result=refused, used_seconds=1.0)
+    assert call_outs(early)["verdict"] == ""
+    assert call_outs(replace(early, used_seconds=20.0))["verdict"] == "Not yet, 5 of 10."
+
+
 def test_nothing_is_said_twice_and_what_is_urgent_comes_first(caller, voice, clock):
     caller.see(led())
     for t in range(5):
@@ -101,7 +108,7 @@ def test_while_it_speaks_the_newest_of_a_kind_waits(caller, voice, clock):
     for _ in range(5):
         caller.see(led(result=replace(fake.result(), verdict="identified")))
     assert voice.said[before:] == ["Fly roll plus or minus 20 degrees 1 hertz, yaw plus or minus "
-        "20 degrees 1 hertz, for 10 seconds.", "Target, 5 of 10."]  # fmt: skip
+        "20 degrees 1 hertz, for 10 seconds.", "Above target, 5 of 10."]  # fmt: skip
 
 
 def test_the_bell(clock):

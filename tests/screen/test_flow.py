@@ -8,6 +8,7 @@ import pytest
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.help import help_text
 from gcs_sysid.screen.main_view import layout_classes
 from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
@@ -199,5 +200,30 @@ async def test_the_final_plot_is_drawn_though_it_came_soon_after_the_last(run_sc
 
 async def test_before_data_rows_wait_and_none_is_red(run_screen):
     async with run_screen(fake.bare()) as s:
+        assert "○ WAITING 0/" in s.text()
         assert "○ waiting" in s.text()
-        assert "✗ unobservable" not in s.text()
+        assert "✗" not in s.text()
+        verdict = s.app.screen.query_one("#verdict")
+        assert verdict.has_class("-waiting")
+        assert not verdict.has_class("-refused")
+        waiting = verdict.styles.background
+        await s.serve(replace(fake.bare(), used_seconds=20.0))
+        assert "✗ NOT YET 0/" in s.text()
+        assert verdict.has_class("-refused")
+        assert verdict.styles.background != waiting
+
+
+async def test_after_the_end_nothing_is_to_come(run_screen):
+    """No `yet`, and no advice on what to fly."""
+    empty = fake.bare().history
+    flying = replace(fake.snapshot(), history=empty)
+    lost = replace(flying, link=fake.link(LinkState.LOST))
+    async with run_screen(lost) as s:
+        await s.press("2")
+        assert "no history yet" in s.text()
+        await s.serve(replace(flying, link=fake.link(LinkState.ENDED, recording="")))
+        assert "no history" in s.text()
+        assert "yet" not in s.text()
+        await s.press("question_mark")
+        assert "fly more" not in s.text()
+    assert "fly more of its motion" in help_text().plain

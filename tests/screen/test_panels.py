@@ -13,6 +13,7 @@ from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
 from gcs_sysid.screen.widgets.coach_panel import advice_lines
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
+from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
 
 from . import fake
@@ -288,3 +289,7 @@ def test_a_drift_that_no_clock_has_is_unknown():
         for drift in (200.0, -425_834.0, None)
     }
     assert shown == {200.0: "+200 ppm", -425_834.0: "unknown", None: "unknown"}
+
+
+def test_health_before_any_hover_asks_for_a_hover():
+    assert health_lines(None, 80)[0][0][0] == "No hover yet: hover for 10 s."

@@ -8,8 +8,11 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.results.notebook_view import text
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.snapshot import History, LinkState
 from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.formatting import choose_exponents
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.web import session_page
@@ -41,6 +44,50 @@ def test_a_snapshot_in_words():
     assert view["coach"]["text"] == "roll and yaw together, ±20°, about 1 Hz, 10 s"
     assert view["coach"]["left"] == "6 s left"
     json.dumps(view, allow_nan=False)
+
+
+def test_sign_and_color_of_the_headline_are_those_of_the_screen():
+    identified = replace(fake.snapshot(), result=replace(fake.result(), verdict="identified"))
+    for snapshot, expected in (
+        (identified, ("~", "ABOVE TARGET", "partial")),
+        (fake.bare(), ("○", "WAITING", "waiting")),
+        (replace(fake.bare(), used_seconds=20.0), ("✗", "NOT YET", "refused")),
+    ):
+        verdict = session_view(snapshot, {}, None)["verdict"]
+        assert (verdict["sign"], verdict["headline"], verdict["level"]) == expected
+
+
+def test_after_the_end_no_hint_says_what_to_fly():
+    assert row(session_view(fake.snapshot(), {}, None), "Izz")["hint"].endswith("of its motion")
+    ended = replace(fake.snapshot(), link=fake.link(LinkState.ENDED))
+    assert row(session_view(ended, {}, None), "Izz")["hint"] == "sigma below 50 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [
+        (0.0118, 4e-4, ("11.80", "± 0.78")),
+        (4e-4, 4e-5, ("0.400", "± 0.078")),
+        (0.132, 4e-3, ("132.0", "± 7.8")),
+        (1e-5, 4e-5, ("~0", "(< 0.088 ms)")),
+    ],
+)
+def test_delays_are_in_milliseconds_whatever_their_size(value, std, shown):
+    timing = {"rotor_delay": Estimate(value, std, "s", "identified")}
+    result = replace(fake.result(), timing=timing)
+    t, course = np.arange(2.0), {"rotor_delay": np.full(2, value)}
+    snapshot = replace(fake.snapshot(), result=result, history=History(t, course, {}))
+    found = row(session_view(snapshot, {}, None), "rotor_delay")
+    assert (found["value"], found["half"]) == shown
+    assert found["unit"] == ("" if found["value"] == "~0" else "ms")
+    plot = history_view(snapshot, "rotor_delay")
+    assert plot["unit"] == "ms"
+    assert plot["value"] == pytest.approx([1e3 * value] * 2)
+    assert choose_exponents(result, {}, {"s": 0})["s"] == -3
+    line = next(line for line in text(result).splitlines() if "rotor_delay" in line)
+    assert " ms " in line
+    assert result.as_json()["timing"]["rotor_delay"]["unit"] == "s"
+    assert result.as_json()["timing"]["rotor_delay"]["value"] == value
 
 
 def test_the_order_stands_apart_from_what_it_is_for():

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from gcs_sysid.cli import output
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.number_format import percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.results.words import CHANGE, shown
+from gcs_sysid.results.words import CHANGE, displayed, shown
 
 _WIDTH = 100
 
@@ -62,16 +63,28 @@ _RULES = (
 
 
 def _row(found: Difference) -> str:
-    values = [shown(estimate, 5).value for estimate in (found.before, found.after)]
+    parameter = REGISTRY[found.name]
+    values = [
+        shown(estimate and displayed(parameter, estimate), 5).value
+        for estimate in (found.before, found.after)
+    ]
+    difference = displayed(parameter, Estimate(found.value, found.std, found.unit, "identified"))
     line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
-    if found.value is None or found.std is None or found.before is None:
+    if (
+        difference.value is None
+        or difference.std is None
+        or found.value is None
+        or found.before is None
+    ):
         line += f"{'-':>10}{'-':>9}{'-':>8}"
     else:
-        half = Z95 * found.std
-        line += f"{rounded(found.value, half, 3):>10}{significant(half, 2) if half else '0':>9}"
+        half = Z95 * difference.std
+        line += (
+            f"{rounded(difference.value, half, 3):>10}{significant(half, 2) if half else '0':>9}"
+        )
         line += f"{_percent(found.value, found.before):>8}"
     why = f": {found.why}" if found.why else ""
-    return f"{line}  {found.unit:<9}{CHANGE[found.verdict].meaning}{why}"
+    return f"{line}  {difference.unit:<9}{CHANGE[found.verdict].meaning}{why}"
 
 
 def _percent(difference: float, before: Estimate) -> str:

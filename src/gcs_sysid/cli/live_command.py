@@ -24,7 +24,8 @@ from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
-from gcs_sysid.results.words import shown
+from gcs_sysid.results.summary import before_data
+from gcs_sysid.results.words import WAITING, shown
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -320,13 +321,14 @@ def status_line(snapshot: Snapshot) -> str:
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
-    words.append(snapshot.result.verdict)
+    refused = snapshot.result.verdict == "refused"
+    words.append(WAITING.meaning if refused and before_data(snapshot) else snapshot.result.verdict)
     for name in CORE_OF[snapshot.result.rotor_input]:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
         words.append(f"{name} {shown(estimate, 4).text}")
     reasons = snapshot.result.reasons
-    if snapshot.result.verdict == "refused" and reasons:
+    if refused and reasons:
         words.append(f"({reasons[0]})")
     return "  ".join(words)

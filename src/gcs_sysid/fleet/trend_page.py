@@ -10,12 +10,13 @@ from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle
 from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, grid, legend, note, section, table
 from gcs_sysid.report.wording import names_text
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Estimate
-from gcs_sysid.results.words import VERDICT
+from gcs_sysid.results.words import VERDICT, displayed
 
 _LEGEND = (
     ("identified", "identified, with its 95 % interval"),
@@ -174,9 +175,10 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
                 str(flight.number),
                 _span(change),
                 found.name,
-                _value(found.before),
-                _value(found.after),
-                _interval(found.value, found.std, found.unit) + share,
+                value_text(found.name, found.before),
+                value_text(found.name, found.after),
+                value_text(found.name, Estimate(found.value, found.std, found.unit, "identified"))
+                + share,
             ]
         )
     return out
@@ -188,15 +190,17 @@ def _span(change: Change) -> str:
     return f"flights {change.first} to {change.last}"
 
 
-def _value(estimate: Estimate | None) -> str:
-    if estimate is None or estimate.value is None or estimate.std is None:
+def value_text(name: str, estimate: Estimate | None) -> str:
+    """An estimate with its interval, in the unit that people read it in."""
+    if estimate is None:
         return PAGE.nothing
-    return _interval(estimate.value, estimate.std, estimate.unit)
-
-
-def _interval(value: float, std: float, unit: str) -> str:
-    shown, half, power, _ = PAGE.value_and_half(value, Z95 * std)
-    return f"({shown} ± {half}){power} {PAGE.unit(unit)}".rstrip()
+    parameter = REGISTRY[name]
+    shown = displayed(parameter, estimate)
+    if shown.value is None or shown.std is None:
+        return PAGE.nothing
+    exponent = None if parameter.exponent is None else 0
+    value, half, power, _ = PAGE.value_and_half(shown.value, Z95 * shown.std, exponent)
+    return f"({value} ± {half}){power} {PAGE.unit(shown.unit)}".rstrip()
 
 
 def _flights(vehicle: Vehicle) -> Markup:

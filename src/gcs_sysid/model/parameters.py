@@ -106,6 +106,8 @@ class Parameter:
         in_flight: whether a simulator that has no place for it flies differently.
         of_vehicle: False for what belongs to the telemetry, which no two flights share.
         optional: whether a result has it only where the flight shows it by itself.
+        exponent: power of ten of the unit in tables for people, whatever the size: -3 for ms;
+            None: by the size. Files are in SI.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Parameter:
     in_flight: bool = False
     of_vehicle: bool = True
     optional: bool = False
+    exponent: int | None = None
 
     def in_result(self, rotor_input: RotorInput) -> bool:
         """Whether a result with this rotor input has it, even if unobservable."""
@@ -253,12 +256,13 @@ _DECLARED = (
     Parameter(
         "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "fast rotation",
         fit="actuator", scale="none", section="timing", prior=True,
-        reference=ReferenceValue(fixed=0.02), clock=_FULL, of_vehicle=False,
+        reference=ReferenceValue(fixed=0.02), clock=_FULL, of_vehicle=False, exponent=-3,
     ),
     Parameter(
         "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "fast rotation",
         fit="actuator", scale="none", inputs=("command",), section="timing",
         sign="not negative", reference=ReferenceValue(fixed=0.05), clock=_FULL, in_flight=True,
+        exponent=-3,
     ),
 )  # fmt: skip
 

@@ -131,7 +131,7 @@ def parameters(data: ReportData) -> Markup:
         rows.append(cells)
     shown = dict.fromkeys(e["status"] for e in entries.values())
     meanings = [
-        element("li", _status(status, word), " ", word.meaning)
+        element("li", _status(status, word), " ", word.with_advice)
         for status, word in words.STATUS.items()
         if status in shown
     ]

@@ -14,7 +14,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.results.number_format import pretty_unit
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.words import STATUS, VERDICT, rows, shown
+from gcs_sysid.results.words import STATUS, VERDICT, displayed, rows, shown
 
 if TYPE_CHECKING:
     import pandas
@@ -60,9 +60,10 @@ def text(result: Result) -> str:
         lines.append(f"- and {len(result.reasons) - _MOST_REASONS} more in .reasons")
     lines.append(f"{'parameter':<19}{'value':>12}{'± 95 %':>13}  {'unit':<9}status")
     for parameter, estimate in rows(result):
+        estimate = displayed(parameter, estimate)
         cell = shown(estimate)
         lines.append(
-            f"{parameter.name:<19}{cell.value:>12}{cell.half:>13}  {parameter.unit:<9}"
+            f"{parameter.name:<19}{cell.value:>12}{cell.half:>13}  {estimate.unit:<9}"
             f"{estimate.status}"
         )
     return "\n".join(lines)
@@ -72,10 +73,11 @@ def html(result: Result) -> str:
     """The same as a table; nothing is loaded, and all text is escaped."""
     body = "".join(
         f"<tr><td>{escape(parameter.name)}</td><td>{escape(cell.value)}</td>"
-        f"<td>{escape(cell.half)}</td><td>{escape(pretty_unit(parameter.unit))}</td>"
+        f"<td>{escape(cell.half)}</td><td>{escape(pretty_unit(estimate.unit))}</td>"
         f"<td>{STATUS[estimate.status].sign} {estimate.status}</td>"
         f"<td>{escape(parameter.meaning)}</td></tr>"
-        for parameter, estimate in rows(result)
+        for parameter, in_si in rows(result)
+        for estimate in (displayed(parameter, in_si),)
         for cell in (shown(estimate),)
     )
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in result.reasons)

@@ -136,19 +136,24 @@ class Notation:
         size = math.floor(math.log10(abs(scaled)))
         return self.fixed(scaled, max(digits - 1 - size, 0)) + times_power(exponent)
 
-    def percent(self, share: float | None, most: int = 9) -> str:
+    def percent(self, share: float | None, most: int = 9, target: float | None = None) -> str:
         """A share in per cent with two digits: `12 %`, `3.0 %`, `0.49 %`.
 
         Args:
             share: of one; None: unknown.
             most: decimals.
+            target: a share above it is rounded up where it would read as one within it.
         """
         if share is None or math.isnan(share):
             return self.nothing
         if abs(share) >= 9.995:
             return f"{'>' if share > 0.0 else '<' + self.minus}999{self.space}%"
         size = int(f"{100.0 * share:.1e}".partition("e")[2])  # after rounding
-        return f"{self.fixed(100.0 * share, min(max(1 - size, 0), most))}{self.space}%"
+        decimals = min(max(1 - size, 0), most)
+        shown = 100.0 * share
+        if target is not None and share > target and round(shown, decimals) <= 100.0 * target:
+            shown = (math.floor(shown * 10.0**decimals) + 1.0) / 10.0**decimals
+        return f"{self.fixed(shown, decimals)}{self.space}%"
 
     def unit(self, unit: str) -> str:
         """A unit; nothing for pure numbers."""
@@ -161,13 +166,21 @@ class Notation:
         decimals = decimals_for(max(half, 1e-3 * abs(value), 1e-3))
         return f"{self.fixed(value, decimals)} ± {self.fixed(half, decimals)} {unit}"
 
-    def value_and_half(self, value: float, half: float) -> tuple[str, str, str, int]:
+    def value_and_half(
+        self, value: float, half: float, exponent: int | None = None
+    ) -> tuple[str, str, str, int]:
         """A value and the half of its interval on one scale.
+
+        Args:
+            value: in SI.
+            half: of its interval.
+            exponent: power of ten of the scale; None: by the size.
 
         Returns:
             The value, the half, the power of ten as text, and that power.
         """
-        exponent = power_of_ten(max(abs(value), half))
+        if exponent is None:
+            exponent = power_of_ten(max(abs(value), half))
         scale = 10.0**exponent
         decimals = decimals_for(half / scale, abs(value) / scale)
         return (

@@ -18,6 +18,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Estimate, Scale
+from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.words import disturbance_text
 
 _AXES = ("roll", "pitch", "yaw")
@@ -34,6 +35,11 @@ _WORDS = {
     "passing": "a disturbance",
     "change": "the vehicle changed",
 }
+
+
+def before_data(snapshot: Snapshot) -> bool:
+    """Whether there is too little flight for any estimate, and more may come."""
+    return snapshot.used_seconds < MIN_SECONDS and snapshot.link.state is not LinkState.ENDED
 
 
 def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:

@@ -5,13 +5,20 @@ Parameters have the names of the JSON everywhere; what they are and what makes t
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from gcs_sysid.estimation.status import RULES, Status
 from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
 from gcs_sysid.results.comparison import Change
-from gcs_sysid.results.number_format import PLAIN, Notation, percent_column, rounded, significant
+from gcs_sysid.results.number_format import (
+    PLAIN,
+    Notation,
+    percent_column,
+    rounded,
+    scaled_unit,
+    significant,
+)
 from gcs_sysid.results.result import Estimate, Result, Verdict
 
 
@@ -21,6 +28,13 @@ class Word:
 
     sign: str
     meaning: str
+    advice: str = ""
+    """What improves it, while there is more to fly."""
+
+    @property
+    def with_advice(self) -> str:
+        """The meaning, and what improves it."""
+        return f"{self.meaning}: {self.advice}" if self.advice else self.meaning
 
 
 STATUS: dict[Status, Word] = {
@@ -30,7 +44,7 @@ STATUS: dict[Status, Word] = {
     "given": Word("•", "entered by you, sets the scale"),
     "zero": Word("≈", "consistent with zero, and smaller than the limit shown"),
     "weak": Word(
-        "~", f"sigma below {100.0 * RULES.unobservable_above:g} %: fly more of its motion"
+        "~", f"sigma below {100.0 * RULES.unobservable_above:g} %", "fly more of its motion"
     ),
     "unobservable": Word("✗", "not observable from this flight"),
 }
@@ -93,6 +107,21 @@ def rows(result: Result) -> list[tuple[Parameter, Estimate]]:
     """The parameters and timing values of a result, in the order of all tables."""
     there = result.parameters | result.timing
     return [(p, there[name]) for name, p in REGISTRY.items() if name in there]
+
+
+def displayed(parameter: Parameter, estimate: Estimate) -> Estimate:
+    """An estimate in the unit that people read it in, where the registry fixes one: ms."""
+    if parameter.exponent is None:
+        return estimate
+    scale = 10.0**-parameter.exponent
+    return replace(
+        estimate,
+        value=None if estimate.value is None else scale * estimate.value,
+        std=None if estimate.std is None else scale * estimate.std,
+        std_given=scale * estimate.std_given,
+        bound=None if estimate.bound is None else scale * estimate.bound,
+        unit=scaled_unit(parameter.unit, parameter.exponent),
+    )
 
 
 def exponent_key(parameter: Parameter) -> str:

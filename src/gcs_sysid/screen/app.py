@@ -288,7 +288,9 @@ class SysidApp(ActingApp):
 
     def action_help(self) -> None:
         """Show the help screen."""
-        self.push_screen(HelpScreen())
+        snapshot = self._snapshot
+        ended = snapshot is not None and snapshot.link.state is LinkState.ENDED
+        self.push_screen(HelpScreen(ended=ended))
 
     def on_parameter_rows_chosen(self, message: ParameterRows.Chosen) -> None:
         """A click on a parameter chooses it."""

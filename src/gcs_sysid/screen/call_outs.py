@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from gcs_sysid.results.snapshot import Advice, LinkState, Snapshot
-from gcs_sysid.screen.verdict_summary import headline, standing_of
+from gcs_sysid.screen.verdict_summary import headline, level_of, standing_of
 
 Mode = Literal["off", "voice", "bell"]
 
@@ -54,7 +54,11 @@ def call_outs(snapshot: Snapshot) -> dict[str, str]:
         LinkState.ENDED: "Stream ended, numbers are final.",
     }
     standing = standing_of(snapshot)
-    counted = snapshot.used_seconds > 0.0 and snapshot.link.state is not LinkState.LOST
+    counted = (
+        snapshot.used_seconds > 0.0
+        and level_of(snapshot) != "waiting"
+        and snapshot.link.state is not LinkState.LOST
+    )
     return {
         "link": link.get(snapshot.link.state, ""),
         "coach": "" if snapshot.advice is None else spoken(_order(snapshot.advice)),

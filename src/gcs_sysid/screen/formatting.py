@@ -76,9 +76,12 @@ def choose_exponents(
         if parameter.name in truth:
             sure.setdefault(exponent_key(parameter), []).append(abs(truth[parameter.name]))
     chosen = dict(previous)
+    fixed = {exponent_key(p): p.exponent for p, _ in rows(result) if p.exponent is not None}
     for unit, values in {**unsure, **sure}.items():
         # Kilograms and plain numbers are read as they are at any size that flies.
-        if unit in ("kg", "1") and 0.1 <= max(values) < 1000.0:
+        if unit in fixed:
+            chosen[unit] = fixed[unit]
+        elif unit in ("kg", "1") and 0.1 <= max(values) < 1000.0:
             chosen[unit] = 0
         else:
             chosen[unit] = engineering_exponent(max(values), previous.get(unit))

@@ -33,15 +33,21 @@ KEYS = (
 )
 
 
-def help_text(keys: Sequence[tuple[str, str]] = KEYS) -> Content:
-    """The whole help."""
+def help_text(keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> Content:
+    """The whole help.
+
+    Args:
+        keys: what to press, and what it does.
+        ended: whether the flight is over, so that there is nothing more to fly.
+    """
     parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
     for key, meaning in keys:
         parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
     parts.append(("Status\n", "bold underline"))
     for status, word in STATUS.items():
         style = fmt.STATUS_STYLE[status]
-        parts += [(f"{word.sign} {status:<13}", f"bold {style}"), f" {word.meaning}\n"]
+        meaning = word.meaning if ended else word.with_advice
+        parts += [(f"{word.sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
     parts.append("± is half the 95 % interval; the bar is full at the target.\n")
     changes = ", ".join(f"{word.sign} {word.meaning}" for word in CHANGE.values())
     parts.append(f"Change: {changes}.")
@@ -53,22 +59,23 @@ class HelpScreen(ModalScreen[None]):
 
     Args:
         keys: what to press, and what it does.
+        ended: whether the flight is over.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
         ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
     ]
 
-    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS) -> None:
+    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> None:
         super().__init__()
-        self._keys = keys
+        self._keys, self._ended = keys, ended
 
     def compose(self) -> ComposeResult:
         """One box in the middle."""
         with VerticalScroll(id="help-box") as box:
             box.border_title = "Help"
             box.border_subtitle = "esc closes"
-            yield Static(help_text(self._keys))
+            yield Static(help_text(self._keys, ended=self._ended))
 
     def on_click(self) -> None:
         """A click anywhere closes it too."""

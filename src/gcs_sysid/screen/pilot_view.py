@@ -12,7 +12,7 @@ from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.big_letters import big, height_of
 from gcs_sysid.screen.call_outs import seconds_left
-from gcs_sysid.screen.verdict_summary import Known, headline, standing_of
+from gcs_sysid.screen.verdict_summary import Known, headline, short_headline, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.screen.widgets.status import AnswerLine
@@ -55,7 +55,7 @@ def blocks(view: View) -> tuple[list[Block], float | None]:
     elif not snapshot.flying and state is not LinkState.ENDED:
         out.append((["ON GROUND"], "bold"))
     else:
-        out.append(([headline(snapshot)], "bold"))
+        out.append(([headline(snapshot), short_headline(snapshot)], "bold"))
     out.append((_missing(snapshot), "$text-warning" if _short(snapshot) else "$text-success"))
     return out, share
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from gcs_sysid.coach import interval_targets as targets
 from gcs_sysid.estimation.status import KNOWN, NOTHING, Status, Value
@@ -10,8 +11,9 @@ from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import PLAIN
-from gcs_sysid.results.result import Result
+from gcs_sysid.results.result import Result, Verdict
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.summary import before_data
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
@@ -69,24 +71,66 @@ def standing_of(snapshot: Snapshot) -> Standing:
     )
 
 
+Level = Verdict | Literal["waiting"]
+"""What sign and color of the headline go by."""
+
+
 def headline(snapshot: Snapshot) -> str:
     """The verdict in a word or two: `IDENTIFIED` once every interval is within the target."""
     if snapshot.link.state is LinkState.WAITING:
         return "WAITING"
     if snapshot.advice is not None and snapshot.advice.enough:
         return "ENOUGH"
+    if level_of(snapshot) == "waiting":
+        return "WAITING"
     if snapshot.result.verdict == "refused":
         return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
-    standing = standing_of(snapshot)
-    if snapshot.result.verdict == "identified" and standing.reached < standing.total:
-        return "TARGET"
+    if _above_target(snapshot):
+        return "ABOVE TARGET"
     return snapshot.result.verdict.upper()
 
 
-def named(group: Sequence[Known], room: int, *, shares: bool = True) -> str:
-    """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`."""
+def short_headline(snapshot: Snapshot) -> str:
+    """The headline where there is little room."""
+    text = headline(snapshot)
+    return "WIDE" if text == "ABOVE TARGET" else text
+
+
+def level_of(snapshot: Snapshot) -> Level:
+    """The verdict, but `partial` above the target, and `waiting` before there are data."""
+    if snapshot.result.verdict == "refused" and before_data(snapshot):
+        return "waiting"
+    enough = snapshot.advice is not None and snapshot.advice.enough
+    return "partial" if _above_target(snapshot) and not enough else snapshot.result.verdict
+
+
+def sign_of(snapshot: Snapshot) -> str:
+    """The sign before the headline."""
+    level = level_of(snapshot)
+    return words.WAITING.sign if level == "waiting" else words.VERDICT[level].sign
+
+
+def _above_target(snapshot: Snapshot) -> bool:
+    """Whether all are identified and some intervals are wider than the target."""
+    if snapshot.result.verdict != "identified":
+        return False
+    standing = standing_of(snapshot)
+    return standing.reached < standing.total
+
+
+def named(
+    group: Sequence[Known], room: int, *, shares: bool = True, target: float | None = None
+) -> str:
+    """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`.
+
+    Args:
+        group: to name.
+        room: columns.
+        shares: whether each has its share.
+        target: what is above it never reads as within it.
+    """
     words = [
-        f"{name} ±{PLAIN.percent(share)}" if shares and share is not None else name
+        f"{name} ±{PLAIN.percent(share, target=target)}" if shares and share is not None else name
         for name, share in group
     ]
     for count in range(len(words), 0, -1):

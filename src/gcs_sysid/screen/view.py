@@ -8,7 +8,7 @@ from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.results.summary import MIN_SECONDS
+from gcs_sysid.results.summary import before_data
 from gcs_sysid.results.words import rows
 from gcs_sysid.screen import formatting
 
@@ -48,12 +48,12 @@ class View:
     @property
     def waiting(self) -> bool:
         """Whether there is too little flight for any estimate, and more may come."""
-        snapshot = self.snapshot
-        return (
-            snapshot is not None
-            and snapshot.used_seconds < MIN_SECONDS
-            and snapshot.link.state is not LinkState.ENDED
-        )
+        return self.snapshot is not None and before_data(self.snapshot)
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come."""
+        return self.snapshot is not None and self.snapshot.link.state is LinkState.ENDED
 
     def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
         """A parameter of the result by name."""

@@ -12,11 +12,18 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.number_format import PAGE, engineering_exponent, scaled_unit
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
-from gcs_sysid.results.words import VERDICT
+from gcs_sysid.results.summary import before_data
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.call_outs import call_outs, seconds_left
-from gcs_sysid.screen.verdict_summary import compared, headline, shares, standing_of
-from gcs_sysid.screen.view import Baseline, View
+from gcs_sysid.screen.verdict_summary import (
+    compared,
+    headline,
+    level_of,
+    shares,
+    sign_of,
+    standing_of,
+)
+from gcs_sysid.screen.view import Baseline
 from gcs_sysid.screen.widgets.coach_panel import gain_text
 from gcs_sysid.screen.widgets.transport import state_of
 from gcs_sysid.web.result_view import result_rows
@@ -38,10 +45,11 @@ def session_view(
         truth: true values by parameter name, where known.
         baseline: an earlier result to compare with.
     """
-    waiting = View(snapshot, truth, "", {}).waiting
+    waiting = before_data(snapshot)
     standing = standing_of(snapshot)
     reached = shares(snapshot.result)
-    parameters = result_rows(snapshot.result, waiting=waiting)
+    ended = snapshot.link.state is LinkState.ENDED
+    parameters = result_rows(snapshot.result, waiting=waiting, ended=ended)
     for row in parameters:
         share = reached.get(row["name"])
         row["done"] = (
@@ -55,8 +63,9 @@ def session_view(
         "target": PAGE.percent(snapshot.target),
         "verdict": {
             "word": snapshot.result.verdict,
-            "sign": VERDICT[snapshot.result.verdict].sign,
+            "sign": sign_of(snapshot),
             "headline": headline(snapshot),
+            "level": level_of(snapshot),
             "reached": standing.reached,
             "total": standing.total,
             "reasons": list(snapshot.result.reasons),
@@ -93,7 +102,9 @@ def history_view(snapshot: Snapshot, name: str) -> dict[str, Any]:
     known = np.flatnonzero(np.isfinite(value))
     if len(known) > MOST_POINTS:
         known = known[np.linspace(0, len(known) - 1, MOST_POINTS).round().astype(int)]
-    exponent = engineering_exponent(float(np.abs(value[known]).max())) if len(known) else 0
+    exponent = parameter.exponent
+    if exponent is None:
+        exponent = engineering_exponent(float(np.abs(value[known]).max())) if len(known) else 0
     scale = 10.0**-exponent
 
     def rounded(column: "np.ndarray[Any, Any]") -> list[float | None]:

@@ -129,7 +129,7 @@ class Convergence(RationedPlot):
     def show(self, view: View) -> None:
         """Bring the plot up to date."""
         old, self.view = self.view, view
-        if old is None or (old.selected, old.exponents) != (view.selected, view.exponents):
+        if old is None or _choices(old) != _choices(view):
             self.draw()
         elif (old.snapshot and old.snapshot.history) is not (
             view.snapshot and view.snapshot.history
@@ -160,7 +160,8 @@ class Convergence(RationedPlot):
         whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
             missing = "history" if found is not None and found[1].shown else "estimate"
-            return [[(f"{words.label(view.selected)}: no {missing} yet", "")]]
+            yet = "" if view.ended else " yet"
+            return [[(f"{words.label(view.selected)}: no {missing}{yet}", "")]]
         truth = None if truth is None else scale * truth
         bounds = value_range(whole, truth)
         # Headline, time axis with its numbers, and legend take four lines.
@@ -221,6 +222,11 @@ class Convergence(RationedPlot):
             [(" " * (margin - 1) + "└" + "".join(line), "")],
             [("".join(numbers).rstrip(), "")],
         ]
+
+
+def _choices(view: View) -> tuple[object, ...]:
+    """What the plot follows at once, besides the history."""
+    return view.selected, view.exponents, view.ended
 
 
 def _span(curve: Curve) -> tuple[float, float]:

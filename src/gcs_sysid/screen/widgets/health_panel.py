@@ -12,7 +12,7 @@ from gcs_sysid.screen.widgets.lines import Line, Lines
 _NAME = 16
 _BAR = 12
 _WARNING = "bold $text-warning"
-_NOT_YET = "No hover yet: hold still for 10 s."
+_NOT_YET = "No hover yet: hover for 10 s."
 _SUMS = (
     ("yaw imbalance", "yaw_imbalance", 100.0, "% of the load"),
     ("hover throttle", "hover_throttle", 100.0, "%"),

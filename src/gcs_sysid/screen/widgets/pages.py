@@ -38,7 +38,15 @@ class PageBar(Widget):
         self.refresh()
 
     def _titles(self) -> list[tuple[str, str]]:
-        return [(name, f" {n} {title} ") for n, (name, title) in enumerate(PAGES.items(), start=1)]
+        """Number and title of each; where all do not fit, only the selected page has its title."""
+        numbered = list(enumerate(PAGES.items(), start=1))
+        whole = [(name, f" {number} {title} ") for number, (name, title) in numbered]
+        if sum(len(text) + 1 for _, text in whole) - 1 <= self.size.width:
+            return whole
+        return [
+            (name, text if name == self.page else f" {number} ")
+            for number, (name, text) in enumerate(whole, start=1)
+        ]
 
     def render(self) -> Content:
         """The titles; brackets as well as color say which page it is."""
@@ -48,7 +56,7 @@ class PageBar(Widget):
             text = f"[{title[1:-1]}]" if on else title
             parts += [(text, "bold $text-primary on $primary-muted" if on else fmt.MUTED)]
             parts += [(" ", "")]
-        return Content.assemble(*parts)
+        return Content.assemble(*parts[:-1])
 
     def on_click(self, event: events.Click) -> None:
         """Find the title under the mouse."""

@@ -42,7 +42,7 @@ class StatusLine(Static):
         ]
         if result.scale is not None:
             scale = result.scale
-            parts.append((f"by {scale.anchor} {scale.value:.4g} {pretty_unit(scale.unit)}", ""))
+            parts.append((f"scale: {scale.anchor} {scale.value:.4g} {pretty_unit(scale.unit)}", ""))
         if len(link.vehicles) > 1:
             parts.append((f"v: {len(link.vehicles)} vehicles", "bold $text-warning"))
         if link.recording:

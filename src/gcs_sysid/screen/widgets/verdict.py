@@ -3,26 +3,109 @@
 from textual.content import Content
 from textual.widgets import Static
 
-from gcs_sysid.results import words
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.summary import before_data
 from gcs_sysid.screen.big_letters import HEIGHT, big
-from gcs_sysid.screen.verdict_summary import Standing, compared, headline, named, standing_of
+from gcs_sysid.screen.verdict_summary import (
+    Level,
+    Standing,
+    compared,
+    headline,
+    level_of,
+    named,
+    short_headline,
+    sign_of,
+    standing_of,
+)
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
 _TITLE = len("✗ unobservable")
+_COUNT = 4
+"""Columns of how many there are in a group, and the gap behind."""
+_NARROW = 78
+"""Columns below which the headline is short."""
+
+
+def verdict_lines(snapshot: Snapshot, width: int, *, large: bool) -> list[Line]:
+    """The verdict in large letters with three lines beside them, or in one line where none fit.
+
+    Args:
+        snapshot: to show.
+        width: columns.
+        large: whether there are lines enough for large letters.
+    """
+    standing = standing_of(snapshot)
+    for text in (headline(snapshot), short_headline(snapshot)) if large else ():
+        lines = _large(text, snapshot, standing, width)
+        if lines:
+            return lines
+    return [_small(snapshot, standing, width)]
+
+
+def _absent(snapshot: Snapshot) -> str:
+    """What parameters without an estimate are: before there are data, none is unobservable."""
+    return "○ waiting" if before_data(snapshot) else "✗ unobservable"
+
+
+def _small(snapshot: Snapshot, standing: Standing, width: int) -> Line:
+    text = short_headline(snapshot) if width < _NARROW else headline(snapshot)
+    head = f"{sign_of(snapshot)} {text} {standing.reached}/{standing.total}"
+    parts: Line = [(head, "bold")]
+    room = width - len(head)
+    groups = [("~ weak", standing.weak), (_absent(snapshot), standing.missing)]
+    groups = [(title, group) for title, group in groups if group]
+    if not groups:
+        groups = [("widest", standing.known[:1])]
+    for number, (title, group) in enumerate(groups):
+        share = room // (len(groups) - number)
+        shares = group is not standing.missing
+        text = named(group, share - len(title) - 4, shares=shares, target=snapshot.target)
+        parts += [(f"   {title} ", "bold"), (text, "")]
+        room -= len(title) + len(text) + 4
+    return parts
+
+
+def _large(text: str, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
+    """Nothing where it does not fit: a line that wraps would shift the letters."""
+    letters = big(f"{text} {standing.reached}/{standing.total}")
+    room = width - len(letters[0]) - 3 - _TITLE - _COUNT
+    target = snapshot.target
+    known = f"{standing.reached} within the target of ±{100.0 * target:g} %"
+    if len(known) > room:
+        return []
+    if standing.known:
+        widest = f"{known}, widest {named(standing.known[:1], width, target=target)}"
+        known = widest if len(widest) <= room else known
+    beside = (
+        ("✓ identified", len(standing.known), known),
+        ("~ weak", len(standing.weak), named(standing.weak, room, target=target)),
+        (_absent(snapshot), len(standing.missing), named(standing.missing, room, shares=False)),
+    )
+    assert len(beside) == HEIGHT
+    return [
+        [
+            (line, ""),
+            ("   ", ""),
+            (f"{title:<{_TITLE}}", "bold"),
+            (f"{count:>2}  ", "bold"),
+            (text, ""),
+        ]
+        for line, (title, count, text) in zip(letters, beside, strict=True)
+    ]
 
 
 class VerdictPanel(Static):
     """One line on a small terminal, large letters with three lines beside them on others."""
 
-    LEVELS = ("identified", "partial", "refused")
+    LEVELS: tuple[Level, ...] = ("identified", "partial", "refused", "waiting")
 
     def __init__(self) -> None:
         super().__init__(id="verdict")
         self.large = False
         self._view: View | None = None
-        self._shown: list[Line] = []
+        self.lines: list[Line] = []
+        """What it shows."""
         self.display = False
 
     def show(self, view: View) -> None:
@@ -33,18 +116,16 @@ class VerdictPanel(Static):
         if snapshot is None or not self.display:
             return
         for level in self.LEVELS:
-            self.set_class(level == snapshot.result.verdict, f"-{level}")
+            self.set_class(level == level_of(snapshot), f"-{level}")
         width = max(40, self.screen.size.width - 2)
-        standing = standing_of(snapshot)
-        make = self._large if self.large else self._small
-        lines = make(snapshot, standing, width)
+        lines = verdict_lines(snapshot, width, large=self.large)
         if view.comparison is not None:
             name = f"against {view.baseline}"
             sign, text = compared(view.comparison, width - len(name) - 4)
             lines.append([(f"{sign} ", "bold"), (f"{name}: ", ""), (text, "bold")])
-        if lines != self._shown:
-            grown = len(lines) != len(self._shown)
-            self._shown = lines
+        if lines != self.lines:
+            grown = len(lines) != len(self.lines)
+            self.lines = lines
             text_lines = [Content.assemble(*line) for line in lines]
             self.update(Content("\n").join(text_lines), layout=grown)
 
@@ -52,47 +133,3 @@ class VerdictPanel(Static):
         """Lay out the lines again."""
         if self._view is not None:
             self.show(self._view)
-
-    def _absent(self) -> str:
-        """What parameters without an estimate are: before there are data, none is unobservable."""
-        waiting = self._view is not None and self._view.waiting
-        return "○ waiting" if waiting else "✗ unobservable"
-
-    def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
-        sign = words.VERDICT[snapshot.result.verdict].sign
-        head = f"{sign} {headline(snapshot)} {standing.reached}/{standing.total}"
-        parts: Line = [(head, "bold")]
-        room = width - len(head)
-        groups = [("~ weak", standing.weak), (self._absent(), standing.missing)]
-        groups = [(title, group) for title, group in groups if group]
-        if not groups:
-            groups = [("widest", standing.known[:1])]
-        for number, (title, group) in enumerate(groups):
-            share = room // (len(groups) - number)
-            text = named(group, share - len(title) - 4, shares=group is not standing.missing)
-            parts += [(f"   {title} ", "bold"), (text, "")]
-            room -= len(title) + len(text) + 4
-        return [parts]
-
-    def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
-        letters = big(f"{headline(snapshot)} {standing.reached}/{standing.total}")
-        room = width - len(letters[0]) - 3
-        within = f"{standing.reached} within the target of ±{100.0 * snapshot.target:g} %"
-        known = f"{within}, widest {named(standing.known[:1], room)}" if standing.known else within
-        room -= _TITLE + 4
-        beside = (
-            ("✓ identified", len(standing.known), known),
-            ("~ weak", len(standing.weak), named(standing.weak, room)),
-            (self._absent(), len(standing.missing), named(standing.missing, room, shares=False)),
-        )
-        assert len(beside) == HEIGHT
-        return [
-            [
-                (line, ""),
-                ("   ", ""),
-                (f"{title:<{_TITLE}}", "bold"),
-                (f"{count:>2}  ", "bold"),
-                (text, ""),
-            ]
-            for line, (title, count, text) in zip(letters, beside, strict=True)
-        ]

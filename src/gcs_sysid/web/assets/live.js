@@ -45,7 +45,7 @@ function show(session) {
   const notice = link.notice || (link.too_slow ? "This computer is too slow: data are queued, advice is delayed." : "");
   setText(byId("notice"), notice);
   toggle(byId("notice"), Boolean(notice));
-  byId("headline").className = verdict.word;
+  byId("headline").className = verdict.level;
   setText(byId("headline"), `${verdict.sign} ${verdict.headline}`);
   setText(byId("count"), `${verdict.reached}/${verdict.total}`);
   setText(byId("within"), `${verdict.reached} of ${verdict.total} parameters within the target of ±${session.target}`);
