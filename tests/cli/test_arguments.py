@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
@@ -39,13 +40,15 @@ def files(tmp_path, monkeypatch):
 
 PAPER = ("--airframe", "paper")
 NOWHERE = "udpin:127.0.0.1:1"
+SAMPLE = str(Path(__file__).parents[2] / "logs" / "sample.tlog")
 
 CASES = {
     "missing log": (["analyze", "missing.tlog", *PAPER], "missing.tlog"),
     "empty log": (["analyze", "empty.tlog", *PAPER], "empty.tlog"),
     "no log": (["analyze", "text.tlog", *PAPER], "text.tlog"),
     "folder for a log": (["analyze", "folder.tlog", *PAPER], "folder.tlog"),
-    "no airframe": (["analyze", "a.tlog"], "--airframe"),
+    "no airframe": (["analyze", SAMPLE], "--airframe"),
+    "neither log nor airframe": (["analyze", "missing.tlog"], "missing.tlog"),
     "no such airframe": (["analyze", "a.tlog", "--airframe", "nonesuch"], "'nonesuch'"),
     "missing airframe file": (["analyze", "a.tlog", "--airframe", "no.toml"], "no.toml"),
     "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'colour'"),
