@@ -281,7 +281,7 @@ def test_a_serial_port(start: Start) -> None:
         assert ack.result == mavlink.MAV_RESULT_ACCEPTED
         got = station.until(lambda m: is_a(m, "MESSAGE_INTERVAL"))[-1]
         assert got.interval_us == 20000
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE) == 0
     finally:
         os.close(ours)
