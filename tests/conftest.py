@@ -29,6 +29,11 @@ hypothesis.settings.load_profile("seeded")
 AS_THE_ARTICLE = ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "--rate", "20")
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than cores: a fifth of the time tests wait for links and processes."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that no worker is left alone with one at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
