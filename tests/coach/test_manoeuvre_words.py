@@ -1,9 +1,12 @@
 """What the pilot reads."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from gcs_sysid.coach.choice import Choice
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.manoeuvre_words import damped_words, sentence
@@ -82,3 +85,14 @@ def test_enough_is_when_every_interval_is():
 def test_a_damped_swing_is_reported_with_its_size_and_pace():
     asked = Manoeuvre("roll", roll=math.radians(22.0), pace=0.5)
     assert damped_words(asked, 12.0 / 22.0) == "swing too small (±12° of ±22° at 0.5 Hz)"
+
+
+def test_only_what_misses_the_target_is_named():
+    now = {"Ixy": 0.027, "Ixz": 0.017, "Izz": None, "k_M": 0.015}
+    expected = {"Ixy": 0.024, "Ixz": 0.015, "Izz": 0.05, "k_M": 0.010}
+    motion: Any = None  # of no concern here
+    choice = Choice(Manoeuvre("yaw", yaw=D45), motion, now, expected, motion, motion)
+    assert choice.names == ["Izz", "Ixy", "Ixz", "k_M"]
+    assert choice.names_above(0.02) == ["Izz", "Ixy"]
+    there = replace(choice, now=now | {"Ixy": 0.019, "Izz": 0.01})
+    assert there.names_above(0.02) == there.names == ["Ixz", "k_M"]

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from gcs_sysid.results.result import Estimate
-from gcs_sysid.results.snapshot import Advice, History, LinkState
+from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
 from gcs_sysid.screen import braille
 from gcs_sysid.screen.big_letters import HEIGHT, big
 from gcs_sysid.screen.verdict_summary import headline, named, shares, standing_of
 from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
-from gcs_sysid.screen.widgets.coach_panel import advice_lines
+from gcs_sysid.screen.widgets.coach_panel import advice_lines, gain_text
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
@@ -219,12 +219,20 @@ def test_the_coach_has_enough():
     assert written(replace(advice, enough=False)) == ["COACH  land when you like"]
 
 
+def test_a_gain_that_is_reached_is_ticked():
+    assert gain_text(Gain("Izz", 0.12, 0.03)) == "Izz 12 % → 3.0 %"
+    assert gain_text(Gain("Izz", 0.03, 0.03)) == "Izz 3.0 % ✓"
+    assert gain_text(Gain("Izz", 0.015, 0.016)) == "Izz 1.5 % ✓"
+
+
 @pytest.mark.parametrize(
     ("low", "high", "wanted", "written"),
     [
         (16.32, 16.78, 4, ["16.4", "16.6"]),
         (0.0, 42.0, 5, ["0", "10", "20", "30", "40"]),
         (-0.011, 0.011, 3, ["-0.01", "0.00", "0.01"]),
+        (16.31, 16.69, 2, ["16.4", "16.6"]),  # steps of .2 and .5: one would be no scale
+        (16.41, 16.59, 1, ["16.45", "16.50", "16.55"]),
     ],
 )
 def test_ticks_are_round(low, high, wanted, written):

@@ -58,6 +58,11 @@ class Choice:
         ]
         return [name for _, _, name in sorted(gained)]
 
+    def names_above(self, target: float) -> list[str]:
+        """Of `names`, those not yet within the target share; all of them where every one is."""
+        wide = [name for name in self.names if (self.now.get(name) or math.inf) > target]
+        return wide or self.names
+
 
 def choose(
     prospect: PredictedInformation,

@@ -241,8 +241,9 @@ class Coach:
         elif found is not None:
             # Gains are reported against the intervals that the pilot sees.
             self.choice = found = replace(found, now=now)
-            self._gains = tuple(found.names[:_MOST_GAINS])
-            self._text = sentence(found.manoeuvre, found.names, now, found.expected)
+            names = found.names_above(self.options.target)
+            self._gains = tuple(names[:_MOST_GAINS])
+            self._text = sentence(found.manoeuvre, names, now, found.expected)
         if self._damped and self.choice is not None:
             self._text, self._damped = f"{self._damped}; {self._text}", ""
         self._advice = self._advice_now(now, 0.0)

@@ -15,8 +15,10 @@ BAR = 20
 
 
 def gain_text(gain: Gain) -> str:
-    """What a maneuver does to one parameter: `Izz 12 % → 3 %`."""
+    """What a maneuver does to one parameter: `Izz 12 % → 3 %`; `Izz 3 % ✓` once it is there."""
     now = "?" if gain.now is None else PLAIN.percent(gain.now, 1)
+    if gain.now is not None and gain.now <= gain.expected:
+        return f"{words.label(gain.name)} {now} ✓"
     return f"{words.label(gain.name)} {now} → {PLAIN.percent(gain.expected, 1)}"
 
 

@@ -27,13 +27,17 @@ _STYLES = ("", "$primary 70%", "$text-warning", "bold")
 
 
 def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
-    """About so many round numbers within a range, and how to write them."""
+    """About so many round numbers within a range, at least two, and how to write them."""
     rough = (high - low) / max(1, wanted)
     power = 10.0 ** math.floor(math.log10(rough))
-    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough)
+    steps = [m * power for m in (10.0, 5.0, 2.0, 1.0, 0.5)]
+    ticks: list[float] = []
+    for step in (s for s in steps if s <= next(s for s in reversed(steps) if s >= rough)):
+        first, last = math.ceil(low / step), math.floor(high / step)
+        ticks = [n * step for n in range(first, last + 1)]
+        if len(ticks) > 1:
+            break
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    first, last = math.ceil(low / step), math.floor(high / step)
-    ticks = [n * step for n in range(first, last + 1)]
     return ticks, [f"{tick:.{decimals}f}" for tick in ticks]
 
 
