@@ -1,7 +1,7 @@
 """SITL frames, crazyflow, l2f and INDI: their own laws give the identified acceleration.
 
 crazyflow's sibling drone-models loads the file with its own code where it is installed; the laws
-of the others stand in C++ (`SIM_Frame.cpp`, l2f's `operations_cpu.h`, Indiflight's `indi_init.c`),
+of the others stand in C++ (`SIM_Frame.cpp`, Indiflight's `indi_init.c`),
 and are repeated here.
 """
 
@@ -144,6 +144,30 @@ def test_l2f_turns_as_identified(vehicle, by):
     assert np.array(p["J"]) @ np.array(p["J_inv"]) == pytest.approx(np.eye(3))
     hover = p["hovering_throttle_relative"]
     assert 4 * FULL * hover**2 == pytest.approx(VALUES["mass"] * GRAVITY)
+
+
+@pytest.mark.parametrize("by", ["speed", "command"])
+def test_l2f_itself_turns_as_identified(vehicle, by):
+    l2f_itself = pytest.importorskip("l2f")  # half an hour to build: not among the dependencies
+    vehicle = vehicle if by == "speed" else assemble(command_result())
+    device, rng, flown = l2f_itself.Device(), l2f_itself.Rng(), l2f_itself.Environment()
+    parameters, state, after = l2f_itself.Parameters(), l2f_itself.State(), l2f_itself.State()
+    l2f_itself.initialize_rng(device, rng, 0)
+    l2f_itself.initialize_environment(device, flown)
+    l2f_itself.initial_parameters(device, flown, parameters)
+    theirs = json.loads(l2f_itself.parameters_to_json(device, flown, parameters))
+    theirs["dynamics"] = json.loads(l2f.write(vehicle))["dynamics"]
+    l2f_itself.parameters_from_json(device, flown, json.dumps(theirs), parameters)
+    l2f_itself.initial_state(device, flown, parameters, state)
+    state.orientation = np.array([1.0, 0.0, 0.0, 0.0])
+    state.linear_velocity = state.angular_velocity = np.zeros(3)
+    state.rpm = np.sqrt(U)  # settled: the action asks for the same
+    dt = l2f_itself.step(device, flown, parameters, state, 2.0 * np.sqrt(U) - 1.0, after, rng)
+    # Its state has single precision, its step is 10 ms: what turning adds to turning is second order.
+    turned = TURN @ np.array(after.angular_velocity) / dt
+    assert turned == pytest.approx(acceleration(U * FULL), rel=0.02, abs=0.01)
+    climbed = U.sum() * FULL / VALUES["mass"] - GRAVITY
+    assert np.array(after.linear_velocity)[2] / dt == pytest.approx(climbed, rel=0.02)
 
 
 def numbers_of(text, name):
