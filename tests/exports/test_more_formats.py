@@ -1,8 +1,7 @@
 """SITL frames, crazyflow, l2f and INDI: their own laws give the identified acceleration.
 
-crazyflow's sibling drone-models loads the file with its own code where it is installed; the laws
-of the others stand in C++ (`SIM_Frame.cpp`, Indiflight's `indi_init.c`),
-and are repeated here.
+crazyflow's sibling drone-models and l2f load the file with their own code where they are installed;
+the laws of the others stand in C (`SIM_Frame.cpp`, Indiflight's `indi_init.c`), and are repeated.
 """
 
 import json
@@ -163,7 +162,7 @@ def test_l2f_itself_turns_as_identified(vehicle, by):
     state.linear_velocity = state.angular_velocity = np.zeros(3)
     state.rpm = np.sqrt(U)  # settled: the action asks for the same
     dt = l2f_itself.step(device, flown, parameters, state, 2.0 * np.sqrt(U) - 1.0, after, rng)
-    # Its state has single precision, its step is 10 ms: what turning adds to turning is second order.
+    # Single precision, and what turning adds to turning within its step of 10 ms.
     turned = TURN @ np.array(after.angular_velocity) / dt
     assert turned == pytest.approx(acceleration(U * FULL), rel=0.02, abs=0.01)
     climbed = U.sum() * FULL / VALUES["mass"] - GRAVITY
