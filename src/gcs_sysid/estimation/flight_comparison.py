@@ -112,6 +112,9 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
             covariance = _color(before) * a.covariance + _color(now) * b.covariance
             covariance = covariance[np.ix_(known, known)]
             covariance += np.diag((_MODEL_ERROR * size[known]) ** 2)
+            # Of thrust, hence of all that is relative to it alike.
+            by_thrust = np.where(rb.RELATIVE, battery * theta, 0.0)[known]
+            covariance += np.outer(by_thrust, by_thrust)
             square += float(difference @ np.linalg.solve(covariance, difference))
             freedom += len(known)
     return freedom > 0 and bool(chdtrc(freedom, square) < SURE)

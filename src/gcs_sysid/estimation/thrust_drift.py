@@ -175,7 +175,10 @@ class ThrustDrift:
         if self.voltage is None:
             return _UNMEASURED_BATTERY / slope
         drift, std = self._drift_and_std()
-        return float(np.hypot(drift - self._target, std)) / slope
+        # An effect that no battery has is that of climbs or gusts: the true one is as far off.
+        effect = float(self._mean[_EFFECT])
+        impossible = effect - min(max(effect, 0.0), _MOST_EFFECT)
+        return float(np.linalg.norm([drift - self._target, std, impossible * self._fallen])) / slope
 
     def go_on_from(self, before: "ThrustDrift", *, landed: bool) -> None:
         """Refer thrust to what another one referred it to: another mass, or another flight.
