@@ -52,12 +52,14 @@ class Judgement:
         onset: s, session time of the step.
         cause: what changed, or the disturbance's name.
         doubtful: whether thrust is off by what a change may be.
+        settled: s, from when on samples are surely of the changed vehicle; None: from the onset on.
     """
 
     verdict: Verdict
     onset: float
     cause: Cause
     doubtful: bool = False
+    settled: float | None = None
 
 
 def judge(
@@ -90,13 +92,21 @@ def judge(
     window = Window(t, samples, dt, reference, onset, tuning)
     last = age_index == len(tuning.ages) - 1
     nothing = Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0)
-    if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
+    if window.after < 6 or window.at < _FEWEST_BEFORE or not np.isfinite(reference.matrix).any():
         return Judgement("disturbance" if last else "undecided", onset, nothing)
     trial = _Trial(window, reference, history, tuning)
     cause, sure = trial.best(tuning.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
         return Judgement("changed", onset, cause)
+    if decide and (calm := window.calm(tuning)) is not None and calm.at >= _FEWEST_BEFORE:
+        # A payload let go in a punch-out: the calm flight before and since tells.
+        later = _Trial(calm, reference, history, tuning)
+        cause_since, sure = later.best(tuning.sure[age_index], last=last)
+        if sure and cause_since.kind != "rotor_failure":
+            settled = calm.time_of(later.at)
+            return Judgement("changed", onset, cause_since, settled=settled)
+        sure = False
     over = trial.is_over() and not sure and not (decide and trial.may_be_rotor(cause))
     probability = trial.disturbance(cause, force=force)
     return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
@@ -397,6 +407,8 @@ class _Fit:
 
 Columns = Callable[[Mask], dict[int, Array]]
 _NOTHING = _Fit(np.zeros(1), np.zeros((1, 1)), 0.0)
+_FEWEST_BEFORE = 10
+"""Means before an alarm."""
 _SURE = 3.0
 """Standard deviations that name a cause."""
 _AGREES = 2.0
