@@ -92,21 +92,20 @@ def judge(
     window = Window(t, samples, dt, reference, onset, tuning)
     last = age_index == len(tuning.ages) - 1
     nothing = Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0)
-    if window.after < 6 or window.at < _FEWEST_BEFORE or not np.isfinite(reference.matrix).any():
+    if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
         return Judgement("disturbance" if last else "undecided", onset, nothing)
     trial = _Trial(window, reference, history, tuning)
     cause, sure = trial.best(tuning.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
         return Judgement("changed", onset, cause)
-    if decide and (calm := window.calm(tuning)) is not None and calm.at >= _FEWEST_BEFORE:
+    if decide and trial.may_be_mass() and (calm := window.calm(tuning)) is not None:
         # A payload let go in a punch-out: the calm flight before and since tells.
         later = _Trial(calm, reference, history, tuning)
-        cause_since, sure = later.best(tuning.sure[age_index], last=last)
-        if sure and cause_since.kind != "rotor_failure":
+        cause_since, holds = later.best(tuning.sure[age_index], last=last)
+        if holds and cause_since.kind != "rotor_failure":
             settled = calm.time_of(later.at)
             return Judgement("changed", onset, cause_since, settled=settled)
-        sure = False
     over = trial.is_over() and not sure and not (decide and trial.may_be_rotor(cause))
     probability = trial.disturbance(cause, force=force)
     return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
@@ -196,8 +195,7 @@ class _Trial:
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
             and self._is_new(share)
-            and self._is_carried()
-            and (share > 0.0 or self._flies(share))
+            and self._is_aloft(share)
         )
         return cause, holds
 
@@ -208,6 +206,14 @@ class _Trial:
             and cause.loss >= max(self._tuning.least_loss, _SURE * cause.loss_std)
             and cause.explained > self._tuning.explained
         )
+
+    def may_be_mass(self) -> bool:
+        """Whether a mass explains it, or would if the vehicle had not been far from hover."""
+        if not self._watched[0]:
+            return False
+        fit = self._fit({0: self._mass(self._since(self.at))})
+        share = float(fit.value[0])
+        return abs(share) > _SURE * fit.std[0] and self._is_aloft(share)
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
@@ -269,6 +275,10 @@ class _Trial:
         # What inflow does to thrust while the vehicle sinks is no part of the level.
         off = (self._window.e[later, 0] - self._level[0]) / np.mean(self._thrust[later])
         return bool(float(np.mean(off)) * np.sign(share) > 0.5 * abs(share))
+
+    def _is_aloft(self, share: float) -> bool:
+        """Whether rotors carry the vehicle, at a share of thrust over mass that is gone."""
+        return self._is_carried() and (share > 0.0 or self._flies(share))
 
     def _is_carried(self) -> bool:
         """Whether thrust carries the vehicle: one that fell, or lies on its back, has no mass."""
@@ -407,8 +417,6 @@ class _Fit:
 
 Columns = Callable[[Mask], dict[int, Array]]
 _NOTHING = _Fit(np.zeros(1), np.zeros((1, 1)), 0.0)
-_FEWEST_BEFORE = 10
-"""Means before an alarm."""
 _SURE = 3.0
 """Standard deviations that name a cause."""
 _AGREES = 2.0

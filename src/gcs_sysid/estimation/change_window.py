@@ -57,7 +57,7 @@ class HypothesisTuning:
         far: vertical speed in m/s, and share by which thrust is off the usual, from which on no
             rotor is called weak.
         calm: vertical speed in m/s, and share by which thrust is off its median since, up to which
-            a mean is of calm flight; and how many s of it make up for an alarm in a punch-out or
+            a mean is of calm flight; and how many s of it on both sides make up for an alarm in a punch-out or
             a fast climb.
     """
 
@@ -156,12 +156,13 @@ class Window:
         )
         near = self.index * self.step >= -1.0
         kept = ~near | ((np.abs(self.climb) < climb) & (np.abs(thrust - usual) < pull * usual))
-        if kept.all() or np.sum(kept[self.at :]) * self.step < seconds:
+        before, since = np.sum(kept[: self.at]), np.sum(kept[self.at :])
+        if kept.all() or min(before, since) * self.step < seconds:
             return None
         calm = copy(self)
         for name in ("e", "y", "x", "squares", "air", "climb", "index"):
             setattr(calm, name, getattr(self, name)[kept])
-        calm.at = int(np.sum(kept[: self.at]))
+        calm.at = int(before)
         return calm
 
     @property
