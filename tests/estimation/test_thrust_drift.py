@@ -157,7 +157,7 @@ def test_the_climb_at_the_start_is_no_battery_that_recovers(inflow):
 
 
 def test_an_effect_that_no_battery_has_is_doubt():
-    """Commands fell with the voltage: what did that may hide the battery, another flight through."""
+    """Commands fell with the voltage: what did that may hide a battery in the next flight."""
     follower = ThrustDrift(DT)
     follower.update(*hover(1.0 - (SAGGING / SAGGING[0]) ** -2, 1.0, noise=0.1), SAGGING)
     steady = ThrustDrift(DT)

@@ -100,7 +100,7 @@ def judge(
     if sure and decide:
         return Judgement("changed", onset, cause)
     if decide and trial.may_be_mass() and (calm := window.calm(tuning)) is not None:
-        # A payload let go in a punch-out: the calm flight before and since tells.
+        # A payload dropped in a punch-out shows in the calm flight before and since.
         later = _Trial(calm, reference, history, tuning)
         cause_since, holds = later.best(tuning.sure[age_index], last=last)
         if holds and cause_since.kind != "rotor_failure":

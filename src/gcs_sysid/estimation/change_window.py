@@ -57,8 +57,8 @@ class HypothesisTuning:
         far: vertical speed in m/s, and share by which thrust is off the usual, from which on no
             rotor is called weak.
         calm: vertical speed in m/s, and share by which thrust is off its median since, up to which
-            a mean is of calm flight; and how many s of it on both sides make up for an alarm in a punch-out or
-            a fast climb.
+            a mean is of calm flight; and s of it on both sides that make up for an alarm in a
+            punch-out or a fast climb.
     """
 
     frame: float = 0.05
@@ -151,9 +151,7 @@ class Window:
         """
         climb, pull, seconds = tuning.calm
         thrust = self.x[:, TOTAL]
-        usual = np.where(
-            self.index < 0, np.median(thrust[: self.at]), np.median(thrust[self.at :])
-        )
+        usual = np.where(self.index < 0, np.median(thrust[: self.at]), np.median(thrust[self.at :]))
         near = self.index * self.step >= -1.0
         kept = ~near | ((np.abs(self.climb) < climb) & (np.abs(thrust - usual) < pull * usual))
         before, since = np.sum(kept[: self.at]), np.sum(kept[self.at :])

@@ -8,14 +8,15 @@ second,
 
     ln u = l + D + eps ln(F / g) + c h / g - k v,    D = E + beta w,  E(0) = 0,  E' = b
 
-where eps, the inverse slope of the thrust curve, k, its bend, and c, the thrust that inflow takes in
-a climb at h (0 where no velocity is reported), are as unknown as the drift D and its rate b: flights
-begin with a climb, and its command would pass for a battery that recovers. Where the battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is
-1 where thrust depends on the product of voltage and command, 2 where thrust is linear in the
-command and a motor's speed goes with the voltage, 0 where the autopilot or a speed controller
-compensates for it. A Kalman filter follows the seven. Commands times exp(-D) make thrust as at V_0
-(without a voltage, as at the start), whatever the curve: where it is a straight line full thrust
-has fallen by D, where it is a parabola by 2 D, and so do one command and its square.
+where eps, the inverse slope of the thrust curve, k, its bend, and c, the thrust that inflow takes
+in a climb at h (0 where no velocity is reported), are as unknown as the drift D and its rate b:
+flights begin with a climb, and its command would pass for a battery that recovers. Where the
+battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is 1 where thrust depends
+on the product of voltage and command, 2 where thrust is linear in the command and a motor's speed
+goes with the voltage, 0 where the autopilot or a speed controller compensates for it. A Kalman
+filter follows the seven. Commands times exp(-D) make thrust as at V_0 (without a voltage, as at the
+start), whatever the curve: where it is a straight line full thrust has fallen by D, where it is a
+parabola by 2 D, and so do one command and its square.
 
 Other effects may look like drift: gusts, drag in a climb, a rough accelerometer, a payload.
 Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only
@@ -255,7 +256,7 @@ class ThrustDrift:
         return Drift(out, fallen)
 
     def _take(self, means: Array) -> None:
-        """Take averages of u, u^2, F, F^2 and h; later factors go on to the drift that they show."""
+        """Take averages of u, u^2, F, F^2, h; later factors go on to the drift that they show."""
         self._now, self._fallen_before = self._target, self._fallen
         self._take_voltage()
         u, square, force, power, rise = means.tolist()
