@@ -104,12 +104,14 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
     """
     of_thrust = _thrust(before, now)
     a, b = before.rotation, now.rotation
-    differences, covariances, by_battery = [], [], []
+    differences: list[Array] = []
+    covariances: list[Array] = []
+    by_battery: list[Array] = []
     if of_thrust is not None:
         ratio, variance = of_thrust
-        differences.append([ratio - 1.0])
-        covariances.append([[variance + _MODEL_ERROR**2]])
-        by_battery.append([battery])
+        differences.append(np.array([ratio - 1.0]))
+        covariances.append(np.array([[variance + _MODEL_ERROR**2]]))
+        by_battery.append(np.array([battery]))
     if a is not None and b is not None:
         theta = a.theta
         size = rb.counterparts(theta, arm)
@@ -119,7 +121,7 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
         differences.append((b.theta - theta)[known])
         covariances.append(covariance[np.ix_(known, known)])
         by_battery.append(np.where(rb.RELATIVE, -battery * theta, 0.0)[known])
-    difference = np.concatenate([[], *differences])
+    difference = np.concatenate([np.empty(0), *differences])
     if not len(difference):
         return False
     # A battery moves all that is relative to thrust alike: inertia over mass it leaves alone.

@@ -218,11 +218,11 @@ def event_of(
         }
     if after is not None:
         # What a flight cannot determine has not changed in it, whatever its fit says.
-        sides = (
+        first, second = (
             {n: (v.value, v.std) for n, v in side.items() if v.status != "unobservable"}
             for side in (before, after)
         )
-        description = describe(*sides)
+        description = describe(first, second)
         if description["kind"] != "change":
             out["kind"] = description["kind"]
         out["parameters"] = description["parameters"]
