@@ -164,6 +164,26 @@ def test_after_full_throttle_no_line_tells_what_thrust_does():
     assert looked(fly(share=share, velocity=0.0 * velocity)).verdict == "changed"
 
 
+@pytest.mark.parametrize(("share", "called"), [(-0.17, True), (0.0, False)])
+def test_a_payload_dropped_in_a_punch_out_shows_in_the_calm_flight_since(share, called):
+    """At once nothing is sure; by then the step stands out of two seconds of hover."""
+    punch = (TIME > AT - 0.3) & (AT + 0.4 > TIME)
+    rising = 3.0 * np.interp(TIME, [AT - 0.3, AT + 0.4, AT + 1.2], [0.0, 1.0, 0.0])
+    velocity = np.stack([np.zeros_like(TIME), np.zeros_like(TIME), -rising], axis=1)
+    # The curve is a little off: full throttle by itself steps.
+    off = np.where(LATER, share, 0.0) + np.where(punch, 0.1, 0.0)
+    thrust = np.where(punch, 1.8, np.where(LATER, 1.0 + share, 1.0))
+    samples = fly(thrust, off, velocity=velocity)
+    looks = [looked(samples, look) for look in range(LAST + 1)]
+    assert looks[0].verdict != "changed"
+    assert ("changed" in [found.verdict for found in looks]) is called
+    if called:
+        found = next(found for found in looks if found.verdict == "changed")
+        assert found.cause.mass_ratio == pytest.approx(1.0 / (1.0 - share), rel=0.02)
+        assert found.onset <= AT + 0.06
+        assert AT + 0.4 < found.settled < AT + 1.3
+
+
 @pytest.mark.slow
 def test_full_throttle_with_a_thrust_curve_a_little_off_is_no_change():
     thrust = np.where(LATER, 2.0, 1.0)

@@ -137,6 +137,25 @@ def test_what_is_known_to_no_quarter_of_its_size_says_nothing(what, poor, share,
     assert is_another(*fits, ARM) is another
 
 
+@pytest.mark.parametrize(
+    ("lift", "inertia", "another"),
+    [
+        (0.95, 1.053, False),  # thrust is less: T_max / m falls, J / T_max rises
+        (1.15, 0.87, False),
+        (0.85, 1.0, True),  # a payload at the CG
+        (1.15, 1.0, True),
+        (1.0, 1.1, True),
+    ],
+)
+def test_a_battery_leaves_inertia_over_mass_alone(lift, inertia, another):
+    known = range(3)
+    before = Fit(turning(known, 0.01), lifting(share=0.01), 20.0)
+    rotation = turning(known, 0.01)
+    rotation = replace(rotation, theta=rotation.theta * np.where(rb.RELATIVE, inertia, 1.0))
+    now = Fit(rotation, lifting(KAPPA * lift, 0.01), 20.0)
+    assert is_another(before, now, ARM, 0.07) is another
+
+
 def test_damping_and_rotor_inertia_are_too_faint_to_tell():
     fits = []
     for factor in (1.0, 9.0):

@@ -8,10 +8,11 @@ import pytest
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.tracking import Event
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import watched_factor
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results.summary import next_anchor, values_of
+from gcs_sysid.results.summary import event_of, next_anchor, values_of
 from tests.known_theta import THETA
 
 SHARE = 0.04
@@ -51,3 +52,21 @@ def test_the_scale_carries_over_a_change_with_speeds_and_with_commands(thrust, o
     unknown = {**values, thrust: Value(None, None, "unobservable")}
     assert next_anchor(MASS, unknown, 31.2) is MASS
     assert other not in values
+
+
+def test_what_no_flight_determines_has_not_changed():
+    """After a payload was dropped in hover a fit of inertia is anything."""
+    before = {
+        "mass": Value(1.5, 0.01, "given"),
+        "Iyy": Value(0.026, 1e-4, "identified"),
+    }
+    after = {
+        "mass": Value(1.25, 0.01, "identified"),
+        "Iyy": Value(0.042, 1e-3, "unobservable"),
+    }
+    event = event_of(Event(43.0, 43.2, None, None, 0, decided=44.0), before, after)
+    assert event["kind"] == "mass_change"
+    assert set(event["parameters"]) == {"mass"}
+    after["Iyy"] = replace(after["Iyy"], status="identified")
+    event = event_of(Event(43.0, 43.2, None, None, 0, decided=44.0), before, after)
+    assert (event["kind"], set(event["parameters"])) == ("payload", {"mass", "Iyy"})

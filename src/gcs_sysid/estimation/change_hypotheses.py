@@ -52,12 +52,14 @@ class Judgement:
         onset: s, session time of the step.
         cause: what changed, or the disturbance's name.
         doubtful: whether thrust is off by what a change may be.
+        settled: s, from when on samples are surely of the changed vehicle; None: from the onset on.
     """
 
     verdict: Verdict
     onset: float
     cause: Cause
     doubtful: bool = False
+    settled: float | None = None
 
 
 def judge(
@@ -97,6 +99,13 @@ def judge(
     onset = window.time_of(trial.at)
     if sure and decide:
         return Judgement("changed", onset, cause)
+    if decide and trial.may_be_mass() and (calm := window.calm(tuning)) is not None:
+        # A payload dropped in a punch-out shows in the calm flight before and since.
+        later = _Trial(calm, reference, history, tuning)
+        cause_since, holds = later.best(tuning.sure[age_index], last=last)
+        if holds and cause_since.kind != "rotor_failure":
+            settled = calm.time_of(later.at)
+            return Judgement("changed", onset, cause_since, settled=settled)
     over = trial.is_over() and not sure and not (decide and trial.may_be_rotor(cause))
     probability = trial.disturbance(cause, force=force)
     return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
@@ -186,8 +195,7 @@ class _Trial:
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
             and self._is_new(share)
-            and self._is_carried()
-            and (share > 0.0 or self._flies(share))
+            and self._is_aloft(share)
         )
         return cause, holds
 
@@ -198,6 +206,14 @@ class _Trial:
             and cause.loss >= max(self._tuning.least_loss, _SURE * cause.loss_std)
             and cause.explained > self._tuning.explained
         )
+
+    def may_be_mass(self) -> bool:
+        """Whether a mass explains it, or would if the vehicle had not been far from hover."""
+        if not self._watched[0]:
+            return False
+        fit = self._fit({0: self._mass(self._since(self.at))})
+        share = float(fit.value[0])
+        return abs(share) > _SURE * fit.std[0] and self._is_aloft(share)
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
@@ -259,6 +275,10 @@ class _Trial:
         # What inflow does to thrust while the vehicle sinks is no part of the level.
         off = (self._window.e[later, 0] - self._level[0]) / np.mean(self._thrust[later])
         return bool(float(np.mean(off)) * np.sign(share) > 0.5 * abs(share))
+
+    def _is_aloft(self, share: float) -> bool:
+        """Whether rotors carry the vehicle, at a share of thrust over mass that is gone."""
+        return self._is_carried() and (share > 0.0 or self._flies(share))
 
     def _is_carried(self) -> bool:
         """Whether thrust carries the vehicle: one that fell, or lies on its back, has no mass."""

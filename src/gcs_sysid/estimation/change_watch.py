@@ -47,6 +47,8 @@ class Alarm:
 
     def step_of(self, found: Judgement) -> tuple[float, float]:
         """When the vehicle changed, and from when on samples are of the vehicle it is now."""
+        if found.settled is not None:
+            return found.onset, found.settled
         if self.change.scale == "fast" and abs(found.onset - self.onset) <= TUNING.frame:
             return self.onset, self.detected
         return found.onset, found.onset + _BLURRED

@@ -8,6 +8,7 @@ are matched by white noise, gyro noise that differentiation colors, and Ornstein
 of several correlation times.
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,9 @@ class HypothesisTuning:
         by_thrust: the same where thrust is twice the usual.
         far: vertical speed in m/s, and share by which thrust is off the usual, from which on no
             rotor is called weak.
+        calm: vertical speed in m/s, and share by which thrust is off its median since, up to which
+            a mean is of calm flight; and s of it on both sides that make up for an alarm in a
+            punch-out or a fast climb.
     """
 
     frame: float = 0.05
@@ -77,6 +81,7 @@ class HypothesisTuning:
     by_climb: float = 0.06
     by_thrust: float = 0.1
     far: tuple[float, float] = (2.0, 0.8)
+    calm: tuple[float, float, float] = (0.7, 0.2, 2.0)
 
 
 TUNING = HypothesisTuning()
@@ -132,6 +137,31 @@ class Window:
     def floors(self, reference: Reference) -> Array:
         """(4,) as of `Reference.floors`, at the thrust before the alarm."""
         return reference.floors(float(np.mean(self.x[: max(self.at, 1), TOTAL])))
+
+    def calm(self, tuning: HypothesisTuning) -> "Window | None":
+        """Without the means of full throttle or fast climbs from a second before the alarm on.
+
+        Those say little of a mass: inflow and an error of the thrust curve move thrust as much.
+
+        Args:
+            tuning: settings.
+
+        Returns:
+            None where all are calm, or too few.
+        """
+        climb, pull, seconds = tuning.calm
+        thrust = self.x[:, TOTAL]
+        usual = np.where(self.index < 0, np.median(thrust[: self.at]), np.median(thrust[self.at :]))
+        near = self.index * self.step >= -1.0
+        kept = ~near | ((np.abs(self.climb) < climb) & (np.abs(thrust - usual) < pull * usual))
+        before, since = np.sum(kept[: self.at]), np.sum(kept[self.at :])
+        if kept.all() or min(before, since) * self.step < seconds:
+            return None
+        calm = copy(self)
+        for name in ("e", "y", "x", "squares", "air", "climb", "index"):
+            setattr(calm, name, getattr(self, name)[kept])
+        calm.at = int(before)
+        return calm
 
     @property
     def after(self) -> int:

@@ -5,6 +5,7 @@ further flight are estimated separately and compared with the earlier estimate.
 """
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
@@ -98,23 +99,36 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
         before: the one.
         now: the other, as of `Trial.fit`.
         arm: m, mean distance of the rotors, by which a CG is judged.
-        battery: one standard deviation of what another state of the battery may do to thrust over
-            mass, relative.
+        battery: one standard deviation of what another state of the battery may do to thrust,
+            relative.
     """
-    square, freedom = _thrust(before, now, battery)
+    of_thrust = _thrust(before, now)
     a, b = before.rotation, now.rotation
+    differences: list[Array] = []
+    covariances: list[Array] = []
+    by_battery: list[Array] = []
+    if of_thrust is not None:
+        ratio, variance = of_thrust
+        differences.append(np.array([ratio - 1.0]))
+        covariances.append(np.array([[variance + _MODEL_ERROR**2]]))
+        by_battery.append(np.array([battery]))
     if a is not None and b is not None:
         theta = a.theta
         size = rb.counterparts(theta, arm)
         known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
-        if known:
-            difference = (b.theta - theta)[known]
-            covariance = _color(before) * a.covariance + _color(now) * b.covariance
-            covariance = covariance[np.ix_(known, known)]
-            covariance += np.diag((_MODEL_ERROR * size[known]) ** 2)
-            square += float(difference @ np.linalg.solve(covariance, difference))
-            freedom += len(known)
-    return freedom > 0 and bool(chdtrc(freedom, square) < SURE)
+        covariance = _color(before) * a.covariance + _color(now) * b.covariance
+        covariance += np.diag((_MODEL_ERROR * size) ** 2)
+        differences.append((b.theta - theta)[known])
+        covariances.append(covariance[np.ix_(known, known)])
+        by_battery.append(np.where(rb.RELATIVE, -battery * theta, 0.0)[known])
+    difference = np.concatenate([np.empty(0), *differences])
+    if not len(difference):
+        return False
+    # A battery moves all that is relative to thrust alike: inertia over mass it leaves alone.
+    common = np.concatenate(by_battery)
+    covariance = block_diag(*covariances) + np.outer(common, common)
+    square = float(difference @ np.linalg.solve(covariance, difference))
+    return bool(chdtrc(len(difference), square) < SURE)
 
 
 def _color(fit: Fit) -> float:
@@ -129,18 +143,17 @@ def _color(fit: Fit) -> float:
     return float(np.max(known, initial=1.0))
 
 
-def _thrust(before: Fit, now: Fit, battery: float) -> tuple[float, int]:
-    """Squared distance and degrees of freedom of k_T over mass."""
+def _thrust(before: Fit, now: Fit) -> tuple[float, float] | None:
+    """Ratio of k_T over mass, and its variance; None if it is not known."""
     a, b = before.translation, now.translation
     if a is not None and b is not None and a.source != b.source:
         # An accelerometer's bias is in both of its own.
         a, b = before.accelerometer, now.accelerometer
     if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
-        return 0.0, 0
-    ratio = b.kappa / a.kappa
-    variance = (a.kappa_std**2 + b.kappa_std**2) / a.kappa**2 + _MODEL_ERROR**2 + battery**2
+        return None
+    variance = (a.kappa_std**2 + b.kappa_std**2) / a.kappa**2
     if before.rotation is not None:
         # The curve is one: its error moves both alike, but for how near full thrust they hover.
         slopes = b.curve_slope / b.kappa - a.curve_slope / a.kappa
         variance += (slopes * float(before.rotation.coordinates_std[CURVE])) ** 2
-    return (ratio - 1.0) ** 2 / variance, 1
+    return b.kappa / a.kappa, variance

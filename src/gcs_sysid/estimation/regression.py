@@ -99,7 +99,9 @@ class RowMaker:
         """The rows that these samples complete."""
         inputs, drift = samples.speeds, None
         if self._drift is not None:
-            drift = self._drift.update(inputs, samples.force[:, 2], samples.voltage[:, 0])
+            drift = self._drift.update(
+                inputs, samples.force[:, 2], samples.voltage[:, 0], -samples.velocity[:, 2]
+            )
             inputs = inputs * drift.factors[:, None]
         signals = self._signals(samples, inputs)
         rows = self._smoother.update(signals, self._late)

@@ -217,10 +217,12 @@ def event_of(
             "ci95": [event.cause.loss - half, event.cause.loss + half],
         }
     if after is not None:
-        description = describe(
-            {n: (v.value, v.std) for n, v in before.items()},
-            {n: (v.value, v.std) for n, v in after.items()},
+        # What a flight cannot determine has not changed in it, whatever its fit says.
+        first, second = (
+            {n: (v.value, v.std) for n, v in side.items() if v.status != "unobservable"}
+            for side in (before, after)
         )
+        description = describe(first, second)
         if description["kind"] != "change":
             out["kind"] = description["kind"]
         out["parameters"] = description["parameters"]
