@@ -11,6 +11,8 @@ _WHITENED = 0.008
 """s between samples, above which rows of one step were not found to be better. Commands are
 whitened up to `SLOW_COMMANDS`: by the window motors were a tenth too fast at 100 Hz, and intervals
 missed; `benchmarks.truth --only dslow` has those that hold now."""
+_FAST_GYRO = 60.0
+"""Hz, declared low-pass of the gyro from which commands are whitened all the same."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,16 @@ class Tuning:
     def whitens(self, dt: float) -> bool:
         """Whether rows of samples that are `dt` s apart are whitened.
 
-        Not those of a gyro that the autopilot filters, or of slow samples, or of commands whose
-        lag is given: there the window is at least as good, and takes their place.
+        Not those of a gyro behind a slow low-pass (with speeds: any), or of slow samples, or of
+        commands whose lag is given: there the window is at least as good, and takes their place.
         """
+        commands = self.rotor_input == "command"
         return (
             self.smoother == "whitened"
             and self.method == "forward"
-            and (self.rotor_input == "speed" or len(self.lags) > 1)
-            and self.gyro_cutoff is None
-            and (dt < SLOW_COMMANDS if self.rotor_input == "command" else dt <= _WHITENED)
+            and (not commands or len(self.lags) > 1)
+            and (self.gyro_cutoff is None or (commands and self.gyro_cutoff >= _FAST_GYRO))
+            and (dt < SLOW_COMMANDS if commands else dt <= _WHITENED)
         )
 
 
