@@ -188,6 +188,11 @@ class OnlineEstimator:
         return self._record.drift
 
     @property
+    def low_passed(self) -> bool:
+        """Whether the gyro was found to come through an undeclared low-pass."""
+        return self._record.low_passed
+
+    @property
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._record.speed_std

@@ -174,6 +174,11 @@ def low_pass_delay(cutoff: float | None) -> float:
     return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
 
 
+def cutoff_of(delay: float) -> float:
+    """Hz of the second-order low-pass that delays slow motion by so many s."""
+    return math.sqrt(2.0) / (2.0 * math.pi * delay)
+
+
 def _butterworth(cutoff: float) -> tuple[Array, Array]:
     """(b, a) of the second-order low-pass, its cutoff in cycles a sample, by bilinear transform."""
     w = math.tan(math.pi * cutoff)
