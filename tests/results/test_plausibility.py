@@ -216,3 +216,8 @@ def test_with_commands_neighboring_rotors_bound_the_propellers():
     for ratio, objected in ((0.04, 0), (0.05, 1)):
         command["moment_ratio"] = Value(ratio, 1e-4, "identified")
         assert len(objections(command, QUAD, "command")) == objected
+    pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
+    x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
+    for ratio, objected in ((0.03, 0), (0.035, 1)):
+        command["moment_ratio"] = Value(ratio, 1e-4, "identified")
+        assert len(objections(command, x8, "command")) == objected
