@@ -24,6 +24,7 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.speed_noise import with_sparse_readings
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
@@ -163,6 +164,7 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning, offline)
         self._basis = self._record.basis
+        self._speed_interval = tuning.speed_interval
         self._whitening = WhitenedEstimator(self._record, geometry)
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
@@ -419,12 +421,11 @@ class OnlineEstimator:
         )
         return self._doubted(fits, warm_start.rotation)
 
-    @staticmethod
-    def _doubted(fits: list[RotationFit], start: RotationFit) -> list[RotationFit]:
+    def _doubted(self, fits: list[RotationFit], start: RotationFit) -> list[RotationFit]:
         """Fits with what lags taken over from an earlier one."""
         place = start.lag_place
         if place is None:
-            return fits
+            return [with_sparse_readings(fit, self._speed_interval) for fit in fits]
         return [with_lag_doubt(fit, place, start.lag_doubt) for fit in fits]
 
     def _use_place(self, place: LagPlace | None) -> None:
@@ -525,6 +526,12 @@ class OnlineEstimator:
             self.prior = self.prior_source(self.fit_translation()[0])
 
     def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
+        fit = self._fitted_rotation(start)
+        if fit is None or fit.lag_place is not None or self._record.article:
+            return fit
+        return with_sparse_readings(fit, self._speed_interval)
+
+    def _fitted_rotation(self, start: RotationFit | None) -> RotationFit | None:
         record = self._record
         if record.article:
             return record.article.fit()
@@ -676,6 +683,12 @@ class OnlineEstimator:
         )
 
     def _fit_without_products(self) -> RotationFit | None:
+        fit = self._fitted_without_products()
+        if fit is None or fit.lag_place is not None:
+            return fit
+        return with_sparse_readings(fit, self._speed_interval)
+
+    def _fitted_without_products(self) -> RotationFit | None:
         if self._whitened is not None:
             found = self._whitened.fit(prior=self.prior, rigid=False)
             return None if found is None else found[0]

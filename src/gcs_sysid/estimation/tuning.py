@@ -35,6 +35,7 @@ class Tuning:
         curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
+        speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
         settle_interval: s, least time between full fits of a running history, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
@@ -52,6 +53,7 @@ class Tuning:
     curves: tuple[float, ...] = (1.0,)
     gyro_cutoff: float | None = None
     loop_cutoff: float | None = None
+    speed_interval: float = 0.0
     settle_interval: float = 2.0
     batch_time: float = 1.0
 
