@@ -184,7 +184,8 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
         # Without a prior the data determine all, and more than online.
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
-    fit = with_sparse_readings(fit, tracker.tuning.speed_interval)
+    if online.moments is not None:
+        fit = with_sparse_readings(fit, tracker.tuning.speed_interval, online.moments.window)
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     online = replace(online, aligned_by=rotation)
     return OfflineFit(

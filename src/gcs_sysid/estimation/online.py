@@ -24,7 +24,7 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
-from gcs_sysid.estimation.speed_noise import with_sparse_readings
+from gcs_sysid.estimation.speed_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
@@ -408,7 +408,7 @@ class OnlineEstimator:
         moments = [i.whitened for i in instants if i.whitened is not None]
         if moments:
             fits = self._whitening.follow(moments, warm_start.rotation, self.prior)
-            return self._doubted(fits, warm_start.rotation)
+            return self._doubted(fits, warm_start.rotation, instants)
         place = warm_start.rotation.lag_place
         self._use_place(place)
         fits = rotation.follow_rotation(
@@ -419,14 +419,25 @@ class OnlineEstimator:
             warm_start.rotation,
             self.prior,
         )
-        return self._doubted(fits, warm_start.rotation)
+        return self._doubted(fits, warm_start.rotation, instants)
 
-    def _doubted(self, fits: list[RotationFit], start: RotationFit) -> list[RotationFit]:
+    def _doubted(
+        self, fits: list[RotationFit], start: RotationFit, instants: Sequence[_Instant]
+    ) -> list[RotationFit]:
         """Fits with what lags taken over from an earlier one."""
         place = start.lag_place
         if place is None:
-            return [with_sparse_readings(fit, self._speed_interval) for fit in fits]
+            return [self._read(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
         return [with_lag_doubt(fit, place, start.lag_doubt) for fit in fits]
+
+    def _read(self, fit: RotationFit, instant: _Instant | None = None) -> RotationFit:
+        """A fit to speeds, with what they miss between readings; at an instant, or now."""
+        if not is_sparse(self._speed_interval) or fit.lag_place is not None:
+            return fit
+        found = self._moments(fit) if instant is None else self._moments_at(fit, instant)
+        if found is None:
+            return fit
+        return with_sparse_readings(fit, self._speed_interval, found.window)
 
     def _use_place(self, place: LagPlace | None) -> None:
         """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
@@ -527,9 +538,7 @@ class OnlineEstimator:
 
     def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
         fit = self._fitted_rotation(start)
-        if fit is None or fit.lag_place is not None or self._record.article:
-            return fit
-        return with_sparse_readings(fit, self._speed_interval)
+        return None if fit is None else self._read(fit)
 
     def _fitted_rotation(self, start: RotationFit | None) -> RotationFit | None:
         record = self._record
@@ -684,9 +693,7 @@ class OnlineEstimator:
 
     def _fit_without_products(self) -> RotationFit | None:
         fit = self._fitted_without_products()
-        if fit is None or fit.lag_place is not None:
-            return fit
-        return with_sparse_readings(fit, self._speed_interval)
+        return None if fit is None else self._read(fit)
 
     def _fitted_without_products(self) -> RotationFit | None:
         if self._whitened is not None:
