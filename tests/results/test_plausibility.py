@@ -206,7 +206,8 @@ def test_swapped_coaxial_rotors_are_not_identified():
     (found,) = objections(twice, x8, "speed")
     assert "check upper and lower rotors, motor order" in found.reason
     after = capped(twice, (found,))
-    assert {n for n in after if after[n].status == "weak"} == {"k_M", "moment_ratio", "rotor_inertia"}
+    weak = {name for name in after if after[name].status == "weak"}
+    assert weak == {"k_M", "moment_ratio", "rotor_inertia"}
 
 
 def test_with_commands_neighboring_rotors_bound_the_propellers():

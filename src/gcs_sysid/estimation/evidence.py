@@ -52,9 +52,9 @@ class EvidenceRules:
     octocopter with rotors 1 and 2 swapped has 0.99, 0.99 and 0.24."""
 
     unexplained: float = 0.1
-    """Share of what was flown on an axis, below which rotors may be in another order. Two hexas with
-    rotors 1 and 2 swapped have 0.00 and 0.02 on yaw, and one a CG that was off by 34 and 52 %; an
-    octocopter in wind has 0.24."""
+    """Share of what was flown on an axis, below which rotors may be in another order. Two hexas
+    with rotors 1 and 2 swapped have 0.00 and 0.02 on yaw, and one a CG that was off by 34 and
+    52 %; an octocopter in wind has 0.24."""
 
 
 RULES = EvidenceRules()

@@ -45,9 +45,9 @@ _DH = rigid_body.SIGNALS.index("dH")
 def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> RotationFit:
     """A fit with the error of what speeds do between two readings.
 
-    Torque jumps where commands do, and from readings before and after, a jump seems as early or late
-    as it lay between them. Delay follows the jumps, slow motion does not. Torque that is late by t
-    is off by -t I w'', which damping takes up: <w'' w> = -<w'^2>, so that it is off by
+    Torque jumps where commands do, and from readings before and after, a jump seems as early or
+    late as it lay between them. Delay follows the jumps, slow motion does not. Torque that is late
+    by t is off by -t I w'', which damping takes up: <w'' w> = -<w'^2>, so that it is off by
     t I <w'^2> / <w^2>.
 
     Args:

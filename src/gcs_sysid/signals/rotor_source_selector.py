@@ -343,12 +343,17 @@ class RotorSourceSelector:
         return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
 
 
+_STALE = 1.5
+"""Times between messages, from which a source repeats its readings."""
+
+
 def _apart(stretch: Stretch) -> float:
     """S between new readings of the first rotor."""
     t, values = stretch.rotors(1)[0]
     if len(t) < 2:
         return 0.0
-    return max(float(np.median(np.diff(t))), float(t[-1] - t[0]) / _readings(values))
+    sent, new = float(np.median(np.diff(t))), float(t[-1] - t[0]) / _readings(values)
+    return new if new > _STALE * sent else sent  # some readings are the same by chance
 
 
 def _readings(values: Array) -> float:
