@@ -39,7 +39,8 @@ class PlausibleRanges:
     moment_ratio: Range = (0.03, 0.13)
     """k_M / k_T over the propeller's diameter, C_P / (2 pi C_T) of propellers. With the diameter
     that k_T has at C_T = 0.1, vehicles of known k_M have 0.049 to 0.119, the CineRat of 3 inches
-    0.104, and the article's 0.059. Upper and lower rotor of one arm of four swapped: twice as much."""
+    0.104, and the article's 0.059. Upper and lower rotor of one arm of four swapped: twice as
+    much."""
     most_of_many: float = 0.09
     """The same over the distance between neighbors, of vehicles with six rotors and more, whose
     propellers are large ones: 0.05 to 0.076 emulated. The small ones of quads reach 0.11."""
