@@ -29,8 +29,6 @@ class DisturbanceRules:
     floor: float = 0.04
     """Error of a moment of inertia over the share of the motion that the rotors do not explain: a
     moment of 7 rad/s^2 rms leaves 1 % at a share of 0.76."""
-    floor_of_likeliest: float = 0.02
-    """The same with the likeliest noise model of the whole flight."""
 
     curve: float = 0.03
     """Of the thrust curve, which air that moves with the vehicle bends: on four disturbed flights
@@ -74,20 +72,19 @@ class Trial:
         nats: Array = 0.5 * np.log(best_calm / best) / self.time
         return nats
 
-    def systematic(self, fit: RotationFit, hover: float, floor: float = RULES.floor) -> Array:
+    def systematic(self, fit: RotationFit, hover: float) -> Array:
         """(k, N_THETA) errors that scatter does not show, each of a cause of its own.
 
         Args:
             fit: with the whiteners of least innovation power.
             hover: rad^2/s^2 (1 with commands), thrust signal in hover; 0 where the air is known to
                 be calm: what disturbs is then zero in the mean.
-            floor: error of a moment of inertia over the share of the motion not explained.
         """
         disturbed = self.detected.max() > RULES.detected
         errors = [self._contrast(fit)] if disturbed else []
         for axis, strength in enumerate(self.detected):
             if strength > RULES.detected:
-                errors.append(axis_floor(fit, axis, floor))
+                errors.append(axis_floor(fit, axis))
                 if axis < 2:
                     errors.append(self._trim(fit, axis, hover))
         if not errors:
@@ -147,11 +144,11 @@ def curve_doubt(fit: RotationFit) -> Array:
     return np.outer(along, along)
 
 
-def axis_floor(fit: RotationFit, axis: int, floor: float = RULES.floor) -> Array:
+def axis_floor(fit: RotationFit, axis: int) -> Array:
     """(N_THETA,) error of an axis whose motion is partly not the rotors'."""
     error = np.zeros(rb.N_THETA)
     moved = (axis,) if axis < 2 else (axis, *_OF_YAW)
-    share = floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))
+    share = RULES.floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))
     error[list(moved)] = share * fit.theta[list(moved)]
     return error
 

@@ -174,8 +174,7 @@ def fit_whitened(
             improved, r_squared=_explained(solved, given.total(kept), data.judges, basis)
         )
     r_squared = improved.r_squared
-    floor = RULES.floor_of_likeliest if data.own else RULES.floor
-    errors = solved.trial.systematic(improved, hover, floor)
+    errors = solved.trial.systematic(improved, hover)
     for error in errors:
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
