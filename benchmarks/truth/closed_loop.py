@@ -8,9 +8,9 @@ A moment d that acts on the body from outside (gusts, blade flapping, a swinging
 answered by the rate loop, so that the rotors' torque is correlated with it. A regression of
 acceleration on torque then attributes some of the disturbance to inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
-`OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals, and how
-many moments of inertia would be `identified` by their intervals and the share that rotors explain.
-`offline` is the filter error estimate, `setpoints` the same with the rates asked for as
+`OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals, and
+how many moments of inertia would be `identified` by their intervals and the share that rotors
+explain. `offline` is the filter error estimate, `setpoints` the same with the rates asked for as
 instruments.
 
 The vehicle is the article's with a CG offset of a centimetre: rigid body, motors of 30 ms, a PI
@@ -287,7 +287,7 @@ class Judged:
         )
 
     def claims(self) -> str:
-        """Share of Ixx and Iyy that are `identified`, and how many of these intervals hold, in %."""
+        """% of Ixx and Iyy that are `identified`, and of these intervals that hold."""
         held = np.abs(self.error[:, :2]) <= NORMAL_95 * self.std[:, :2]
         some = f"{100 * held[self.claimed].mean():4.0f}" if self.claimed.any() else "   -"
         return f"{100 * self.claimed.mean():5.0f} {some}"
@@ -379,7 +379,8 @@ def main() -> None:
     vehicle, dt = Vehicle(), 1.0 / options.rate
     head = "bias %    rms  cov  +-95"
     print(
-        f"{'':34s}  R2      g | identified, hold %  |  Ixx, Iyy: {head}  |  Izz: {head}  |  k_M/k_T: {head}"
+        f"{'':34s}  R2      g | identified, hold %  |  Ixx, Iyy: {head}  |  Izz: {head}  |"
+        f"  k_M/k_T: {head}"
     )
     for number, cell in enumerate(options.cells):
         excitation, disturbance = cell.split(":")
