@@ -130,7 +130,7 @@ class RotorPath:
 
 
 class GyroLowPass:
-    """An autopilot's second-order low-pass of its gyro, for what is held against that gyro.
+    """An autopilot's second-order low-pass of its gyro, for signals that meet that gyro.
 
     Args:
         cutoff: cycles a sample.
