@@ -8,8 +8,9 @@ A moment d that acts on the body from outside (gusts, blade flapping, a swinging
 answered by the rate loop, so that the rotors' torque is correlated with it. A regression of
 acceleration on torque then attributes some of the disturbance to inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
-`OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals.
-`offline` is the filter error estimate, `setpoints` the same with the rates asked for as
+`OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals, and
+how many moments of inertia would be `identified` by their intervals and the share that rotors
+explain. `offline` is the filter error estimate, `setpoints` the same with the rates asked for as
 instruments.
 
 The vehicle is the article's with a CG offset of a centimetre: rigid body, motors of 30 ms, a PI
@@ -24,10 +25,11 @@ from functools import partial
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.status import RULES
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
@@ -265,12 +267,14 @@ class Judged:
         std: (flights, N_THETA) stated, in the same unit.
         r_squared: mean of roll and pitch over the flights.
         disturbance: nats a second, mean of roll and pitch.
+        claimed: (flights, 2) whether Ixx and Iyy are `identified`, by interval and share explained.
     """
 
     error: Array
     std: Array
     r_squared: float
     disturbance: float
+    claimed: Mask
 
     def line(self, *names: str) -> str:
         """Bias, rms and coverage in % of some parameters taken together."""
@@ -281,6 +285,18 @@ class Judged:
             f"{100 * error.mean():7.2f} {100 * np.sqrt((error**2).mean()):7.2f}"
             f" {100 * inside.mean():5.0f} {100 * NORMAL_95 * np.median(std):6.2f}"
         )
+
+    def claims(self) -> str:
+        """% of Ixx and Iyy that are `identified`, and of these intervals that hold."""
+        held = np.abs(self.error[:, :2]) <= NORMAL_95 * self.std[:, :2]
+        some = f"{100 * held[self.claimed].mean():4.0f}" if self.claimed.any() else "   -"
+        return f"{100 * self.claimed.mean():5.0f} {some}"
+
+
+def _claimed(fit: RotationFit) -> list[bool]:
+    least, _ = RULES.explained(whitened=bool(fit.whiteners))
+    known = fit.std[:2] < RULES.identified_below * np.abs(fit.theta[:2])
+    return list(known & (fit.r_squared[:2] >= least))
 
 
 def online(flight: Samples, vehicle: Vehicle, dt: float, tuning: Tuning) -> RotationFit:
@@ -330,6 +346,7 @@ def judge(
         np.stack([fit.std / size for fit in fits]),
         float(np.mean([fit.r_squared[:2] for fit in fits])),
         float(np.mean([fit.disturbance[:2] for fit in fits])),
+        np.array([_claimed(fit) for fit in fits]),
     )
 
 
@@ -361,7 +378,10 @@ def main() -> None:
     options = parser.parse_args(namespace=known)
     vehicle, dt = Vehicle(), 1.0 / options.rate
     head = "bias %    rms  cov  +-95"
-    print(f"{'':34s}  R2      g  |  Ixx, Iyy: {head}  |  Izz: {head}  |  k_M/k_T: {head}")
+    print(
+        f"{'':34s}  R2      g | identified, hold %  |  Ixx, Iyy: {head}  |  Izz: {head}  |"
+        f"  k_M/k_T: {head}"
+    )
     for number, cell in enumerate(options.cells):
         excitation, disturbance = cell.split(":")
         flights = fly(
@@ -379,7 +399,7 @@ def main() -> None:
             columns = " | ".join(found.line(*names) for names in parts)
             print(
                 f"{cell:20s} {smoother:12s} {found.r_squared:6.3f} {found.disturbance:6.1f}"
-                f" | {columns}",
+                f" |  {found.claims()}        | {columns}",
                 flush=True,
             )
 

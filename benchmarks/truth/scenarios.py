@@ -65,6 +65,19 @@ def _spun(airframe: Airframe) -> Airframe:
     return replace(airframe, rotors=rotors)
 
 
+def _upside_down(airframe: Airframe) -> Airframe:
+    """Upper and lower rotor of one arm are taken for each other."""
+    first = airframe.rotors[0]
+    at = min(range(1, len(airframe.rotors)), key=lambda i: _between(first, airframe.rotors[i]))
+    rotors = list(airframe.rotors)
+    rotors[0], rotors[at] = rotors[at], rotors[0]
+    return replace(airframe, rotors=tuple(rotors))
+
+
+def _between(a: Rotor, b: Rotor) -> float:
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
 def _turned(airframe: Airframe) -> Airframe:
     """Front taken for the right-hand side."""
     return replace(airframe, rotors=tuple(Rotor(-r.y, r.x, r.spin) for r in airframe.rotors))
@@ -178,6 +191,18 @@ SCENARIOS = (
     ),
     Scenario("swap", "two rotors swapped in the airframe file", known=_swapped),
     Scenario("spins", "all spin directions reversed", known=_spun),
+    Scenario(
+        "pair",
+        "X8, upper and lower rotor of one arm swapped in the airframe file",
+        layouts=("x8",),
+        known=_upside_down,
+    ),
+    Scenario(
+        "tilt",
+        "hexa, rotors canted by 4 degrees, flat in the airframe file",
+        lambda _: Physics(tilt=_CANT),
+        layouts=("hexa",),
+    ),
     Scenario("turned", "airframe rotated by 90 degrees", known=_turned),
 )
 """Letters are those under which such flights were first collected."""

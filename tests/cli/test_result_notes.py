@@ -14,3 +14,11 @@ from tests.screen.fake import result
 def test_gyro_spikes_are_counted_in_singular_and_plural(spikes, words):
     one = replace(result(), telemetry={"imu_outliers": {"spikes": spikes}})
     assert f"{words} by interpolation" in result_table(one)
+
+
+def test_a_gyro_filter_that_was_found_is_told():
+    found = replace(result(), telemetry={"rotor_input": {"gyro_filter_found": 24.6}})
+    assert "late as by a filter of 25 Hz" in result_table(found)
+    assert "gyro_filter in the airframe file" in result_table(found)
+    none = replace(result(), telemetry={"rotor_input": {"gyro_filter_found": None}})
+    assert "filter" not in result_table(none)

@@ -65,6 +65,19 @@ def test_yaw_against_itself_is_a_swap_where_there_are_six_rotors_or_more():
     assert of(8, [0.99, 0.99, 0.9]) == Evidence()
 
 
+def test_where_rotors_explain_nothing_of_what_was_flown_the_cg_is_in_doubt():
+    poor = replace(GOOD, r_squared=np.array([0.9, 0.9, 0.0]))
+
+    def of(rotors, r_squared):
+        fit = Fit(replace(ROTATION, r_squared=np.array(r_squared)), None, 30.0, poor)
+        return capped(evidence_of(fit, "speed", 0.004, rotors=rotors))
+
+    assert of(6, [0.9, 0.9, 0.02]) > MEAN
+    assert not of(6, [0.9, 0.9, 0.3]) & MEAN  # wind
+    assert not of(4, [0.9, 0.9, 0.02]) & MEAN
+    assert of(4, [0.9, 0.02, 0.9]) > MEAN
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_an_axis_that_hardly_turns_identifies_nothing_but_the_cg(axis):
     def moving(rms):

@@ -7,7 +7,9 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.rotor_signals import cutoff_of
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005
 CURVES = Tuning(rotor_input="command", delays=(0.0,), curves=(-0.2, 1.2))
@@ -92,5 +94,34 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
     assert estimator.other_layout(fit) is None
     # Rows of one step hold the filter's own motion: the window takes it for a delay.
     assert bool(fit.whiteners) == (cutoff is None)
+    assert estimator.low_passed == (cutoff is not None)
+    if cutoff is not None:
+        assert cutoff_of(-fit.delay) == pytest.approx(cutoff, rel=0.1)
     assert np.all(fit.r_squared > 0.9)
     assert np.all(np.abs(fit.theta - truth.theta)[:3] < 0.01 * truth.theta[:3])
+
+
+def test_damping_allows_for_what_sparse_speeds_miss(truth, flight):
+    samples = noisy(flight).part(slice(0, 1600))
+    usual = estimator_of(truth, samples, Tuning()).fit().rotation
+    fits = [
+        estimator_of(truth, samples, Tuning(speed_interval=interval)).fit().rotation
+        for interval in (0.004, 0.02, 0.04)
+    ]
+    np.testing.assert_array_equal(fits[0].full_covariance, usual.full_covariance)
+    for fit, late in zip(fits[1:], (2e-4, 4e-4 * 2.0**1.5), strict=True):
+        np.testing.assert_array_equal(fit.theta, usual.theta)
+        assert fit.delay_std == pytest.approx(np.hypot(usual.delay_std, late))
+        wider = fit.covariance - usual.covariance
+        assert np.flatnonzero(wider).tolist() == [rb.DAMPING * (rb.N_THETA + 1)]
+        # t I <w'^2> / <w^2>: torque that is late by t, read as damping.
+        rates, slope = samples.gyro[:, :2], np.gradient(samples.gyro[:, :2], DT, axis=0)
+        expected = late * usual.theta[:2].mean() * (slope**2).sum() / (rates**2).sum()
+        # The window takes the noise out of the slope, and some of the motion.
+        assert 0.3 * expected < np.sqrt(wider[rb.DAMPING, rb.DAMPING]) < expected
+
+
+def test_quick_fits_allow_for_sparse_speeds_too(truth, flight):
+    estimator = OnlineEstimator(truth.geometry, DT, Tuning(speed_interval=0.02))
+    quick = estimator.follow(noisy(flight).part(slice(0, 1600)), [1400, 1500])[-1].rotation
+    assert quick.delay_std > 2e-4

@@ -255,6 +255,10 @@ def test_where_the_window_takes_over():
     assert not Tuning(gyro_cutoff=20.0).whitens(0.004)
     assert not WINDOW.whitens(0.004)
     assert COMMANDS.whitens(0.004)
+    # Behind a fast low-pass the commands pass it too; speeds, which are whitened faster, do not.
+    assert replace(COMMANDS, gyro_cutoff=80.0).whitens(0.004)
+    assert not replace(COMMANDS, gyro_cutoff=40.0).whitens(0.004)
+    assert not Tuning(gyro_cutoff=80.0).whitens(0.004)
     assert not replace(COMMANDS, lags=(0.05,)).whitens(0.004)
 
 

@@ -73,6 +73,8 @@ def test_the_arm_of_a_layout_is_a_placeholder():
         ({"mass": 0.0015}, "is implausible for an arm of 0.25 m"),  # tonnes
         ({"k_T": 1.25e-5 * (30.0 / math.pi) ** 2 * 100.0}, "check mass (kg), arm (m) and the unit"),
         ({"k_T": 1e-9}, "check mass (kg), arm (m) and the unit"),
+        ({"moment_ratio": 0.04}, "torque over thrust is 0.04 m, expected 0.0076 to 0.033 m"),
+        ({"moment_ratio": 0.004}, "check motor order, spin and tilt of the rotors"),
         ({"Ixx": 0.2}, "Ixx is 2.1 of mass x arm^2, expected 0.01 to 1"),
         ({"Iyy": 1e-4}, "Iyy is 0.0011 of mass x arm^2"),
         ({"Izz": 0.3}, "Izz is 3.2 of mass x arm^2"),
@@ -192,3 +194,31 @@ def test_every_status_is_explained_beside_the_intervals():
     page = Path(__file__).parents[2] / "docs" / "intervals.md"
     listed = re.findall(r"^\| `(\w+)` \|", page.read_text("utf-8"), re.M)
     assert sorted(listed) == sorted(get_args(Status))
+
+
+def test_swapped_coaxial_rotors_are_not_identified():
+    """The upper taken for the lower rotor on one arm of four: k_M comes out twice as large."""
+    pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
+    x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
+    sound = values(moment_ratio=0.018)
+    assert objections(sound, x8, "speed") == ()
+    twice = values(moment_ratio=0.036, k_M=4.5e-7)
+    (found,) = objections(twice, x8, "speed")
+    assert "check upper and lower rotors, motor order" in found.reason
+    after = capped(twice, (found,))
+    weak = {name for name in after if after[name].status == "weak"}
+    assert weak == {"k_M", "moment_ratio", "rotor_inertia"}
+
+
+def test_with_commands_neighboring_rotors_bound_the_propellers():
+    command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
+    command["T_max"] = Value(8.0, 0.01, "identified")
+    # Neighbors are 0.35 m apart: at most 0.046 m.
+    for ratio, objected in ((0.04, 0), (0.05, 1)):
+        command["moment_ratio"] = Value(ratio, 1e-4, "identified")
+        assert len(objections(command, QUAD, "command")) == objected
+    pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
+    x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
+    for ratio, objected in ((0.03, 0), (0.035, 1)):
+        command["moment_ratio"] = Value(ratio, 1e-4, "identified")
+        assert len(objections(command, x8, "command")) == objected

@@ -1,6 +1,8 @@
 """Whole flights with commands, unsound speeds, or a filtered gyro."""
 
+import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
@@ -162,6 +164,25 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     feed(late, (*records, parameter))
     late.finish()
     assert late.outdated == (cutoff != 20)
+
+
+@pytest.mark.thorough
+@pytest.mark.slow
+def test_a_low_pass_that_is_found_is_in_the_result(fly):
+    flown = fly("--mission", "all-axes", "--rate", "200", "--duration", "15", "--seed", "3")
+    records = flown.records()
+    imu = np.array([r.values for r in records if r.stream is Stream.IMU])
+    late = iter(lfilter(*butter(2, 2.0 * 25.0 / 200.0), imu[:, :3], axis=0))
+    filtered = [
+        r._replace(values=(*next(late), *r.values[3:])) if r.stream is Stream.IMU else r
+        for r in records
+    ]
+    sent, found = (
+        identified(some).telemetry["rotor_input"]["gyro_filter_found"]
+        for some in (records, filtered)
+    )
+    assert sent is None
+    assert found == pytest.approx(25.0, rel=0.1)
 
 
 @pytest.mark.slow

@@ -79,6 +79,22 @@ def test_a_simulator_without_gyroscopic_torque_is_no_rigid_body():
     assert result.parameters["Ixx"].status == "identified"
 
 
+@pytest.mark.thorough
+def test_a_filtered_gyro_of_a_real_quad_on_commands_tells_its_inertia():
+    """A Crazyflie; 1.66e-5 kg m^2 in the literature, 1.47e-5 by plain least squares."""
+    log = LOGS / "real" / "crazyflie_log15.tlog"
+    result = analyze_log(log, load_airframe(str(LOGS / "real" / "crazyflie.toml")))
+    for name in ("Ixx", "Iyy"):
+        low, high = result.parameters[name].ci95
+        assert 1.05e-5 < low < 1.5e-5 < high < 1.95e-5, name
+    for axis in ("roll", "pitch"):
+        assert result.validation["r_squared"][axis] > 0.95
+    lag, late = result.timing["motor_lag"], result.timing["rotor_delay"]
+    # The gyro is late by what its sensor filters; least squares put all in the lag.
+    assert lag.value - late.value == pytest.approx(0.07, abs=0.015)
+    assert result.parameters["Izz"].status == "unobservable"
+
+
 def test_slow_logs_are_refused_with_reasons():
     airframe = load_airframe("ardupilot-quad-x").with_anchor("mass", 1.5)
     result = analyze_log(LOGS / "public" / "real-quad-mavlink1.tlog", airframe)

@@ -68,7 +68,15 @@ def test_measured_speeds_are_preferred():
     assert rotor_selector.choice.name == "ESC_STATUS"
     assert rotor_selector.choice.kind == "speed"
     assert rotor_selector.choice.scale == 1.0
+    assert rotor_selector.choice.interval == pytest.approx(t[1] - t[0])
     assert rotor_selector.refused == {}
+
+
+def test_the_time_between_new_readings_is_noted():
+    t, u, v = signals()
+    slow = speeds(np.repeat(v[::4], 4, axis=0)[: len(t)], t)
+    choice = judged(commands(u, t), slow).choice
+    assert choice.interval == pytest.approx(4.0 * (t[1] - t[0]), rel=0.05)
 
 
 def test_no_decision_before_enough_flight_and_none_from_the_ground():

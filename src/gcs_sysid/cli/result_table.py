@@ -138,6 +138,12 @@ def _notes(result: Result) -> list[str]:
     if spikes:
         were = "spike was" if spikes == 1 else "spikes were"
         notes.append(f"{spikes} gyro {were} replaced by interpolation")
+    found = result.telemetry.get("rotor_input", {}).get("gyro_filter_found")
+    if found:
+        notes.append(
+            f"the gyro is low-passed, late as by a filter of {found:.0f} Hz, and is treated so; "
+            "declare [imu] gyro_filter in the airframe file"
+        )
     if result.estimator == "offline":
         notes.insert(0, f"offline estimate: {result.method or 'maximum likelihood'}")
     return [*notes, *result.reasons]

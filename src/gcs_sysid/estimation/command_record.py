@@ -18,6 +18,7 @@ from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagOf
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, MotorRows, step_of
 from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.rotor_signals import low_pass_for
 from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.thrust_drift import Drift, hindsight
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
@@ -93,12 +94,20 @@ class CommandRecord:
         dt: s between samples.
         batch_time: s, of long batches.
         curve: thrust curve that is given; None: it is unknown.
+        gyro_cutoff: Hz of the autopilot's second-order low-pass of its gyro; None: there is none.
     """
 
     def __init__(
-        self, geometry: Array, dt: float, batch_time: float, curve: float | None = None
+        self,
+        geometry: Array,
+        dt: float,
+        batch_time: float,
+        curve: float | None = None,
+        gyro_cutoff: float | None = None,
     ) -> None:
         self._geometry, self._dt, self._batch_time, self._curve = geometry, dt, batch_time, curve
+        # Behind a linear lag the order does not matter, and the curve hardly bends so fast.
+        self._low_pass = low_pass_for(gyro_cutoff, dt)
         self._kept: list[_Samples | None] | None = []
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
@@ -143,6 +152,8 @@ class CommandRecord:
             drift: for which the commands were corrected.
         """
         self._samples += len(inputs)
+        if self._low_pass is not None:
+            inputs = self._low_pass.update(inputs)
         if self._kept is not None:
             parts = inputs, gyro, rates, drift.applied, drift.fallen
             self._kept.append(tuple(part.copy() for part in parts))  # type: ignore[arg-type]
@@ -151,6 +162,8 @@ class CommandRecord:
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
+        if self._low_pass is not None:
+            self._low_pass.restart()
         if self._kept:
             self._kept.append(None)
         if self._now is not None:

@@ -51,6 +51,11 @@ class EvidenceRules:
     Of 30 recorded flights none with roll and pitch so well explained has less than 0.98 on yaw; an
     octocopter with rotors 1 and 2 swapped has 0.99, 0.99 and 0.24."""
 
+    unexplained: float = 0.1
+    """Share of what was flown on an axis, below which rotors may be in another order. Two hexas
+    with rotors 1 and 2 swapped have 0.00 and 0.02 on yaw, and one a CG that was off by 34 and
+    52 %; an octocopter in wind has 0.24."""
+
 
 RULES = EvidenceRules()
 
@@ -71,11 +76,16 @@ class Evidence:
     unmoved: tuple[bool, bool, bool] = (False, False, False)
     still: bool = False
     """Whether hardly any rotation was flown on any axis: other reasons follow from that one."""
+    misplaced: bool = False
+    """Whether rotors explain nothing of what was flown on an axis: their order may be wrong, and
+    with it the CG. The order of four shows on roll and pitch, that of more on yaw too."""
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""
         capped = [axis for axis in parameter.axes if self.capped[axis]]
-        if parameter.mean_torque:
+        if parameter.mean_torque and self.misplaced:
+            capped = list(parameter.axes)
+        elif parameter.mean_torque:
             capped = [axis for axis in capped if not self.unmoved[axis]]
         return replace(value, status="weak") if capped and value.status == "identified" else value
 
@@ -135,8 +145,11 @@ def evidence_of(
         return Evidence((True, True, True), (why, *reasons))
     least = RULES.least_whitened_r2 if whitened else RULES.least_r2
     capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored | still)
-    unmoved = tuple(bool(c) for c in (unpredicted | still) & ~colored)
-    return Evidence(capped, tuple(reasons), unmoved, hovered)  # type: ignore[arg-type]
+    unmoved = (unpredicted | still) & ~colored
+    flown = ~still & (np.arange(3) < (3 if rotors > 4 else 2))
+    misplaced = bool((explained[flown] < RULES.unexplained).any())
+    axes = tuple(map(bool, unmoved))
+    return Evidence(capped, tuple(reasons), axes, hovered, misplaced)  # type: ignore[arg-type]
 
 
 def _still(fit: Fit) -> tuple[Mask, tuple[str, ...]]:

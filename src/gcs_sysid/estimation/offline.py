@@ -18,6 +18,7 @@ from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood, 
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.speed_noise import with_sparse_readings
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import step_for
@@ -183,6 +184,8 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
         # Without a prior the data determine all, and more than online.
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
+    if online.moments is not None:
+        fit = with_sparse_readings(fit, tracker.tuning.speed_interval, online.moments.window)
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     online = replace(online, aligned_by=rotation)
     return OfflineFit(

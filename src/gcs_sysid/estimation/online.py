@@ -24,6 +24,7 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.speed_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
@@ -163,6 +164,7 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning, offline)
         self._basis = self._record.basis
+        self._speed_interval = tuning.speed_interval
         self._whitening = WhitenedEstimator(self._record, geometry)
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
@@ -186,6 +188,11 @@ class OnlineEstimator:
     def drift(self) -> ThrustDrift | None:
         """Of thrust at a given command; None: rotor speeds need none."""
         return self._record.drift
+
+    @property
+    def low_passed(self) -> bool:
+        """Whether the gyro was found to come through an undeclared low-pass."""
+        return self._record.low_passed
 
     @property
     def speed_std(self) -> Array:
@@ -401,7 +408,7 @@ class OnlineEstimator:
         moments = [i.whitened for i in instants if i.whitened is not None]
         if moments:
             fits = self._whitening.follow(moments, warm_start.rotation, self.prior)
-            return self._doubted(fits, warm_start.rotation)
+            return self._doubted(fits, warm_start.rotation, instants)
         place = warm_start.rotation.lag_place
         self._use_place(place)
         fits = rotation.follow_rotation(
@@ -412,15 +419,25 @@ class OnlineEstimator:
             warm_start.rotation,
             self.prior,
         )
-        return self._doubted(fits, warm_start.rotation)
+        return self._doubted(fits, warm_start.rotation, instants)
 
-    @staticmethod
-    def _doubted(fits: list[RotationFit], start: RotationFit) -> list[RotationFit]:
+    def _doubted(
+        self, fits: list[RotationFit], start: RotationFit, instants: Sequence[_Instant]
+    ) -> list[RotationFit]:
         """Fits with what lags taken over from an earlier one."""
         place = start.lag_place
         if place is None:
-            return fits
+            return [self._read(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
         return [with_lag_doubt(fit, place, start.lag_doubt) for fit in fits]
+
+    def _read(self, fit: RotationFit, instant: _Instant | None = None) -> RotationFit:
+        """A fit to speeds, with what they miss between readings; at an instant, or now."""
+        if not is_sparse(self._speed_interval) or fit.lag_place is not None:
+            return fit
+        found = self._moments(fit) if instant is None else self._moments_at(fit, instant)
+        if found is None:
+            return fit
+        return with_sparse_readings(fit, self._speed_interval, found.window)
 
     def _use_place(self, place: LagPlace | None) -> None:
         """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
@@ -520,6 +537,10 @@ class OnlineEstimator:
             self.prior = self.prior_source(self.fit_translation()[0])
 
     def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
+        fit = self._fitted_rotation(start)
+        return None if fit is None else self._read(fit)
+
+    def _fitted_rotation(self, start: RotationFit | None) -> RotationFit | None:
         record = self._record
         if record.article:
             return record.article.fit()
@@ -671,6 +692,10 @@ class OnlineEstimator:
         )
 
     def _fit_without_products(self) -> RotationFit | None:
+        fit = self._fitted_without_products()
+        return None if fit is None else self._read(fit)
+
+    def _fitted_without_products(self) -> RotationFit | None:
         if self._whitened is not None:
             found = self._whitened.fit(prior=self.prior, rigid=False)
             return None if found is None else found[0]

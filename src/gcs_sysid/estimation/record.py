@@ -122,7 +122,9 @@ class FlightRecord:
         steps = None
         if tuning.whitens(dt) and commands:
             given = tuning.curves[0] if len(tuning.curves) == 1 else None
-            self.commands = CommandRecord(geometry, dt, tuning.batch_time, given)
+            self.commands = CommandRecord(
+                geometry, dt, tuning.batch_time, given, tuning.gyro_cutoff
+            )
         elif tuning.whitens(dt):
             step = step_for(dt)
             elements = ActuatorDynamics(step.delays, half_width=None, dt=dt)

@@ -49,11 +49,7 @@ class RotorPath:
         self._bent = list(basis.bent_lags)
         self._filters = [motor_filter(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
-        self._low_pass: tuple[Array, Array] | None = None
-        self._filter_settling = 0
-        if gyro_cutoff is not None and gyro_cutoff < 0.45 / dt:
-            self._low_pass = _butterworth(gyro_cutoff * dt)
-            self._filter_settling = int(np.ceil(_SETTLED / (4.4 * gyro_cutoff * dt)))
+        self._low_pass = low_pass_for(gyro_cutoff, dt)
         self.restart()
 
     def restart(self) -> None:
@@ -61,8 +57,9 @@ class RotorPath:
         self._last: Array | None = None
         self._last_command: Array = np.empty(0)
         self._last_square: Array = np.empty(0)
-        self._state: Array | None = None
-        self._wait = self._settle = 0
+        self._wait = 0
+        if self._low_pass is not None:
+            self._low_pass.restart()
 
     def signals(self, rotors: Array) -> tuple[Array, Array, Array]:
         """The signals of (n, rotors) speeds in rad/s, or commands of 0 to 1; NaN where missing.
@@ -84,7 +81,8 @@ class RotorPath:
         if self._low_pass is not None:
             k, n = len(signals), len(rotors)
             flat = np.zeros((len(bent), n, signals.shape[2] - bent.shape[2]))
-            both = self._filtered(np.concatenate([signals, np.concatenate([bent, flat], axis=-1)]))
+            both = np.concatenate([signals, np.concatenate([bent, flat], axis=-1)])
+            both = np.swapaxes(self._low_pass.update(np.swapaxes(both, 0, 1)), 0, 1)
             signals, bent = both[:k], both[k:, :, :4]
         return signals, bent, thrust
 
@@ -130,30 +128,55 @@ class RotorPath:
                 squares[i, run.start + skip : run.stop] = lagged[skip:]
         return out, squares
 
-    def _filtered(self, signals: Array) -> Array:
-        """(lags * sets, n, SIGNALS) through the gyro's low-pass; it needs some time to settle."""
-        assert self._low_pass is not None
-        b, a = self._low_pass
+
+class GyroLowPass:
+    """An autopilot's second-order low-pass of its gyro, for signals that meet that gyro.
+
+    Args:
+        cutoff: cycles a sample.
+    """
+
+    def __init__(self, cutoff: float) -> None:
+        self._b, self._a = _butterworth(cutoff)
+        self._settling = int(np.ceil(_SETTLED / (4.4 * cutoff)))
+        self.restart()
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._state: Array | None = None
+        self._settle = 0
+
+    def update(self, signals: Array) -> Array:
+        """(n, ...) signals filtered, NaN where they are missing and until the filter settles."""
         out = np.full_like(signals, np.nan)
-        whole = complete_rows(np.swapaxes(signals, 0, 1).reshape(signals.shape[1], -1))
-        for run, there in runs(whole):
+        for run, there in runs(complete_rows(signals.reshape(len(signals), -1))):
             if not there:
                 self._state = None
                 continue
-            part = signals[:, run]
+            part = signals[run]
             if self._state is None:
-                self._state = _steady(b, a, part[:, 0])
-                self._settle = self._filter_settling
-            filtered, self._state = lfilter(b, a, np.swapaxes(part, 0, 1), self._state)
-            skip = min(self._settle, part.shape[1])
+                self._state = _steady(self._b, self._a, part[0])
+                self._settle = self._settling
+            filtered, self._state = lfilter(self._b, self._a, part, self._state)
+            skip = min(self._settle, len(part))
             self._settle -= skip
-            out[:, run.start + skip : run.stop] = np.swapaxes(filtered[skip:], 0, 1)
+            out[run.start + skip : run.stop] = filtered[skip:]
         return out
+
+
+def low_pass_for(cutoff: float | None, dt: float) -> GyroLowPass | None:
+    """The low-pass of this cutoff, Hz, for samples dt s apart; None where it passes them all."""
+    return None if cutoff is None or cutoff >= 0.45 / dt else GyroLowPass(cutoff * dt)
 
 
 def low_pass_delay(cutoff: float | None) -> float:
     """S by which the second-order low-pass of a gyro delays slow motion; None: there is none."""
     return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
+
+
+def cutoff_of(delay: float) -> float:
+    """Hz of the second-order low-pass that delays slow motion by so many s."""
+    return math.sqrt(2.0) / (2.0 * math.pi * delay)
 
 
 def _butterworth(cutoff: float) -> tuple[Array, Array]:
@@ -167,7 +190,7 @@ def _butterworth(cutoff: float) -> tuple[Array, Array]:
 
 
 def _steady(b: Array, a: Array, first: Array) -> Array:
-    """(2, lags * sets, SIGNALS) state of the filter as if the first value had always been."""
+    """(2, ...) state of the filter as if the first value had always been."""
     gain = b.sum() / a.sum()
     state: Array = np.stack([(gain - b[0]) * first, (b[2] - a[2] * gain) * first])
     return state

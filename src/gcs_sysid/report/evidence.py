@@ -357,6 +357,8 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         out["Rejected"] = "; ".join(f"{name} {why}" for name, why in refused.items())
     if rotors.get("gyro_filter"):
         out["Gyro filter assumed"] = f"{rotors['gyro_filter']:g} Hz"
+    if rotors.get("gyro_filter_found"):
+        out["Gyro filter found"] = f"{rotors['gyro_filter_found']:.0f} Hz, by its delay"
     systems = counts.get("systems") or ()
     if systems:
         out["Systems"] = ", ".join(map(str, systems))

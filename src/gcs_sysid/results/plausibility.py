@@ -36,11 +36,21 @@ class PlausibleRanges:
     """Ixx and Iyy over mass times arm squared. All the mass at the motors of a quad: 0.5."""
     yaw: Range = (0.02, 2.0)
     """Izz over the same. All the mass at the motors: 1."""
+    moment_ratio: Range = (0.03, 0.13)
+    """k_M / k_T over the propeller's diameter, C_P / (2 pi C_T) of propellers. With the diameter
+    that k_T has at C_T = 0.1, vehicles of known k_M have 0.049 to 0.119, the CineRat of 3 inches
+    0.104, and the article's 0.059. Upper and lower rotor of one arm of four swapped: twice as
+    much."""
+    most_of_many: float = 0.09
+    """The same over the distance between neighbors, of vehicles with six rotors and more, whose
+    propellers are large ones: 0.05 to 0.076 emulated. The small ones of quads reach 0.11."""
 
 
 RANGES = PlausibleRanges()
 _BY_ARM = frozenset(name for name, p in PARAMETERS.items() if p.theta)
 """Read off torque over angular acceleration, in proportion to the arm."""
+_BY_SPIN = frozenset({"k_M", "moment_ratio", "rotor_inertia"})
+"""Read off what the rotors' spins do to yaw."""
 _BY_SCALE = frozenset(name for name, p in PARAMETERS.items() if p.scale != "none")
 """In proportion to mass or thrust."""
 
@@ -99,7 +109,13 @@ def objections(
     sizes = [Objection(reason, everything) for reason in _sizes(found, airframe, rotor_input)]
     # Where mass and arm do not fit each other, inertia cannot fit both.
     inertia = () if sizes else _inertia(found, airframe.arm)
-    return (*out, *sizes, *(Objection(reason, frozenset(INERTIA)) for reason in inertia))
+    spins = () if sizes else _spins(found, airframe, rotor_input)
+    return (
+        *out,
+        *sizes,
+        *(Objection(reason, frozenset(INERTIA)) for reason in inertia),
+        *(Objection(reason, _BY_SPIN & everything) for reason in spins),
+    )
 
 
 def capped(values: Mapping[str, Value], found: Iterable[Objection]) -> dict[str, Value]:
@@ -177,6 +193,38 @@ def _inertia(found: Mapping[str, float], arm: float) -> Iterable[str]:
             )
 
 
+def _spins(
+    found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
+) -> Iterable[str]:
+    """Torque over thrust against the propeller's diameter.
+
+    Rotors that share an arm always get nearly the same command: no flight shows which of them is
+    the upper one. The same holds for a tilt of all rotors, which adds to their torque.
+    """
+    ratio, k_T = found.get("moment_ratio"), found.get("k_T")
+    low, high = RANGES.moment_ratio
+    if rotor_input == "speed" and k_T is not None and k_T > 0.0:
+        diameter = (4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25
+    else:
+        # The largest that do not touch their neighbors.
+        diameter, low = _apart(airframe), 0.0
+        high = high if len(airframe.rotors) <= _FEW else RANGES.most_of_many
+    # Below zero it is the sign that is wrong, which the verdict says.
+    if ratio is None or ratio <= 0.0 or _within(ratio, (low * diameter, high * diameter)):
+        return
+    what = "upper and lower rotors, " if _coaxial(airframe) else ""
+    least = f"{low * diameter:.2g} to" if low else "at most"
+    yield (
+        f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
+        f"{high * diameter:.2g} m of propellers of {diameter:.2g} m: check {what}motor order, spin "
+        "and tilt of the rotors in the airframe file"
+    )
+
+
+_FEW = 4
+_C_T, _AIR = 0.1, 1.225
+"""Thrust coefficient in the middle of those of `PlausibleRanges.rotor`, of whose fourth root the
+diameter depends; kg/m^3."""
 _TRIANGLE = 1.05
 """A flat vehicle has Izz = Ixx + Iyy; identified moments scatter by up to 5 %."""
 
@@ -185,6 +233,13 @@ def _coaxial(airframe: Airframe) -> bool:
     """Whether two rotors share a position, seen from above."""
     near = _SAME_PLACE * airframe.arm
     return any(math.hypot(a.x - b.x, a.y - b.y) < near for a, b in combinations(airframe.rotors, 2))
+
+
+def _apart(airframe: Airframe) -> float:
+    """M between the nearest rotors that are not coaxial."""
+    near = _SAME_PLACE * airframe.arm
+    every = (math.hypot(a.x - b.x, a.y - b.y) for a, b in combinations(airframe.rotors, 2))
+    return min((apart for apart in every if apart >= near), default=math.inf)
 
 
 _SAME_PLACE = 0.05

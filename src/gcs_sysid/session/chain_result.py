@@ -26,6 +26,7 @@ from gcs_sysid.estimation.physical_parameters import (
     with_clock_error,
 )
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.rotor_signals import cutoff_of
 from gcs_sysid.estimation.scale import Scale, resolve_scale
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
@@ -298,6 +299,13 @@ class Findings:
             "std": np.degrees(found.turned_std).tolist(),
         }
 
+    def _gyro_filter_found(self) -> float | None:
+        """Hz of the undeclared low-pass that the gyro's delay is that of; None: none was found."""
+        tracker, fit = self.learner.tracker, self.learner.fit.rotation
+        if tracker is None or fit is None or not tracker.low_passed or not fit.delay < 0.0:
+            return None
+        return cutoff_of(-float(fit.delay))
+
     @property
     def _twin(self) -> str | None:
         """The other stream of commands that is used."""
@@ -317,6 +325,7 @@ class Findings:
             "with": self._twin,
             "repeats": self.sampler.rotor_selector.repeats[source.name].as_dict(),
             "gyro_filter": None if self.learner.tracker is None else self.learner.cutoffs[0],
+            "gyro_filter_found": self._gyro_filter_found(),
             "loop_filter": None if self.learner.tracker is None else self.learner.cutoffs[1],
         }
         if source.range is not None:

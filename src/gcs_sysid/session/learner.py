@@ -261,7 +261,7 @@ class Learner:
         self._events_reported = 0
         own, changes = self._options.tuning, self._options.changes
         self.cutoffs = gyro, loop = self.used_of(known.cutoffs)
-        tuning = replace(own, gyro_cutoff=gyro)
+        tuning = replace(own, gyro_cutoff=gyro, speed_interval=self.rotors.interval)
         if self.rotors.kind == "command":
             curve = self._airframe.command.thrust_curve
             tuning = replace(

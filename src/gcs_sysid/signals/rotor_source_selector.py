@@ -274,8 +274,8 @@ class RotorSourceSelector:
                 continue
             if self._too_slow(stretch):
                 why = "measured speeds, read as rad/s in an rpm field, by the thrust needed"
-                return RotorSource("speed", name, why, scale=1.0 / _RPM)
-            return RotorSource("speed", name, "measured speeds")
+                return RotorSource("speed", name, why, scale=1.0 / _RPM, interval=_apart(stretch))
+            return RotorSource("speed", name, "measured speeds", interval=_apart(stretch))
         for name in commands if wanted != "speed" else ():
             range_ = self._range(name, stretches[name])
             if range_ is None:
@@ -341,6 +341,19 @@ class RotorSourceSelector:
         power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
         return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
+
+
+_STALE = 1.5
+"""Times between messages, from which a source repeats its readings."""
+
+
+def _apart(stretch: Stretch) -> float:
+    """S between new readings of the first rotor."""
+    t, values = stretch.rotors(1)[0]
+    if len(t) < 2:
+        return 0.0
+    sent, new = float(np.median(np.diff(t))), float(t[-1] - t[0]) / _readings(values)
+    return new if new > _STALE * sent else sent  # some readings are the same by chance
 
 
 def _readings(values: Array) -> float:

@@ -158,6 +158,7 @@ class RotorSource:
         range: of commands.
         scale: of speeds: rad/s for what the decoder took for rad/s.
         refused: name -> why not, of the others.
+        interval: s between readings; 0 where that does not matter.
     """
 
     kind: Literal["speed", "command"]
@@ -166,6 +167,7 @@ class RotorSource:
     range: Range | None = None
     scale: float = 1.0
     refused: Mapping[str, str] | None = None
+    interval: float = 0.0
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""
