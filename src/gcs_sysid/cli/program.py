@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser
 from gcs_sysid.cli import arguments, option_groups
-from gcs_sysid.cli.output import abandon_stdout, is_full, say
+from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.files import never_fail_to_print
 from gcs_sysid.sanitize import one_line
@@ -242,7 +242,7 @@ def _run(argv: Sequence[str]) -> int:
     if options.command is None:
         from gcs_sysid.cli.welcome import welcome
 
-        print(welcome(parser))
+        show(welcome(parser))
         return DONE
     arguments.with_mappings(options)
     command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
