@@ -105,13 +105,9 @@ CASES = {
     ),
 }  # fmt: skip
 PRINTING = {
-    ("", "prints"): Case((), None, "doctor", dash=False, seconds=False),
-    ("airframe check", "prints"): Case(
-        ("airframe", "check", "paper"), None, "rotors", dash=False, seconds=False
-    ),
-    ("completion", "prints"): Case(
-        ("completion", "bash"), None, "gcs-sysid", dash=False, seconds=False
-    ),
+    ("", "prints"): Case((), None, "doctor", dash=False),
+    ("airframe check", "prints"): Case(("airframe", "check", "paper"), None, "rotors", dash=False),
+    ("completion", "prints"): Case(("completion", "bash"), None, "gcs-sysid", dash=False),
     ("doctor", "prints"): Case(("doctor", "--duration", "0.1"), None, "packages", dash=False),
 }
 """Commands that write nothing else."""
