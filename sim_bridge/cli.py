@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser, between, not_negative, number, positive
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.files import read_bytes
+from gcs_sysid.files import never_fail_to_print, read_bytes
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge import ardupilot
@@ -410,6 +410,7 @@ def _end_with_stdin() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; the exit status. For the main thread: it takes SIGTERM while it runs."""
+    never_fail_to_print()
     args = make_parser().parse_args(argv)
 
     def stop(signum: int, frame: FrameType | None) -> None:

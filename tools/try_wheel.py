@@ -72,7 +72,7 @@ def attempt(python: str, wheel: Path, sdist: Path, folder: Path) -> list[str]:
     shutil.rmtree(tree / "sim_bridge")
     run(*pip, *TEST_TOOLS, cwd=folder)
     tests = run(
-        inside, "-m", "pytest", "-p", "no:cacheprovider", "-n", "2", "-m",
+        inside, "-m", "pytest", "-p", "no:cacheprovider", "-n", "auto", "-m",
         "not slow and not thorough", *(f"tests/{name}" for name in CORE), cwd=tree,
     )  # fmt: skip
     run(*pip, "--force-reinstall", "--no-deps", sdist, cwd=folder)

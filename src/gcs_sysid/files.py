@@ -1,7 +1,9 @@
-"""Files read whole, within bounds, and written whole or not at all."""
+"""Files read whole, within bounds, and written whole or not at all; standard streams."""
 
+import io
 import os
 import stat
+import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -13,6 +15,20 @@ _MOST_DOTS = 1000
 """In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 _MOST_SQUARES = 10_000_000
 """Sum over the lines of dots squared, which takes tomllib 0.2 s."""
+_STRICT = ("strict", "surrogateescape")
+"""Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
+
+
+def never_fail_to_print() -> None:
+    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark.
+
+    What was closed before the start, as by `>&-`, leads nowhere.
+    """
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in _STRICT:
+            stream.reconfigure(errors="replace")
 
 
 def check_regular(path: Path) -> None:

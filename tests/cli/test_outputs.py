@@ -17,6 +17,7 @@ from typing import NamedTuple
 import pytest
 
 from gcs_sysid.cli.program import build_parser, run
+from sim_bridge.cli import make_parser
 
 pytestmark = [
     pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here"),
@@ -24,6 +25,7 @@ pytestmark = [
 
 READ = {"truth", "signing_key", "airframe", "baseline"}
 """Options with a FILE that is read."""
+READ_BY_EMULATOR = {"airframe", "gains", "signing_key"}
 FLIGHT = ("--airframe", "paper", "--headless", "--speed", "max", "--duration", "12")
 
 
@@ -32,19 +34,22 @@ class Case(NamedTuple):
 
     Attributes:
         argv: the command; `{flight}`, `{a}`, `{b}`, `{logs}`, `{fleet}` and `{out}` are filled in.
-        suffix: of the output; none: a folder.
+        suffix: of the output; empty: a folder; None: there is none.
         prints: what standard output shows besides, where the option names a file.
         dash: whether `-` is standard output.
         seconds: whether it takes that long.
+        program: module that is run.
     """
 
     argv: tuple[str, ...]
-    suffix: str
+    suffix: str | None
     prints: str = ""
     dash: bool = True
     seconds: bool = True
+    program: str = "gcs_sysid"
 
 
+EMULATED = ("--airframe", "paper", "--speed", "max", "--duration", "2", "--force")
 ON_LOG = ("{flight}", "--airframe", "paper")
 TUNED = ("{a}", "--set", "motor_lag=0.03", "--set", "rotor_speed_max=230", "--draws", "3")
 CASES = {
@@ -92,27 +97,58 @@ CASES = {
     ("batch", "output"): Case(("batch", "{logs}", "--airframe", "paper", "-o", "{out}"), "",
         dash=False),
     ("trend", "output"): Case(("trend", "{fleet}", "-o", "{out}"), ".html", dash=False),
+    ("sim-bridge", "tlog"): Case(
+        (*EMULATED, "--tlog", "{out}"), ".tlog", dash=False, program="sim_bridge"
+    ),
+    ("sim-bridge", "truth"): Case(
+        (*EMULATED, "--truth", "{out}"), ".json", dash=False, program="sim_bridge"
+    ),
 }  # fmt: skip
+PRINTING = {
+    ("", "prints"): Case((), None, "doctor", dash=False),
+    ("airframe check", "prints"): Case(("airframe", "check", "paper"), None, "rotors", dash=False),
+    ("completion", "prints"): Case(("completion", "bash"), None, "gcs-sysid", dash=False),
+    ("doctor", "prints"): Case(("doctor", "--duration", "0.1"), None, "packages", dash=False),
+}
+"""Commands that write nothing else."""
+SERVING = {"web"}
+"""Commands that print an address; their pages are tested in a browser."""
 LIVE = {("live", "json"), ("live", "record")}
 """The same code as of `demo`, which has a vehicle."""
 
 
-def output_options(parser, name=()):
+def commands(parser, name=()):
+    """All that can be run, by name."""
+    parts = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    if not all(part.required for part in parts) or not parts:
+        yield " ".join(name)
+    for part in parts:
+        for word, under in part.choices.items():
+            yield from commands(under, (*name, word))
+
+
+def output_options(parser, name=(), read=READ):
     """(command, option) of all that name a file or folder to be written."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for word, part in action.choices.items():
-                yield from output_options(part, (*name, word))
+                yield from output_options(part, (*name, word), read)
         elif (
             action.option_strings
-            and action.dest not in READ
+            and action.dest not in read
             and str(action.metavar).startswith(("FILE", "DIR"))
         ):
             yield " ".join(name), action.dest
 
 
 def test_every_output_option_is_in_the_sweep():
-    assert set(output_options(build_parser())) == set(CASES) | LIVE
+    emulator = output_options(make_parser(), ("sim-bridge",), READ_BY_EMULATOR)
+    assert {*output_options(build_parser()), *emulator} == set(CASES) | LIVE
+
+
+def test_every_command_is_in_the_sweep():
+    known = {name for name, _ in {*CASES, *LIVE, *PRINTING}} - {"sim-bridge"}
+    assert set(commands(build_parser())) == known | SERVING
 
 
 @pytest.fixture(scope="session")
@@ -140,7 +176,7 @@ def call(places, tmp_path):
         words = [word.format(out=out, **places) for word in case.argv]
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
         done = subprocess.run(
-            [sys.executable, "-m", "gcs_sysid", *words],
+            [sys.executable, "-m", case.program, *words],
             stdin=subprocess.DEVNULL, cwd=tmp_path, timeout=240, check=False,
             env={**os.environ, **(environment or {})}, **streams,
         )  # fmt: skip
@@ -162,6 +198,8 @@ def check_refusal(status, err):
 
 
 def check_written(case, path):
+    if case.suffix is None:
+        return
     if not case.suffix:
         assert (path / "fleet.parquet").stat().st_size > 1000
         return
@@ -177,10 +215,10 @@ def swept(which):
     """Cases as parameters: those that take seconds are not in `make quick`."""
     return [
         pytest.param(
-            case, id="-".join(name).replace(" ", "-"),
+            case, id=" ".join(name).strip(),
             marks=[pytest.mark.slow] if case.seconds else [],
         )
-        for name, case in CASES.items()
+        for name, case in {**CASES, **PRINTING}.items()
         if which(case)
     ]  # fmt: skip
 
@@ -189,12 +227,16 @@ def thorough(which):
     """The same; those that take seconds are in `make test-all` alone."""
     return [
         pytest.param(
-            case, id="-".join(name).replace(" ", "-"),
+            case, id=" ".join(name).strip(),
             marks=[pytest.mark.thorough] if case.seconds else [],
         )
-        for name, case in CASES.items()
+        for name, case in {**CASES, **PRINTING}.items()
         if which(case)
     ]  # fmt: skip
+
+
+def writes(case):
+    return case.suffix is not None
 
 
 def limited():
@@ -204,7 +246,7 @@ def limited():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", swept(lambda case: True))
+@pytest.mark.parametrize("case", swept(writes))
 def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
     if case.dash or case.suffix == ".tlog":
         status, out, err = call(case, "/dev/full")
@@ -216,7 +258,7 @@ def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", thorough(lambda case: True))
+@pytest.mark.parametrize("case", thorough(writes))
 @pytest.mark.parametrize("place", ["gone", "read-only"])
 def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, place):
     folder = tmp_path / "gone"
@@ -228,7 +270,8 @@ def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, plac
         (tmp_path / "flat").write_text("a file, no folder")
     path = folder / f"out{case.suffix}"
     status, _, err = call(case, path)
-    if case.suffix == ".tlog" and place == "gone":  # the recorder makes the folder
+    # The recorder makes the folder.
+    if case.suffix == ".tlog" and place == "gone" and case.program == "gcs_sysid":
         assert status == 0
         check_written(case, path)
     else:
@@ -336,7 +379,7 @@ def test_closed_streams_cost_nothing(places, tmp_path, case):
     words = [word.format(out=path, **places) for word in case.argv]
     shell = ["/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
     done = subprocess.run(
-        [*shell, sys.executable, "-m", "gcs_sysid", *words], cwd=tmp_path, timeout=240, check=False
+        [*shell, sys.executable, "-m", case.program, *words], cwd=tmp_path, timeout=240, check=False
     )
     assert done.returncode == 0
     check_written(case, path)

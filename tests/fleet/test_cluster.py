@@ -1,5 +1,6 @@
 """A batch on a real Dask scheduler with two workers on this machine."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -18,8 +19,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def scheduler(tmp_path_factory):
-    """The address of a scheduler with two workers, each a process of its own."""
+def cluster(tmp_path_factory):
+    """The address of a scheduler, its process and those of two workers."""
     folder = tmp_path_factory.mktemp("dask")
     file = folder / "scheduler.json"
     program = [sys.executable, "-m", "distributed.cli."]
@@ -37,11 +38,16 @@ def scheduler(tmp_path_factory):
         with distributed.Client(scheduler_file=str(file), timeout=60) as client:
             client.wait_for_workers(2, timeout=60)
             address = client.scheduler.address
-        yield address
+        yield address, processes
     finally:
         for process in reversed(processes):
             process.terminate()
             process.wait(30)
+
+
+@pytest.fixture
+def scheduler(cluster):
+    return cluster[0]
 
 
 def test_a_batch_over_two_workers(batch, logs, scheduler, tmp_path):
@@ -73,3 +79,30 @@ def test_no_scheduler_is_a_line(batch, logs, tmp_path, monkeypatch):
     )
     assert (status, err.count("\n")) == (2, 1)
     assert "pip install distributed pyarrow" in err
+
+
+@pytest.mark.thorough
+def test_a_worker_that_is_killed_and_a_scheduler_that_dies(logs, cluster, tmp_path):
+    """Last in the file, as the cluster is then gone."""
+    address, (scheduler, victim, _) = cluster
+    command = [sys.executable, "-m", "gcs_sysid", "batch", str(logs), "--airframe", "paper"]
+    command += ["--scheduler", address, "-o"]
+
+    def batch(out, to_kill):
+        pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen([*command, str(out)], text=True, **pipe) as process:
+            while process.poll() is None and not list(out.glob("results/*.json")):
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(0.02)
+            to_kill.kill()
+            _, err = process.communicate(timeout=240)
+        assert "Traceback" not in err
+        return process.returncode, err
+
+    status, err = batch(tmp_path / "out", victim)
+    assert status == 0
+    assert "5 of 5 logs: 4 identified, 1 failed" in err
+    assert len(read_table(tmp_path / "out" / "fleet.parquet")) == 5
+    status, err = batch(tmp_path / "other", scheduler)
+    assert (status, err.count("error: ")) == (2, 1)
+    assert err.endswith("the Dask scheduler is gone; run the same command again for the rest\n")

@@ -1,12 +1,13 @@
 """Every harness on its seeds, on the inputs kept, and on what hypothesis draws near them."""
 
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.reliability.fuzz import definition_harnesses, link_harnesses
+from benchmarks.reliability.fuzz import blackbox_harnesses, definition_harnesses, link_harnesses
 from benchmarks.reliability.fuzz.__main__ import main, shares
 from benchmarks.reliability.fuzz.drive import Driver
 from benchmarks.reliability.fuzz.harness import Harness, one_line_errors
@@ -102,6 +103,33 @@ def test_what_a_harness_finds_is_kept_once(tmp_path):
     text = (tmp_path / "mine.json").read_text()
     assert '"inputs": 3' in text
     assert "AssertionError" in text
+
+
+def test_inputs_of_a_stream_are_checked_and_kept_together(tmp_path):
+    seen = []
+
+    def check(data):
+        seen.append(data)
+        assert b"bad" not in data
+
+    driver = Driver(Harness("mine", "", check, list, 1.0, together=2), 100, 1e9, tmp_path)
+    for data in (b"a", b"b", b"c", b"bad", b"d"):
+        driver.take(data)
+    assert seen == [b"ab", b"cbad"]
+    assert driver.count == 4
+    (kept,) = (path for path in tmp_path.glob("mine-*") if path.suffix == "")
+    assert kept.read_bytes() == b"cbad"
+
+
+def test_blackbox_bodies_that_are_misread_are_found_out(monkeypatch):
+    data = b"".join(blackbox_harnesses.bbl_body_seeds())
+    blackbox_harnesses.check_bbl_bodies(data)
+    read = blackbox_harnesses.read_frames
+    monkeypatch.setattr(
+        blackbox_harnesses, "read_frames", lambda *of: replace(read(*of), damaged=-1)
+    )
+    with pytest.raises(AssertionError, match="damaged frames"):
+        blackbox_harnesses.check_bbl_bodies(data)
 
 
 @pytest.mark.slow

@@ -7,7 +7,12 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks.reliability.fuzz.harness import one_line_errors
+from benchmarks.reliability.hostile import FILES, HEAD, TOP, ULG, formats, subscribed
+from benchmarks.reliability.hostile import ulg_entry as entry
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result_file import read_result
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry import ulog
 from gcs_sysid.telemetry.blackbox import read_blackbox
@@ -17,66 +22,38 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.ulog_scan import UlogFile
 
-HEAD = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
 SECONDS, MEGABYTES = 1.0, 200.0
-
-
-def entry(kind, content):
-    return struct.pack("<HB", len(content), ord(kind)) + content
-
-
-def formats(*texts):
-    return HEAD + b"".join(entry("F", text.encode()) for text in texts)
-
-
-def subscribed(*names):
-    return b"".join(
-        entry("A", struct.pack("<BH", 0, number) + name.encode())
-        for number, name in enumerate(names)
-    )
 
 
 def row(size, number=0):
     return entry("D", struct.pack("<H", number) + bytes(size))
 
 
-def nested(depth, count, leaf="uint8_t x;"):
-    return [*(f"n{i}:n{i + 1}[{count}] a;" for i in range(depth)), f"n{depth}:{leaf}"]
-
-
-TOP = "sensor_combined:uint64_t timestamp;"
-HOSTILE = {
-    "arrays of arrays": formats(*nested(8, 9), TOP + "n0[99] x;"),
-    "arrays of arrays of nothing": formats(
-        *nested(6, 65535, "uint8_t[0] x;"), TOP + "n0[65535] x;"
-    ),
-    "no fields": formats("z:;", *nested(6, 65535, "z x;"), TOP + "n0[65535] x;"),
-    "itself": formats(TOP + "sensor_combined x;"),
-    "each other": formats("a:b x;", "b:a[2] y;", TOP + "a x;"),
-    "a chain": formats(
-        *(f"d{i}:d{i + 1} a;" for i in range(3000)), "d3000:float x;", TOP + "d0 x;"
-    ),
-    "a tree": formats(
-        *(f"d{i}:d{i + 1} a;d{i + 1} b;" for i in range(60)), "d60:bool x;", TOP + "d0 x;"
-    ),
-    "a long array": formats(TOP + "float[65535] x;"),
-    "a count without end": formats(TOP + f"float[{'9' * 4000}] x;"),
-    "many columns": formats(TOP + "uint8_t[65000] x;"),
-    "many fields": formats(TOP + "float x;" * 7000),
-    "many formats": formats(*(f"f{i}:float x;" for i in range(40_000)), TOP + "float x;"),
-}
-
-
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", ULG)
 def test_definitions_made_to_harm_are_refused_at_once(tmp_path, name):
     path = tmp_path / "hostile.ulg"
-    path.write_bytes(HOSTILE[name] + subscribed(*["sensor_combined"] * 50))
+    path.write_bytes(ULG[name]() + subscribed(*["sensor_combined"] * 50))
     before, began = peak_memory(), time.process_time()
     with pytest.raises(InputError, match="holds no flight data") as caught:
         read_ulog(path)
     assert time.process_time() - began < SECONDS
     assert peak_memory() - before < MEGABYTES
     assert len(str(caught.value)) < 400
+
+
+READERS = {".toml": lambda path: load_airframe(str(path)), ".json": read_result}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("suffix", "name"), FILES)
+def test_files_made_to_harm_are_read_or_refused_within_bounds(tmp_path, suffix, name):
+    path = tmp_path / f"hostile{suffix}"
+    path.write_bytes(FILES[suffix, name]())
+    before, began = peak_memory(), time.process_time()
+    with one_line_errors():
+        READERS.get(suffix, lambda path: list(open_log(path).blocks()))(path)
+    assert time.process_time() - began < SECONDS
+    assert peak_memory() - before < MEGABYTES
 
 
 def peak_memory():

@@ -49,6 +49,7 @@ class Driver:
         self.engine = ""
         self._kinds: dict[str, int] = {}
         self._now = b""
+        self._waiting: list[bytes] = []
         self._told = 0.0
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -57,8 +58,13 @@ class Driver:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def take(self, data: bytes) -> None:
-        """One input; ends the process after the last."""
-        self._now = data
+        """One input, checked when there are enough; ends the process after the last."""
+        self._waiting.append(data)
+        joined = len(self._waiting)
+        if joined < self._harness.together:
+            return
+        data = self._now = b"".join(self._waiting)
+        self._waiting.clear()
         began = time.process_time()
         try:
             self._harness.check(data)
@@ -68,7 +74,7 @@ class Driver:
         self.longest = max(self.longest, took)
         if took > SLOW:
             self._keep("slow", data, None)
-        self.count += 1
+        self.count += joined
         if self.count & 63 == 0 or self.count >= self._inputs:
             now = time.monotonic()
             done = self.count >= self._inputs or now >= self._until

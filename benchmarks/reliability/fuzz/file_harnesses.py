@@ -4,13 +4,10 @@ import argparse
 import contextlib
 import json
 import struct
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import blackbox_log as bbl
-from benchmarks.reliability.fuzz.blackbox_reference import PlainReader
 from benchmarks.reliability.fuzz.harness import Scratch, one_line_errors
 from gcs_sysid.cli.arguments import prior, setting, vehicle_address, web_address
 from gcs_sysid.cli.output import read_truth
@@ -22,9 +19,6 @@ from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import airframe_text, checked
 from gcs_sysid.setup_help.layouts import ASCII
 from gcs_sysid.setup_help.wizard import Given, Wizard
-from gcs_sysid.telemetry.blackbox import read_blackbox
-from gcs_sysid.telemetry.blackbox_format import MAGIC, read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import read_frames
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key
 from gcs_sysid.telemetry.track_collector import Recording
@@ -62,29 +56,6 @@ def check_bin(data: bytes) -> None:
         recording = read_dataflash(path)
         check_recording(recording)
         assert 0 <= recording.garbage_bytes <= len(data)
-
-
-def check_bbl(data: bytes) -> None:
-    """A blackbox log is read or refused; what is read is what a plain reader reads."""
-    path = _bbl.put(data)
-    with one_line_errors():
-        starts = session_starts(data)
-        for number, (start, stop) in enumerate(pairwise(starts), 1):
-            header = read_header(data, start, stop)
-            frames = read_frames(data, header, stop)
-            plain = PlainReader(data, header, stop).read()
-            assert frames.main.values.tolist() == plain.main, "main frames"
-            assert frames.time_us.tolist() == plain.time_us, "times"
-            assert frames.slow.values.tolist() == plain.slow, "slow frames"
-            assert frames.gps.values.tolist() == plain.gps, "GPS frames"
-            assert frames.home.values.tolist() == plain.home, "home frames"
-            assert frames.damaged == plain.damaged, "damaged frames"
-            recording = read_blackbox(path, number)
-            check_recording(recording)
-            assert 0 <= recording.garbage_bytes <= len(data)
-    if data.count(MAGIC) != 1:
-        with one_line_errors():
-            check_recording(read_blackbox(path))
 
 
 def check_airframe(data: bytes) -> None:
@@ -330,44 +301,3 @@ def bin_seeds() -> list[bytes]:
                 log += b"\xa3\x95" + bytes([number]) + row
         logs.append(log)
     return logs
-
-
-def bbl_seeds() -> list[bytes]:
-    """Logs with every field that is read, of every encoding, and two sessions in a file."""
-    vectors = ("gyroADC", "accSmooth", "imuQuaternion", "navPos", "navVel", "setpoint")
-    flown = [bbl.Field(f"{name}[{i}]", p_predictor=3) for name in vectors for i in range(3)]
-    rotors = [
-        bbl.Field("motor[0]", 0, bbl.MINMOTOR, bbl.UNSIGNED_VB, bbl.AVERAGE_2),
-        *(bbl.Field(f"motor[{i}]", 0, bbl.MOTOR_0, p_predictor=bbl.AVERAGE_2) for i in (1, 2, 3)),
-        *(bbl.Field(f"eRPM[{i}]", 0, 0, bbl.UNSIGNED_VB, 1, bbl.TAG8_8SVB) for i in range(4)),
-        bbl.Field("vbatLatest", 0, bbl.VBATREF, bbl.NEG_14BIT, 1, bbl.TAG8_8SVB),
-    ]
-    packed = [
-        *(bbl.Field(f"a[{i}]", 1, 0, bbl.TAG8_4S16, 1, bbl.TAG8_4S16) for i in range(4)),
-        *(bbl.Field(f"b[{i}]", 1, 0, bbl.TAG2_3S32, 1, bbl.TAG2_3S32) for i in range(3)),
-        *(bbl.Field(f"c[{i}]", 1, 8, bbl.TAG2_3SVARIABLE, 1, 10) for i in range(3)),
-        bbl.Field("d", 1, bbl.MINTHROTTLE, bbl.SIGNED_VB, bbl.PREVIOUS, bbl.NULL),
-    ]
-    settings = {"gyro_scale": bbl.float_bits(1.0), "acc_1G": 2048, "minthrottle": 1070,
-                "motorOutput": "158,2047", "motor_poles": 14, "vbatref": 1680}  # fmt: skip
-    logs = []
-    for fields, version in ((flown + rotors, 2), (packed, 2), (packed, 1), ([], 2)):
-        others = {"S": bbl.SLOW, "G": bbl.GPS, "H": bbl.HOME} if fields else {"S": bbl.SLOW}
-        writer = bbl.BlackboxWriter([*bbl.CLOCK, *fields], others, settings, 4, version=version)
-        for loop in range(9):
-            values = [loop, 1000 * loop, *((i * loop) % 23 - 9 for i in range(len(fields)))]
-            if fields and fields is packed:
-                values[-1] = 5
-            (writer.inter if loop % 4 else writer.intra)(values)
-            if loop == 2:
-                writer.other("S", [1, 2, 0, 1, 1])
-            if loop == 4 and fields:
-                writer.other("H", [500, -700])
-                writer.other("G", [4001, 9, 510, -690])
-            if loop == 6:
-                writer.event(30, b"\1\2")
-        writer.resume(400, 20_000_000)
-        writer.intra([400, 20_000_000, *([5] * len(fields))])
-        writer.event(15, b"\4")
-        logs.append(writer.data + bbl.END)
-    return [*logs, logs[1] + b"\xff" * 9 + logs[3], logs[0][:-40]]

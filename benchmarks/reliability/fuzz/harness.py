@@ -25,6 +25,8 @@ class Harness:
         weight: share of the inputs of a run, relative to the others: less where one takes longer.
         tokens: pieces that the mutator puts in.
         longest: bytes of an input.
+        together: inputs joined for one check, where a reader takes as long for a few bytes as
+            for a kilobyte; a finding is kept with all of them.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Harness:
     weight: float
     tokens: tuple[bytes, ...] = ()
     longest: int = 2048
+    together: int = 1
 
     def kept(self) -> list[bytes]:
         """The inputs kept of earlier findings."""

@@ -1,5 +1,6 @@
 """All harnesses."""
 
+from benchmarks.reliability.fuzz import blackbox_harnesses as blackbox
 from benchmarks.reliability.fuzz import definition_harnesses as definitions
 from benchmarks.reliability.fuzz import file_harnesses as files
 from benchmarks.reliability.fuzz import link_harnesses as link
@@ -15,6 +16,7 @@ _BBL = (
     *b"I P G H S E , : -1 0 1 3 6 7 8 9 10 11 256 1/4".split(), b"\n", b"H ", b"H Field I ",
     b"E\xff", b"E\x0e", b"\xff\xff\xff\xff\xff", b"\x80\x80\x80\x80\x00",
 )  # fmt: skip
+_BODY = (*b"I P G H S E".split(), *_BBL[-4:])
 _FMT = (b"\xa3\x95", b"\xa3\x95\x80", b",", b"Q", b"a", b"Z", b"TimeUS", b"\x80\x59")
 
 HARNESSES = (
@@ -40,7 +42,11 @@ HARNESSES = (
     ),
     Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
     Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
-    Harness("bbl", "blackbox logs", files.check_bbl, files.bbl_seeds, 3.0, _BBL, 4096),
+    Harness("bbl", "blackbox logs", blackbox.check_bbl, blackbox.bbl_seeds, 3.0, _BBL, 4096),
+    Harness(
+        "bbl-bodies", "frames behind a header", blackbox.check_bbl_bodies,
+        blackbox.bbl_body_seeds, 12.0, _BODY, 60, 32,
+    ),
     Harness(
         "ulg-definitions", "formats of .ulg", definitions.check_ulg_definitions,
         definitions.choices, 3.0, (), 600,
@@ -54,7 +60,7 @@ HARNESSES = (
         definitions.choices, 1.0, (), 600,
     ),
     Harness(
-        "bbl-frames", "frames of .bbl", definitions.check_bbl_frames, definitions.choices, 1.0,
+        "bbl-frames", "frames of .bbl", blackbox.check_bbl_frames, definitions.choices, 1.0,
         (), 2000,
     ),
     Harness(

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gcs_sysid.cli.output import print_file, terminal_width
+from gcs_sysid.cli.output import print_file, show, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
 from gcs_sysid.setup_help.airframe_file import (
@@ -45,9 +45,9 @@ def _check(options: argparse.Namespace) -> int:
     findings = check_airframe(airframe)
     if options.json:
         table = {**airframe.as_json(), "findings": [finding.as_json() for finding in findings]}
-        print(json.dumps(table, indent=2, allow_nan=False))
+        show(json.dumps(table, indent=2, allow_nan=False))
     else:
-        print(_picture(airframe, findings))
+        show(_picture(airframe, findings))
     return 1 if worst(findings) is Sign.PROBLEM else 0
 
 

@@ -5,12 +5,12 @@ which airframes are built in. The script holds all it needs, so that the key sta
 """
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from importlib import resources
 
 import shtab
 
+from gcs_sysid.cli.output import show
 from gcs_sysid.cli.program import PROGRAM, build_parser
 
 _FILE_SIGNS = ("FILE", "LOG", "DIR", "PATH", "URL", ".json")
@@ -36,7 +36,7 @@ complete -o bashdefault -o default -F _gcs_sysid gcs-sysid
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    sys.stdout.write(script(options.shell))
+    show(script(options.shell).removesuffix("\n"))
     return 0
 
 

@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 
-from gcs_sysid.cli.output import terminal_width
+from gcs_sysid.cli.output import show, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.setup_help.checks import (
     Finding,
@@ -29,10 +29,10 @@ def run(options: argparse.Namespace) -> int:
         findings.append(Finding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
     if options.json:
         report = {"findings": [finding.as_json() for finding in findings]}
-        print(json.dumps(report, indent=2, allow_nan=False))
+        show(json.dumps(report, indent=2, allow_nan=False))
     else:
-        print(as_text(findings, terminal_width() or 100, unicode=can_show("✓✗")))
-        print(f"\n{_summary(findings)}")
+        show(as_text(findings, terminal_width() or 100, unicode=can_show("✓✗")))
+        show(f"\n{_summary(findings)}")
     return 1 if worst(findings) is Sign.PROBLEM else 0
 
 

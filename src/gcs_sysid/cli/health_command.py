@@ -47,13 +47,15 @@ def run(options: argparse.Namespace) -> int:
     best = max(
         (health for health in found if health.available), key=lambda h: h.seconds, default=None
     )
+    deliveries = output.Deliveries()
     if options.json != "-":
         texts = [health_text(health) for health in found if health.available]
         if trend := trend_text(found):
             texts.append("\n".join(trend))
-        print("\n\n".join(texts), end="\n" if texts else "", flush=True)
+        if texts:
+            deliveries.give(lambda: output.show("\n\n".join(texts)))
     # Files last: what cannot be written costs no number.
-    _write(options, found, best, form)
+    _write(options, found, best, form, deliveries)
     if unreadable:
         return 2
     return 0 if all(health.available for health in found) else 1
@@ -77,11 +79,14 @@ def _given(options: argparse.Namespace) -> Given:
 
 
 def _write(
-    options: argparse.Namespace, found: list[Health], best: Health | None, form: str | None
+    options: argparse.Namespace,
+    found: list[Health],
+    best: Health | None,
+    form: str | None,
+    deliveries: output.Deliveries,
 ) -> None:
     """The files that were asked for; parameters and picture are of the longest hover."""
     documents = [document_of(health) for health in found]
-    deliveries = output.Deliveries()
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
         deliveries.give(lambda: output.write_json(options.json, document, force=options.force))

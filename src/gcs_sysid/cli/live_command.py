@@ -1,6 +1,7 @@
 """`gcs-sysid live`: identify a vehicle while it flies."""
 
 import argparse
+import functools
 import sys
 import threading
 import time
@@ -26,7 +27,7 @@ from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
 from gcs_sysid.results.words import WAITING, shown
-from gcs_sysid.telemetry.tlog_writer import unused_path
+from gcs_sysid.telemetry.tlog_writer import NOT_RECORDING, unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
 if TYPE_CHECKING:
@@ -196,11 +197,18 @@ def follow(
     if not deliveries.give(writer.close) and writer.to_stdout and not deliveries.unread:
         output.say(table)  # the numbers of a flight are not lost with a disk
     for line in session.recordings():
-        output.say(line)
+        if vars(options).get("record") and line.startswith(NOT_RECORDING):
+            deliveries.give(functools.partial(_refuse, line))
+        else:
+            output.say(line)
     if session.problem is not None:
         raise session.problem
     deliveries.check()
     return 1 if session.final.verdict == "refused" else 0
+
+
+def _refuse(line: str) -> None:
+    raise InputError(line)
 
 
 @contextmanager

@@ -7,7 +7,6 @@ need neither NumPy nor Textual.
 import argparse
 import errno
 import importlib
-import io
 import os
 import sys
 from collections.abc import Sequence
@@ -15,13 +14,12 @@ from collections.abc import Sequence
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser
 from gcs_sysid.cli import arguments, option_groups
-from gcs_sysid.cli.output import abandon_stdout, is_full, say
+from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
 from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.files import never_fail_to_print
 from gcs_sysid.sanitize import one_line
 
 PROGRAM = "gcs-sysid"
-_STRICT = ("strict", "surrogateescape")
-"""Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
 A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
@@ -176,7 +174,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def run(argv: Sequence[str]) -> int:
     """Parse and run; errors become one line on standard error and a status."""
-    _never_fail_to_print()
+    never_fail_to_print()
     try:
         status = _run(argv)
         sys.stdout.flush()
@@ -244,7 +242,7 @@ def _run(argv: Sequence[str]) -> int:
     if options.command is None:
         from gcs_sysid.cli.welcome import welcome
 
-        print(welcome(parser))
+        show(welcome(parser))
         return DONE
     arguments.with_mappings(options)
     command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
@@ -259,15 +257,3 @@ def _reader_has_gone(error: Exception) -> bool:
     if type(error) is OSError and error.errno == errno.EIO and error.filename is None:
         return True  # a terminal that was closed
     return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
-
-
-def _never_fail_to_print() -> None:
-    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark.
-
-    What was closed before the start, as by `>&-`, leads nowhere.
-    """
-    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors in _STRICT:
-            stream.reconfigure(errors="replace")

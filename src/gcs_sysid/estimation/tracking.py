@@ -143,6 +143,7 @@ class Tracker:
         self._tuning = tuning
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
+        self._reserves = False
         self._estimator.prior_source = prior
         self._count = self._hasty = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
@@ -442,13 +443,15 @@ class Tracker:
         self._watch = self._new_watch()
 
     def reserve(self) -> None:
-        """Have all memory now that a long flight will need."""
-        return self._estimator.reserve()
+        """Have all memory now that a long flight will need, and again after each change."""
+        self._reserves = True
+        self._estimator.reserve()
 
     def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
         """Another vehicle from now on: the last one is in its segment."""
         self._estimator, self.kept = estimator, kept
-        self.reserve()
+        if self._reserves:
+            self.reserve()
 
     def _add(self, event: Event) -> None:
         self.events.append(event)

@@ -1,6 +1,7 @@
 """The processes that analyze: of this machine, or of a Dask cluster."""
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -24,6 +25,7 @@ from gcs_sysid.fleet.jobs import Document, Task, analyze
 
 _LOOK = 0.2
 """s between looks whether to stop."""
+_GONE = "the Dask scheduler is gone; run the same command again for the rest"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Processes that share a machine do not each take all of it for their linear algebra."""
 
@@ -141,6 +143,10 @@ class ClusterPool:
             self._client.close()
             raise
         self._executor = self._client.get_executor(pure=False)
+        # It logs tracebacks where a scheduler goes; that one has gone is said by `submit`.
+        for name in [*logging.root.manager.loggerDict]:
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def _check(self, address: str) -> None:
         try:
@@ -158,8 +164,16 @@ class ClusterPool:
 
     @property
     def capacity(self) -> int:
-        """As `Pool` says: workers come and go."""
-        threads: int = sum(self._client.nthreads().values())
+        """As `Pool` says: workers come and go.
+
+        Raises:
+            InputError: the scheduler is gone.
+        """
+        self._check_running()
+        try:
+            threads: int = sum(self._client.nthreads().values())
+        except OSError as error:
+            raise InputError(_GONE) from error
         return max(2 * threads, 2)
 
     def submit(self, task: Task) -> Future[Document]:
@@ -168,10 +182,13 @@ class ClusterPool:
         Raises:
             InputError: the scheduler is gone.
         """
-        if self._client.status != "running":
-            raise InputError("the Dask scheduler is gone; run the same command again for the rest")
+        self._check_running()
         future: Future[Document] = self._executor.submit(self._work, task)
         return future
+
+    def _check_running(self) -> None:
+        if self._client.status != "running":
+            raise InputError(_GONE)
 
     def close(self) -> None:
         """As `Pool` says."""

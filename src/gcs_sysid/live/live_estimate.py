@@ -58,7 +58,7 @@ class LiveEstimate:
         self.duty = Duty.IDENTIFY
         self._options = options
         self._on_defect = on_defect
-        own = ChainOptions(history_interval=options.refit_interval)
+        own = ChainOptions(history_interval=options.refit_interval, reserve=True)
         self.pipeline = Pipeline(airframe, source, wanted, own)
         self._prediction = LivePrediction(self.chain)
         if options.predict:

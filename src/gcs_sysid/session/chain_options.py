@@ -20,6 +20,8 @@ class ChainOptions:
         end: s after the first record; later ones are not used.
         offline: whether the final estimate is the offline one.
         progress: called with the offline estimator's current step and the share of it that is done.
+        reserve: whether the memory of a long flight is taken at once, so that a session does not
+            find it wanting; a log takes what it needs.
         parameters: of the autopilot, as far as they are known beforehand.
     """
 
@@ -31,4 +33,5 @@ class ChainOptions:
     end: float = float("inf")
     offline: bool = False
     progress: Callable[[str, float], None] | None = None
+    reserve: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)

@@ -173,7 +173,8 @@ class Learner:
                 text = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
                 self.note(block.newest_at, text)
             tracker = self.tracker = self._new_tracker(block.dt, known)
-            tracker.reserve()
+            if self._options.reserve:
+                tracker.reserve()
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:

@@ -249,9 +249,11 @@ class RotorSourceSelector:
         if stretch.stream is Stream.ROTOR_SPEED and all(stale):
             fresh = max(map(_readings, values)) / seconds
             return f"repeats old readings, {fresh:.0f} new ones a second"
-        moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
         still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0 and not _saturates(i, values)]
-        if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
+        if not still:
+            return ""
+        moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
+        if np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
             rotor = still[0]
             reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
             return f"rotor {rotor + 1} {reads} while the others move"

@@ -102,6 +102,7 @@ class TcpLink(Link):
         super().__init__(url)
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
+        self._rest = b""
         try:
             if url.kind == "tcp":
                 self._take(socket.create_connection((url.host, url.port), patience))
@@ -130,7 +131,7 @@ class TcpLink(Link):
             if hasattr(socket, name):
                 with contextlib.suppress(OSError):
                     peer.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-        self._peer = peer
+        self._peer, self._rest = peer, b""
 
     def receive(self, timeout: float) -> list[Chunk]:
         """Bytes that have arrived; takes a waiting connection first."""
@@ -164,9 +165,12 @@ class TcpLink(Link):
         if self._peer is None:
             self.unsent += 1
             return
+        # A few bytes a second: should they not fit at once, the peer has stopped reading. A frame
+        # that was cut off is finished before the next one.
         try:
-            # A few bytes a second: should they not fit at once, the peer has stopped reading.
-            self._peer.sendall(data)
+            while self._rest:
+                self._rest = self._rest[self._peer.send(self._rest) :]
+            self._rest = data[self._peer.send(data) :]
         except OSError:
             self.unsent += 1
 

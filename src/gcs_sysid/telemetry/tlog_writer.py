@@ -35,6 +35,8 @@ PATIENCE = 5.0
 """s that `close` waits for a disk that does not answer."""
 STALLED_AFTER = 3.0
 """s in one write from which a disk is said not to answer."""
+NOT_RECORDING = "not recording"
+"""How the line of a recording that has no file begins."""
 _MOST_EVENTS = 20
 """Events kept until taken."""
 _NO_ROOM = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
@@ -277,7 +279,7 @@ class TlogWriter:
         """See what can be done about an error; the chunks to try again."""
         why = getattr(error, "strerror", None) or str(error)
         if self._file is None:
-            problem = f"not recording: cannot write {self.path} ({why})"
+            problem = f"{NOT_RECORDING}: cannot write {self.path} ({why})"
         else:
             problem = f"recording stopped: {self.path} ({why})"
             with suppress(OSError, ValueError):
