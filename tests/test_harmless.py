@@ -88,7 +88,7 @@ def test_only_what_is_live_opens_a_link():
     }
     assert openers == {
         "live/receiver_main.py", "cli/inspect_command.py", "setup_help/listening.py",
-        "telemetry/reconnect.py",
+        "telemetry/link.py",
     }  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def test_messages_are_packed_by_the_gate_alone():
         for name, nodes in modules(TOOL)
         if any(function.startswith("mavlink.MAVLink") for function, _ in called(nodes))
     }
-    assert packers == {"telemetry/outgoing.py", "telemetry/marks.py"}
+    assert packers == {"telemetry/outgoing.py", "telemetry/messages.py"}
 
 
 def test_every_way_out_of_the_gate_is_known():

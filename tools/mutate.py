@@ -1,7 +1,7 @@
 """Mutation tests: is there a test that fails when the code is wrong?
 
     python tools/mutate.py                              a sample of every module of the core
-    python tools/mutate.py signals/windows.py --sample 0      all of one
+    python tools/mutate.py signals/smoothers.py --sample 0      all of one
 
 A mutant changes one operator, number, condition, statement or result. It is compiled in memory and
 loaded in a forked process, which runs the tests nearest to its module until one fails. Survivors
@@ -244,7 +244,9 @@ def _warm_up() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run; 1 if a mutant survived that is not known to."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("modules", nargs="*", help="such as signals/windows.py; default: the core")
+    parser.add_argument(
+        "modules", nargs="*", help="such as signals/smoothers.py; default: the core"
+    )
     parser.add_argument("--sample", type=int, default=20, help="mutants a module; 0: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--known", action="store_true", help="the known survivors alone")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.health.advice import advice_of
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.balance import Quantity

@@ -9,7 +9,7 @@ from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.results import history as course_module
+from gcs_sysid.results import snapshot as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_units import RotorSource

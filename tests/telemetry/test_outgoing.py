@@ -183,9 +183,8 @@ def test_no_other_module_writes_to_a_link_or_socket():
                 and node.func.attr in calls
             ):
                 writers.add(name)
-    # reconnect.py is a link that hands on to another one; web/ speaks to browsers.
+    # web/ speaks to browsers.
     links = {"telemetry/link.py", "telemetry/udp_link.py", "telemetry/outgoing.py"}
-    links |= {"telemetry/reconnect.py"}
     assert writers <= links | {"web/share.py"}
 
 

@@ -26,7 +26,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES, parse_url
 
 WIDEST = 120

@@ -15,8 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import Format, commented, number, provenance
 from gcs_sysid.model.parameters import INERTIA
 
 FORMAT = Format(

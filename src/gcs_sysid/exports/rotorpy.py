@@ -8,8 +8,7 @@ import math
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import Format, commented, number, provenance
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 FORMAT = Format(

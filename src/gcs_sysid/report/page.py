@@ -9,9 +9,8 @@ from gcs_sysid.report import evidence
 from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.health_picture import health_section
-from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import Figures
-from gcs_sysid.report.parts import Column, facts, section, table
+from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
 

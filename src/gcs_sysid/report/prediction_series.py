@@ -11,7 +11,7 @@ from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.live.acceleration_prediction import Model, Motion, Predictor, half_window
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import cosine_window
 
 _MOST_POINTS = 512
 """Rows in one piece of a spectrum, at most."""

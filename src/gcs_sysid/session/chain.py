@@ -29,9 +29,8 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
-from gcs_sysid.results.history import HistoryRecorder
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Event, History
+from gcs_sysid.results.snapshot import Event, History, HistoryRecorder
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.session.chain_result import Findings
 from gcs_sysid.signals.columns import RecordBlock

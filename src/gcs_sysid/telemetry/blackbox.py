@@ -23,7 +23,7 @@ from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_sta
 from gcs_sysid.telemetry.blackbox_frames import DISARM, Frames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
 MOST_BYTES = 2**32

@@ -21,7 +21,7 @@ from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.attitude import conjugate, multiply
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
 _MOST_BYTES = 200_000
