@@ -31,20 +31,21 @@ PACKAGE = ROOT / "src" / "gcs_sysid"
 SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
 CORE = {
-    "estimation": "actuator_dynamics command_noise flight_comparison normal_equations priors "
-    "rigid_body_test rotation scale search sequential_tests speed_noise translation uncertainty",
-    "signals": "complementary differentiator flight_detection outliers recursions smoothers "
-    "stream_buffer windows",
-    "telemetry": "block_decode clock decode messages",
+    "estimation": "actuator_dynamics command_noise flight_comparison input_noise normal_equations "
+    "priors rigid_body_test rotation scale search sequential_tests translation uncertainty",
+    "signals": "complementary differentiator flight_detection inertial_stream recursions smoothers "
+    "stream_buffer",
+    "telemetry": "clock decode messages",
 }
 ELSEWHERE = {
-    "block_decode": ["blocks", "decode"],
     "command_noise": ["input_noise", "commands"],
     "decode": ["blocks"],
+    "inertial_stream": ["outliers"],
+    "messages": ["message_arrays"],
     "rotation": ["priors", "commands"],
     "scale": ["physical_parameters"],
     "search": ["rotation", "priors"],
-    "speed_noise": ["input_noise"],
+    "smoothers": ["windows"],
     "stream_buffer": ["time_base"],
 }
 """Where else than in tests/<room>/test_<module>.py the tests of a module are, nearest first."""

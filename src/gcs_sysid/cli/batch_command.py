@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
-from gcs_sysid.cli.output import Deliveries, say
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
 from gcs_sysid.fleet.batch import AIRFRAME_FILE, Batch, Tally, find_logs, nearest_airframe

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file
 from gcs_sysid.inspection.derived_facts import assumed_airframe

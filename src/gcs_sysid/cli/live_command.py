@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from gcs_sysid.cli import arguments, output, reported_airframe
-from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
+from gcs_sysid.cli.output import JsonLines, on_signals
 from gcs_sysid.cli.result_table import result_table
-from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession

@@ -24,7 +24,7 @@ _STRICT = ("strict", "surrogateescape")
 """Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
-A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
+A command that Ctrl-C ended at once has 130; see also `output.BY_SIGNAL`."""
 
 
 _BRITISH = {"analyse": "analyze"}

@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import information
+from gcs_sysid.coach.information import Motion, information, motion_of, within_reach
 from gcs_sysid.coach.interval_targets import excess, is_enough
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.coach.motion import Motion, motion_of, within_reach
 from gcs_sysid.coach.predicted_information import PredictedInformation
 from gcs_sysid.estimation.actuator_dynamics import LAG
 from gcs_sysid.estimation.online import Fit

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import Noise
-from gcs_sysid.coach.motion import Craft
+from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
 from gcs_sysid.estimation.online import MIN_MOMENTUM_SECONDS, Fit

@@ -19,13 +19,11 @@ from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.dialogs import HelpScreen
-from gcs_sysid.screen.main_view import MainScreen
+from gcs_sysid.screen.main_view import PAGES, MainScreen, PageBar
 from gcs_sysid.screen.pilot_view import PilotScreen
-from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.verdict_summary import shares
-from gcs_sysid.screen.view import Baseline, View
-from gcs_sysid.screen.widgets.pages import PAGES, PageBar
+from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource, View
 from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 DARK = Theme(

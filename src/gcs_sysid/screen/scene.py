@@ -15,8 +15,7 @@ from textual.screen import Screen
 from gcs_sysid.screen.app import SysidApp
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.dialogs import KEYS, HelpScreen
-from gcs_sysid.screen.source import Actions, SnapshotSource
-from gcs_sysid.screen.view import Baseline
+from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource
 from gcs_sysid.screen.widgets.transport import Transport, TransportBar
 
 STEP, LEAP = 10.0, 60.0

@@ -17,8 +17,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.message_table import RPM
-from gcs_sysid.telemetry.onboard_table import OnboardMessage
+from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
