@@ -1,5 +1,5 @@
-"""What commands read and write beside their results: truth files, JSON and lines of it, progress; and
-the signals that end a command before its time.
+"""What commands read and write beside their results: truth files, JSON and lines of it, progress;
+and the signals that end a command before its time.
 """
 
 import contextlib

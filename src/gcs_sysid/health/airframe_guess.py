@@ -1,6 +1,5 @@
-"""Where the rotors are, by the airframe file or by the autopilot's own parameters.
-
-Where the rotors are by how the vehicle turns, in logs without a layout.
+"""Where the rotors are, by the airframe file, by the autopilot's own parameters, or
+by how the vehicle turns.
 
 The moments of a layout's rotors must be what turns the vehicle: of all layouts that are flown, one
 explains the angular acceleration about roll and pitch and the others hardly any of it. Over tenths
