@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
@@ -19,7 +20,6 @@ from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
 
-_WIDTH = 79
 _NAME = 20
 _WINDY = 2e-3
 """m by wind that are worth a line."""
@@ -235,7 +235,7 @@ def _foot(health: Health) -> Iterator[str]:
 def _wrapped(text: str, begin: str) -> list[str]:
     return textwrap.wrap(
         text,
-        _WIDTH,
+        TEXT_WIDTH,
         initial_indent=begin,
         subsequent_indent=" " * len(begin),
         break_on_hyphens=False,

@@ -21,6 +21,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, read_text, write_whole
 from gcs_sysid.results.result import Result
 
+TEXT_WIDTH = 79
+"""Columns of texts that are printed the same everywhere."""
 _MAX_TRUTH_BYTES = 1_000_000
 BY_SIGNAL = 128
 """Added to the signal's number: the exit status of a command that was ended at once."""

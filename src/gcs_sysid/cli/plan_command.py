@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.option_groups import limits_of
-from gcs_sysid.cli.output import Deliveries, check_json, print_file, save, show
+from gcs_sysid.cli.output import TEXT_WIDTH, Deliveries, check_json, print_file, save, show
 from gcs_sysid.coach.flight_plan import HOVER, Plan, Step, make_plan
 from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
@@ -34,7 +34,6 @@ _SHOWN = 4.0
 """s of a maneuver that its small picture shows."""
 _AXES = ("roll", "pitch", "yaw", "climb")
 _GAINS = 4
-_WIDTH = 79
 _FOOT = (
     "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
     "250 Hz). In flight the coach uses the measured data."
@@ -117,7 +116,7 @@ def plan_text(plan: Plan, *, unicode: bool = True) -> str:
 
 
 def _wrapped(text: str, begin: str = "", indent: int = 0) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent=begin, subsequent_indent=" " * indent)
+    return textwrap.wrap(text, TEXT_WIDTH, initial_indent=begin, subsequent_indent=" " * indent)
 
 
 def _gains(step: Step) -> str:

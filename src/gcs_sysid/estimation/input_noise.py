@@ -29,7 +29,8 @@ _MISSED, _DOUBT = 0.25, 0.5
 """Share missed of the residuals of four samples between those times, and its standard deviation:
 with motors of 40 ms, 0.08 where no message is lost and samples are taken as they come, 0.2 with 5 %
 lost, three times as much where interpolation to the IMU's times smooths them."""
-_ENOUGH = 100
+ENOUGH = 100
+"""Differences from which their scatter is known."""
 
 _DH = rigid_body.SIGNALS.index("dH")
 
@@ -52,8 +53,14 @@ class InputNoise(ABC):
 
     @property
     @abstractmethod
+    def covariance(self) -> Array:
+        """(rotors, rotors) of one input."""
+
+    @property
     def std(self) -> Array:
-        """(rotors,) of one input."""
+        """(rotors,) of one input, rad/s or 1."""
+        std: Array = np.sqrt(np.diag(self.covariance))
+        return std
 
     def update(self, inputs: Array, apart: Array | None = None) -> None:
         """Take (n, rotors) inputs; NaN where missing.
@@ -119,19 +126,13 @@ class SpeedNoise(InputNoise):
     def covariance(self) -> Array:
         """(rotors, rotors) rad^2/s^2 of white noise on the speeds."""
         covariance = np.zeros_like(self._products)
-        if self._dt <= _SLOWEST and self._differences >= _ENOUGH:
+        if self._dt <= _SLOWEST and self._differences >= ENOUGH:
             covariance = self._products / (self._differences * THIRD_DIFFERENCE)
             # Sensors err one by one; what the loop does it does to all rotors at once.
             one_by_one = self._dt <= _FAST_ENOUGH
             covariance = np.diag(np.diag(covariance)) if one_by_one else _MISSED * covariance
         least = np.maximum(ROUNDING_STD**2 - np.diag(covariance), 0.0)
         return covariance + np.diag(least)
-
-    @property
-    def std(self) -> Array:
-        """(rotors,) rad/s."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
 
     def moments(self, smoother: Smoother, memory: float) -> Array:
         """(WIDTH, WIDTH) what the noise adds to the moments of one row.

@@ -28,7 +28,7 @@ from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
-from gcs_sysid.estimation.whitened_estimator import Followed, LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.whitened_estimator import LEAST_OWN, Followed, LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.samples import Samples
@@ -40,9 +40,6 @@ _WELL_KNOWN = 10.0
 """s of flight from which the search for a warm start starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
-
-_LEAST_OWN = 0.02
-"""Of a residual's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 PriorSource = Callable[[TranslationFit | None], Prior | None]
 """Prior knowledge, given k_T / m as far as it is known."""
@@ -219,7 +216,7 @@ class OnlineEstimator:
         own = np.diag(fit.residual_covariance)
         noise = self._basis.noise_at(record.noise(fit.leak), fit.coordinates)
         rotors = np.diag(Q @ noise[:n, :n] @ Q.T)
-        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        left = np.maximum(own - rotors, LEAST_OWN * own)
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 

@@ -45,7 +45,7 @@ from gcs_sysid.estimation.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
-_BLIND_STEP = 3.0
+BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
@@ -289,7 +289,7 @@ def follow_rotation(
     unknowns = start.warm_start.unknowns[None]
     scatter = start.warm_start.inflation, start.warm_start.widening
     outcome = Outcome(problem, problem.evaluate(unknowns), noise)
-    near = outcome.take_step(_BLIND_STEP)
+    near = outcome.take_step(BLIND_STEP)
     stuck = np.full(len(rows), start.warm_start.stuck)
     leaks = [start.leak] * len(rows)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)

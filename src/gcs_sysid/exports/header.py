@@ -5,10 +5,13 @@ from dataclasses import dataclass
 
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import UNITS, Quantity, Vehicle
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
 
+FOUR = 4
+"""Rotors that several simulators fly, and no other number."""
 ELEMENTS = {
     "ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2),
 }  # fmt: skip
@@ -37,12 +40,17 @@ class Format:
     uses: tuple[str, ...] = ()
     lacks: tuple[str, ...] = ()
 
-    def check(self, vehicle: Vehicle) -> None:
-        """Check that all it needs is known.
+    def check(self, vehicle: Vehicle, rotors: int | None = None) -> None:
+        """Check that all it needs is known, and that it flies so many rotors; None: any number.
 
         Raises:
             MissingError: it is not, or no body has this inertia.
+            InputError: the vehicle has other than that many rotors.
         """
+        if rotors is not None and len(vehicle.rotors) != rotors:
+            raise InputError(
+                f"{self.name}: it flies {rotors} rotors, this has {len(vehicle.rotors)}"
+            )
         vehicle.need(self.name, self.needs)
         vehicle.check_inertia()
 

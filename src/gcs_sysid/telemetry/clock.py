@@ -26,6 +26,7 @@ UNIX_FROM = 1e9
 
 WRAP_MS = 2**32 * 1e-3
 WRAP_US = 2**32 * 1e-6
+"""s between two wraps of 32-bit stamps in ms, and in us."""
 
 
 def may_wrap(now: Any) -> Any:
