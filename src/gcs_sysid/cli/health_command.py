@@ -16,7 +16,7 @@ from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, sug
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
 

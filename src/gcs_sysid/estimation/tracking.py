@@ -354,7 +354,10 @@ class Tracker:
         at_once = len(t) > self._frame
         if self._watch is not None and not self._watch.take(t, samples, tentative=at_once):
             return None
-        return self._learn(samples, stops)
+        if self._keep:
+            self.kept.append(samples)
+        fits = self._estimator.follow(samples, stops)
+        return [Point(fit, len(self.segments)) for fit in fits]
 
     def _look(self, now: float) -> None:
         """Decide what there is to decide; give the watch a better reference."""
@@ -380,12 +383,6 @@ class Tracker:
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
         return self._estimator.fit(quick=quick, series=series)
-
-    def _learn(self, samples: Samples, stops: Sequence[int]) -> list[Point]:
-        if self._keep:
-            self.kept.append(samples)
-        fits = self._estimator.follow(samples, stops)
-        return [Point(fit, len(self.segments)) for fit in fits]
 
     def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
         """It was a disturbance: the vehicle is what it was."""

@@ -16,8 +16,8 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.hover import flight_of, windowed_means
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams, rate_of, streams_of
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.reported_layout import place_words, reported_layout, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock

@@ -22,9 +22,9 @@ from gcs_sysid.health.drive_health import (
     with_throttle,
 )
 from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.reasons import blames_rotors

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.balance import Quantity
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.parameter_file import REAL32
 

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY

@@ -18,8 +18,8 @@ from gcs_sysid.health import balance
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.records import Stream

@@ -22,7 +22,7 @@ from gcs_sysid.screen.widgets.event_log import EventLog
 from gcs_sysid.screen.widgets.health_panel import HealthPanel
 from gcs_sysid.screen.widgets.link_panel import LinkPanel
 from gcs_sysid.screen.widgets.parameter_table import ParameterTable
-from gcs_sysid.screen.widgets.status import AnswerLine, Banner, StatusLine
+from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
 from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
 PAGES = {

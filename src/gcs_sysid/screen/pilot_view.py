@@ -15,7 +15,7 @@ from gcs_sysid.screen.text_drawing import big, height_of
 from gcs_sysid.screen.verdict_summary import Known, headline, short_headline, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
-from gcs_sysid.screen.widgets.status import AnswerLine
+from gcs_sysid.screen.widgets.status_bar import AnswerLine
 
 _LARGEST = 4
 """Columns of a dot; larger letters would leave no room for a maneuver's axes."""
