@@ -21,7 +21,7 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.intervals import Z95
+from gcs_sysid.intervals import Z95, interval95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -53,9 +53,7 @@ class Quantity:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """The 95 % interval (normal); None without a value."""
-        if self.value is None or self.std is None:
-            return None
-        return self.value - Z95 * self.std, self.value + Z95 * self.std
+        return interval95(self.value, self.std)
 
     def as_json(self) -> dict[str, Any]:
         """As result files write it."""
