@@ -24,16 +24,6 @@ from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 
-_STRETCH = 0.5
-"""s; a speed off by 0.1 % turns the phase of 100 Hz by 0.3 rad meanwhile."""
-_BESIDE = (-12.0, -8.0, 8.0, 12.0)
-"""Hz off the rotor's frequency, where the floor is taken."""
-_NYQUIST = 0.9
-"""Share of half of the IMU's rate below which a rotor's frequency is seen."""
-_FEWEST = 10
-_AT_ONCE = 64
-"""Stretches worked on together."""
-
 
 def motor_gains(
     streams: Streams, hover: Windows, curve: Curve | None
@@ -196,7 +186,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, .
             np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (speeds[1:] + speeds[:-1]))]),
         )
         squares = _squares_of(t, imu[:, 3:6], phase, windows.t, rate)
-        if len(squares) < _FEWEST:
+        if len(squares) < TUNING.fewest_stretches:
             found.append(None)
             continue
         mean = float(np.mean(squares))
@@ -216,21 +206,23 @@ def _squares_of(t: Array, force: Array, phase: Array, centers: Array, rate: floa
         centers: s, of stretches.
         rate: Hz, of the IMU.
     """
-    firsts = np.searchsorted(t, centers - 0.5 * _STRETCH)
-    counts = np.searchsorted(t, centers + 0.5 * _STRETCH) - firsts
+    firsts = np.searchsorted(t, centers - 0.5 * TUNING.phase_stretch)
+    counts = np.searchsorted(t, centers + 0.5 * TUNING.phase_stretch) - firsts
     out = np.full(len(centers), np.nan)
-    offsets = np.array((0.0, *_BESIDE))[:, None]
-    for count in np.unique(counts[counts >= max(0.8 * _STRETCH * rate, 3)]).tolist():
+    offsets = np.array((0.0, *TUNING.floor_beside))[:, None]
+    for count in np.unique(counts[counts >= max(0.8 * TUNING.phase_stretch * rate, 3)]).tolist():
         taper = np.hanning(count)
         scale = 4.0 / float(taper.sum()) ** 2
         alike = np.flatnonzero(counts == count)
-        for start in range(0, len(alike), _AT_ONCE):
-            some = alike[start : start + _AT_ONCE]
+        for start in range(0, len(alike), TUNING.stretches_at_once):
+            some = alike[start : start + TUNING.stretches_at_once]
             rows = firsts[some, None] + np.arange(count)
             parts, turned, times = force[rows], phase[rows], t[rows]
             own = (turned[:, -1] - turned[:, 0]) / (times[:, -1] - times[:, 0]) / (2.0 * math.pi)
             seen = np.isfinite(parts).all(axis=(1, 2))
-            seen &= (own > 5.0) & (own < 0.5 * _NYQUIST * rate - _BESIDE[-1])
+            seen &= (own > 5.0) & (
+                own < 0.5 * TUNING.nyquist_share * rate - TUNING.floor_beside[-1]
+            )
             some, parts, turned, times = some[seen], parts[seen], turned[seen], times[seen]
             parts = (parts - parts.mean(axis=1, keepdims=True)) * taper[:, None]
             moment = times - times[:, :1]

@@ -22,7 +22,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
 from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
+from gcs_sysid.estimation.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
@@ -474,8 +474,8 @@ class Chain:
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
                 self.fit = tracker.fit(quick=True)
-                if len(tracker.segments) == MOST_SEGMENTS:
-                    self._note(t, f"{MOST_SEGMENTS} changes: no further ones are detected")
+                if len(tracker.segments) == TRACKING.most_segments:
+                    self._note(t, f"{TRACKING.most_segments} changes: no further ones are detected")
 
     def _go_on_after(self, segment: Segment) -> None:
         """Find the anchor of what follows a segment."""
