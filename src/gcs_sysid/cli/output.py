@@ -15,11 +15,13 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import TextIO, TypeGuard
+from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, read_text, write_whole
-from gcs_sysid.results.result import Result
+
+if TYPE_CHECKING:
+    from gcs_sysid.results.result import Result
 
 TEXT_WIDTH = 79
 """Columns of texts that are printed the same everywhere."""
@@ -302,7 +304,7 @@ class JsonLines:
         if self._file is not None:
             self._thread.start()
 
-    def write(self, result: Result) -> None:
+    def write(self, result: "Result") -> None:
         """Have a line written; returns at once."""
         if self._file is not None and self._error is None:
             with self._wake:
