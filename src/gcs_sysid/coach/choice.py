@@ -13,7 +13,7 @@ from gcs_sysid.estimation.actuator_dynamics import LAG
 from gcs_sysid.estimation.online import Fit
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
-"""Shares of a fit, see `targets.shares`."""
+"""Shares of a fit, see `interval_targets.shares`."""
 
 USUAL = 10.0
 """s that a maneuver lasts."""

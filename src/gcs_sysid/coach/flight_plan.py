@@ -29,7 +29,7 @@ class Step:
     Attributes:
         start: s after the plan's start.
         manoeuvre: to fly.
-        now: shares before, see `targets.shares`.
+        now: shares before, see `interval_targets.shares`.
         expected: shares after.
         names: parameters that it narrows, the widest first.
     """

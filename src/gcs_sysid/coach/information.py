@@ -49,7 +49,7 @@ class Craft:
         thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
         commands: whether the rotors' inputs are commands.
         most: greatest thrust of a rotor over its mean hover share; None: not known.
-        curve: thrust curve with commands, see `estimation.basis`.
+        curve: thrust curve with commands, see `estimation.actuator_dynamics`.
     """
 
     geometry: Array

@@ -142,7 +142,7 @@ def predicted_information(
         fit: so far; `Fit(None, None, 0.0)` before a flight.
         prior_vehicle: of the airframe.
         noise: that maneuvers are flown in.
-        free_coordinates: of `estimation.basis`, those that are estimated.
+        free_coordinates: of `estimation.actuator_dynamics`, those that are estimated.
     """
     kappa = prior_vehicle.kappa
     if fit.translation is not None and fit.translation.kappa > 0.0:

@@ -197,7 +197,7 @@ class OnlineEstimator:
 
     @property
     def free(self) -> tuple[int, ...]:
-        """The coordinates that are estimated, see `estimation.basis`."""
+        """The coordinates that are estimated, see `estimation.actuator_dynamics`."""
         return self._basis.free
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:

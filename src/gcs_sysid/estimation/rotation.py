@@ -6,8 +6,9 @@ Levenberg-Marquardt damping; W is the inverse of the residual covariance, which 
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
 Rows hold the rotors' signals in several forms, of which those at any delay, and with commands
-at any motor lag and thrust curve, are linear maps (`estimation.basis`); these are unknowns of the
-fit too. Moments come with several leaks as hypotheses, fitted at once as stacked arrays.
+at any motor lag and thrust curve, are linear maps (`estimation.actuator_dynamics`); these
+are unknowns of the fit too. Moments come with several leaks as hypotheses, fitted at once as stacked
+arrays.
 
 Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
 is, but in the outcome it is weighed against the information that the scatter of the batch

@@ -7,7 +7,7 @@ the weighted mean follows from its second integral S,
 
 and the same formula applied to the first integral's integrand gives the mean of a derivative: the
 mean angular acceleration is that of the gyro's first integral. Both sides of a balance are thus
-filtered alike whatever their rates, as in `signals.windows`, down to a few samples a window.
+filtered alike whatever their rates, as in `signals.smoothers`, down to a few samples a window.
 """
 
 from collections.abc import Sequence

@@ -91,7 +91,7 @@ class View:
     paused: bool = False
     """The display is frozen; the session is not."""
     shares: Mapping[str, float | None] = field(default_factory=dict)
-    """Half of each 95 % interval over what it is measured against, see `standing.shares`."""
+    """Half of each 95 % interval over its reference value, see `interval_targets.shares`."""
     baseline: str = ""
     """Name of the earlier result that is compared with."""
     comparison: Comparison | None = None
