@@ -7,8 +7,8 @@ give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body
 
 Rows hold the rotors' signals in several forms, of which those at any delay, and with commands
 at any motor lag and thrust curve, are linear maps (`estimation.actuator_dynamics`); these
-are unknowns of the fit too. Moments come with several leaks as hypotheses, fitted at once as stacked
-arrays.
+are unknowns of the fit too. Moments come with several leaks as hypotheses, fitted at once as
+stacked arrays.
 
 Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
 is, but in the outcome it is weighed against the information that the scatter of the batch
