@@ -59,7 +59,7 @@ test-web: $(INSTALLED) $(AXE) ## the pages in a Chromium, with axe-core from npm
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not thorough"
 
-# Not on Windows: mutants are loaded in forked processes. MODULES="signals/windows.py ..." SAMPLE=0
+# Not on Windows: mutants are loaded in forked processes. MODULES="signals/smoothers.py ..." SAMPLE=0
 # for all mutants of some modules.
 SAMPLE ?= 20
 mutate: $(INSTALLED) ## the tests against SAMPLE mutants of each module of the core (15 min)

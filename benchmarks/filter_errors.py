@@ -23,8 +23,7 @@ from gcs_sysid.signals.differentiator import (
     central_difference,
     nonlinear_differentiator,
 )
-from gcs_sysid.signals.smoothers import DAMPING
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import DAMPING, cosine_window
 from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
 

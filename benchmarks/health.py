@@ -29,9 +29,9 @@ from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams, streams_of
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor

@@ -28,8 +28,8 @@ from gcs_sysid.health import balance
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.command_curve import curve_of, thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES

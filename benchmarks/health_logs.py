@@ -23,7 +23,7 @@ from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.health_trend import series_of
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.analysis import analyze_log

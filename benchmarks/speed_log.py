@@ -15,8 +15,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.checksums import checksums
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import CRC_EXTRA
-from gcs_sysid.telemetry.message_arrays import HEADER, message_dtype
-from gcs_sysid.telemetry.messages import LAYOUTS
+from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_dtype
 from gcs_sysid.telemetry.tlog import TlogReader
 
 _BOTH = ["--rotor-input", "both", "--rate", "250"]

@@ -20,8 +20,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from gcs_sysid.cli.program import build_parser
-from gcs_sysid.cli.welcome import commands_of
+from gcs_sysid.cli.program import build_parser, commands_of
 
 ROOT = Path(__file__).parents[1]
 SCREEN = ("textual", "textual-serve", "aiohttp")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.inspection_text import next_command
+from gcs_sysid.cli.inspect_command import next_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.results import words

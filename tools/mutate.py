@@ -1,7 +1,7 @@
 """Mutation tests: is there a test that fails when the code is wrong?
 
     python tools/mutate.py                              a sample of every module of the core
-    python tools/mutate.py signals/windows.py --sample 0      all of one
+    python tools/mutate.py signals/smoothers.py --sample 0      all of one
 
 A mutant changes one operator, number, condition, statement or result. It is compiled in memory and
 loaded in a forked process, which runs the tests nearest to its module until one fails. Survivors
@@ -31,20 +31,21 @@ PACKAGE = ROOT / "src" / "gcs_sysid"
 SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
 CORE = {
-    "estimation": "actuator_dynamics command_noise flight_comparison normal_equations priors "
-    "rigid_body_test rotation scale search sequential_tests speed_noise translation uncertainty",
-    "signals": "complementary differentiator flight_detection outliers recursions smoothers "
-    "stream_buffer windows",
-    "telemetry": "block_decode clock decode messages",
+    "estimation": "actuator_dynamics command_noise flight_comparison input_noise normal_equations "
+    "priors rigid_body_test rotation scale search sequential_tests translation uncertainty",
+    "signals": "complementary differentiator flight_detection inertial_stream recursions smoothers "
+    "stream_buffer",
+    "telemetry": "clock decode messages",
 }
 ELSEWHERE = {
-    "block_decode": ["blocks", "decode"],
     "command_noise": ["input_noise", "commands"],
     "decode": ["blocks"],
+    "inertial_stream": ["outliers"],
+    "messages": ["message_arrays"],
     "rotation": ["priors", "commands"],
     "scale": ["physical_parameters"],
     "search": ["rotation", "priors"],
-    "speed_noise": ["input_noise"],
+    "smoothers": ["windows"],
     "stream_buffer": ["time_base"],
 }
 """Where else than in tests/<room>/test_<module>.py the tests of a module are, nearest first."""
@@ -244,7 +245,9 @@ def _warm_up() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run; 1 if a mutant survived that is not known to."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("modules", nargs="*", help="such as signals/windows.py; default: the core")
+    parser.add_argument(
+        "modules", nargs="*", help="such as signals/smoothers.py; default: the core"
+    )
     parser.add_argument("--sample", type=int, default=20, help="mutants a module; 0: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--known", action="store_true", help="the known survivors alone")

@@ -53,7 +53,7 @@ def attempt(python: str, wheel: Path, sdist: Path, folder: Path) -> list[str]:
     listed = run(
         inside, "-X", "dev", "-W", "error", "-c",
         "from gcs_sysid.cli.program import build_parser\n"
-        "from gcs_sysid.cli.welcome import commands_of\n"
+        "from gcs_sysid.cli.program import commands_of\n"
         "print(*(name for name, _ in commands_of(build_parser())))",
         cwd=folder,
     ).split()  # fmt: skip

@@ -29,8 +29,8 @@ from benchmarks.accuracy.flights import (
 )
 from benchmarks.accuracy.statistics import Z95, settled
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.signals.complementary import ComplementaryFilter
 

@@ -8,10 +8,10 @@ from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
+from gcs_sysid.estimation.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
-from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb

@@ -19,7 +19,7 @@ from typing import Any
 
 from benchmarks.reliability import watched
 from benchmarks.reliability.rate import growth, rows_of_times, table
-from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live import live_session as live
 from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_options import LiveOptions

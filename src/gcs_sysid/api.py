@@ -20,8 +20,8 @@ from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
+from gcs_sysid.report.data import Recorder
 from gcs_sysid.report.prediction_series import predict
-from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Estimate, IdentifiedEstimate, Result
 from gcs_sysid.results.result_file import read_result

@@ -222,7 +222,7 @@ def test_commands_and_notebooks_load_neither_screen_nor_slow_parts_of_scipy():
     code = (
         "import gcs_sysid, importlib, sys\n"
         "from gcs_sysid.cli.program import build_parser\n"
-        "from gcs_sysid.cli.welcome import commands_of\n"
+        "from gcs_sysid.cli.program import commands_of\n"
         "for name, _ in commands_of(build_parser()):\n"
         "    importlib.import_module(f'gcs_sysid.cli.{name}_command')\n"
         "gcs_sysid.analyze, gcs_sysid.identify\n"

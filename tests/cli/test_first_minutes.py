@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.cli import option_groups
-from gcs_sysid.cli.program import build_parser, run
-from gcs_sysid.cli.welcome import commands_of
+from gcs_sysid.cli.program import build_parser, commands_of, run
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.setup_help import listening
 from gcs_sysid.setup_help.checks import Sign

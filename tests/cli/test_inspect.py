@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.inspection_text import report
+from gcs_sysid.cli.inspect_command import report
 from gcs_sysid.cli.program import run
 from gcs_sysid.inspection.inspector import inspect_log
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.cli import program as main
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import on_signals
 
 ROOT = Path(__file__).parents[2]
 POSIX_ONLY = frozenset(

@@ -7,9 +7,8 @@ import threading
 
 import pytest
 
-from gcs_sysid.cli import json_lines, output
-from gcs_sysid.cli.json_lines import JsonLines
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli import output
+from gcs_sysid.cli.output import JsonLines, on_signals
 from gcs_sysid.errors import InputError
 
 CLEAN = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
@@ -95,7 +94,7 @@ class Pipe(io.StringIO):
 
 
 def lines_to(pipe, monkeypatch):
-    monkeypatch.setattr(json_lines, "open_output", lambda _, *, force: pipe)
+    monkeypatch.setattr(output, "open_output", lambda _, *, force: pipe)
     return JsonLines("results.json", force=False)
 
 

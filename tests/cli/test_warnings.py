@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.program import build_parser
-from gcs_sysid.cli.welcome import commands_of
+from gcs_sysid.cli.program import build_parser, commands_of
 
 SAMPLE = str(Path(__file__).parents[2] / "logs" / "sample.tlog")
 PAPER = ("--airframe", "paper", "--mass", "1.5")

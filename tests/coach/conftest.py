@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.coach.information import Noise, speed_noise
-from gcs_sysid.coach.motion import Craft
+from gcs_sysid.coach.information import Craft, Noise, speed_noise
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.vehicle_files import load_vehicle

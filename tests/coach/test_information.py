@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.flights import measure
-from gcs_sysid.coach.information import information
+from gcs_sysid.coach.information import information, within_reach
 from gcs_sysid.coach.manoeuvre_library import Limits, library
-from gcs_sysid.coach.motion import within_reach
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS

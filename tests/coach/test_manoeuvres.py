@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.coach.information import motion_of, within_reach
 from gcs_sysid.coach.manoeuvre_library import Limits, library
-from gcs_sysid.coach.motion import motion_of, within_reach
 from gcs_sysid.model import rigid_body as rb
 
 LIMITS = (

@@ -17,7 +17,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
 )
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import cosine_window
 
 SLOW = 2.0 * np.pi * np.array([0.3, 1.0, 2.0, 2.7])
 """rad/s, where vehicles are excited."""

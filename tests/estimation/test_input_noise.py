@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.command_noise import CommandNoise, missed_and_seen
-from gcs_sysid.estimation.speed_noise import ROUNDING_STD, SpeedNoise
+from gcs_sysid.estimation.input_noise import ROUNDING_STD, SpeedNoise
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import WindowSmoother
 

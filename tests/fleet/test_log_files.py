@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.log_files import find_logs, nearest_airframe
+from gcs_sysid.fleet.batch import find_logs, nearest_airframe
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from pymavlink import mavparm
 
 from gcs_sysid.cli import analyze_command
-from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.pools import LocalPool
 from gcs_sysid.health.assessment import HoverRecords, health_of_log

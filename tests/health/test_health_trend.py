@@ -7,7 +7,7 @@ import pytest
 
 from gcs_sysid.health.balance import Center, Quantity
 from gcs_sysid.health.health_trend import Series, series_of, trend_text
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.health.advice import advice_of
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.screen.widgets.health_panel import health_lines

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.airframe_guess import guess_airframe
+from gcs_sysid.health.airframe_guess import guess_airframe, layout_by_motion
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.motion_layout import layout_by_motion
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.rigid_body import mixer

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gcs_sysid.cli import inspection_text
+from gcs_sysid.cli import inspect_command
 from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
@@ -466,9 +466,9 @@ def test_only_parameters_that_matter_are_shown():
 def test_no_drift_is_neither_fast_nor_slow(drift, said):
     clock = ClockFacts(drift, 0, 0)
     found = SimpleNamespace(vehicle="PX4", clock=clock)
-    assert f"; {said} " in " ".join(inspection_text._clock(found, 100))
+    assert f"; {said} " in " ".join(inspect_command._clock(found, 100))
 
 
 def test_without_yaw_two_parameters_are_poorly_determined():
-    text = inspection_text._OBTAINABLE["all but Izz"]
+    text = inspect_command._OBTAINABLE["all but Izz"]
     assert text.endswith("yaw was hardly flown, so Izz and k_M are poorly determined")

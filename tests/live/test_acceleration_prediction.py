@@ -44,7 +44,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
 
     def take(block):
         blocks.append(block)
-        chain._learner.fit = fit
+        chain.fit = fit
         prediction.take(block)
 
     chain.observers[:] = [take]

@@ -22,9 +22,8 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.link import SerialLink, TcpLink
+from gcs_sysid.telemetry.link import PersistentLink, SerialLink, TcpLink
 from gcs_sysid.telemetry.messages import message_name, unpack
-from gcs_sysid.telemetry.reconnect import PersistentLink
 from gcs_sysid.telemetry.signing import Signer, SigningClock
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.udp_link import UdpLink

@@ -224,15 +224,15 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
 
 def test_changes_are_kept_up_to_a_number():
     tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.Tuning())
-    for n in range(3 * tracking.MOST_PASSING):
+    for n in range(3 * tracking.TRACKING.most_passing):
         ended = n if n % 50 == 0 else None
         tracker._add(tracking.Event(float(n), float(n), None, None, ended))
     passing = [event.onset for event in tracker.events if event.segment is None]
-    assert len(passing) == tracking.MOST_PASSING
-    assert passing[-1] == 3 * tracking.MOST_PASSING - 1
+    assert len(passing) == tracking.TRACKING.most_passing
+    assert passing[-1] == 3 * tracking.TRACKING.most_passing - 1
     assert [event.onset for event in tracker.events] == sorted(e.onset for e in tracker.events)
     assert sum(event.segment is not None for event in tracker.events) == 12
-    assert tracker.forgotten + len(tracker.events) == 3 * tracking.MOST_PASSING
+    assert tracker.forgotten + len(tracker.events) == 3 * tracking.TRACKING.most_passing
 
 
 def recorded(path):

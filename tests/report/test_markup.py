@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_sysid.report.markup import Markup, element, escaped, joined
+from gcs_sysid.report.parts import Markup, element, escaped, joined
 
 from .reading import Page
 

@@ -10,9 +10,8 @@ import pytest
 from gcs_sysid.live.acceleration_prediction import Model, Motion
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.report.data import AXES, Provenance, gather
+from gcs_sysid.report.data import AXES, Provenance, Recorder, gather
 from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
-from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 

@@ -5,7 +5,7 @@ import base64
 import numpy as np
 import pytest
 
-from gcs_sysid.report.series import packed, thinned
+from gcs_sysid.report.page_figures import packed, thinned
 
 
 def test_short_series_are_left_alone():

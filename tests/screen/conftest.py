@@ -10,7 +10,7 @@ from textual.pilot import Pilot
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import Actions, Baseline, SysidApp
-from gcs_sysid.screen.replay_app import ReplayApp
+from gcs_sysid.screen.scene import ReplayApp
 from gcs_sysid.screen.widgets.transport import Transport
 
 from . import fake

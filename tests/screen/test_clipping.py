@@ -8,9 +8,9 @@ from textual.containers import VerticalScroll
 from textual.widgets._footer import FooterKey
 
 from gcs_sysid.results.snapshot import Advice, LinkState
+from gcs_sysid.screen.main_view import PAGES, PageBar
 from gcs_sysid.screen.verdict_summary import headline
 from gcs_sysid.screen.widgets.lines import Lines
-from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.verdict import VerdictPanel, verdict_lines
 
 from . import fake

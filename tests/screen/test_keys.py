@@ -9,11 +9,9 @@ from textual.command import CommandPalette
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.screen import Actions, Baseline
-from gcs_sysid.screen.dialogs import Choose
-from gcs_sysid.screen.help import HelpScreen
-from gcs_sysid.screen.main_view import MainScreen
+from gcs_sysid.screen.dialogs import Choose, HelpScreen
+from gcs_sysid.screen.main_view import PAGES, MainScreen
 from gcs_sysid.screen.widgets.convergence import Convergence
-from gcs_sysid.screen.widgets.pages import PAGES
 
 from . import fake
 

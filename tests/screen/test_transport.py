@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.screen.help import HelpScreen
+from gcs_sysid.screen.dialogs import HelpScreen
 from gcs_sysid.screen.widgets.transport import state_of
 
 from .fake import PLAYING

@@ -9,10 +9,8 @@ from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results import history as course_module
+from gcs_sysid.results import snapshot as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.learner import Known, Learner
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
@@ -295,16 +293,15 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
 
 
 def test_a_rotor_stream_that_dies_and_comes_again_is_told():
-    learner = Learner(load_airframe("paper"), ScaleReference("mass", 1.5), ChainOptions())
+    chain = Chain(load_airframe("paper"))
     speeds = RotorSource("speed", "ESC_STATUS", "measured speeds")
     nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
-    refused = {"ESC_STATUS": "rotor 2 reads 0 while the others move"}
-    known = Known(0.004, True, False, False, (None, None), refused)
+    chain.rotor_selector.refused["ESC_STATUS"] = "rotor 2 reads 0 while the others move"
     for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
         block = SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, rotors)
-        learner.learn(block, known)
-    assert {event["kind"] for event in learner.input_events} == {"rotor_input"}
-    died, again, other = (event["text"] for event in learner.input_events)
+        chain.learn(block)
+    assert {event["kind"] for event in chain.input_events} == {"rotor_input"}
+    died, again, other = (event["text"] for event in chain.input_events)
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
     assert again == "ESC_STATUS is usable again: the estimate continues"
     assert other.endswith("estimate restarts")
@@ -315,7 +312,7 @@ def test_a_refused_result_identifies_nothing(paper_records):
     """As where a flight is long enough for thrust over mass, and not for the rotation."""
     chain, whole = run(paper_records)
     assert whole.parameters["k_T"].status == "identified"
-    chain._learner.fit = replace(chain._learner.fit, rotation=None)
+    chain.fit = replace(chain.fit, rotation=None)
     result = chain.result()
     assert result.verdict == "refused"
     assert result.parameters["k_T"].value == pytest.approx(whole.parameters["k_T"].value)

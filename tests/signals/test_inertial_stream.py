@@ -91,7 +91,8 @@ def test_the_estimate_holds_and_the_faults_are_told(paper_records, whole, how, k
 @pytest.mark.slow
 def test_without_the_test_spikes_would_spoil_the_estimate(paper_records, whole, monkeypatch):
     monkeypatch.setattr(
-        "gcs_sysid.signals.outliers.despiked", lambda t, x, *_: (x, np.zeros(x.shape, dtype=bool))
+        "gcs_sysid.signals.inertial_stream.despiked",
+        lambda t, x, *_: (x, np.zeros(x.shape, dtype=bool)),
     )
     _, result = run(spoilt(paper_records, 0.01, spike)[0])
     assert result.verdict == "partial"

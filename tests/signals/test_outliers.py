@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.signals.outliers import AHEAD, BEHIND, JOLT, despiked, frozen
+from gcs_sysid.signals.inertial_stream import AHEAD, BEHIND, JOLT, despiked, frozen
 
 
 def times(n, rate, jitter=0.0, seed=0):

@@ -8,8 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.signals.differentiator import LinearDifferentiator
-from gcs_sysid.signals.smoothers import DAMPING, DifferentiatorSmoother, WindowSmoother, leaky
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import (
+    DAMPING,
+    DifferentiatorSmoother,
+    WindowSmoother,
+    cosine_window,
+    leaky,
+)
 
 DT = 0.02
 N = 400

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import cosine_window
 
 WINDOWS = [(2, 0.05), (3, 0.05), (4, 0.05), (8, 0.01), (20, 0.005), (25, 0.004)]
 

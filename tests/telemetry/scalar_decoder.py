@@ -17,11 +17,11 @@ from gcs_sysid.telemetry.clock import ClockDrift, VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.marks import is_reset_mark
+from gcs_sysid.telemetry.message_table import MOST_ROTORS, RPM
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
-from gcs_sysid.telemetry.parameter_values import read_parameter
-from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS, RPM
 from gcs_sysid.telemetry.senders import Contradictions
+from gcs_sysid.telemetry.vehicle_states import read_parameter
 from gcs_sysid.telemetry.vehicles import VehicleSelector
 
 MILLI_G = 9.80665e-3

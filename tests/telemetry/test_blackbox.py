@@ -11,7 +11,7 @@ from benchmarks import blackbox_log as bbl
 from benchmarks.blackbox_log import BlackboxWriter, Field
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_session
-from gcs_sysid.fleet.log_files import find_logs
+from gcs_sysid.fleet.batch import find_logs
 from gcs_sysid.model.attitude import to_euler
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_units import command_range

@@ -7,7 +7,7 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.log_files import find_logs
+from gcs_sysid.fleet.batch import find_logs
 from gcs_sysid.model.attitude import align_signs, from_euler, matrices
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log

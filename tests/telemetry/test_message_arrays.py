@@ -9,8 +9,7 @@ from pymavlink import mavutil
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Validity
-from gcs_sysid.telemetry.message_arrays import HEADER, message_dtype
-from gcs_sysid.telemetry.messages import LAYOUTS
+from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_dtype
 from gcs_sysid.telemetry.tlog import TlogReader, read_messages, read_tlog
 
 START = 1_750_000_000_000_000

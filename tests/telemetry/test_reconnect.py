@@ -6,9 +6,15 @@ import socket
 import pytest
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.telemetry.link import Chunk, Link, open_link
+from gcs_sysid.telemetry.link import (
+    FIRST_PAUSE,
+    LONGEST_PAUSE,
+    Chunk,
+    Link,
+    PersistentLink,
+    open_link,
+)
 from gcs_sysid.telemetry.receiver import Receiver
-from gcs_sysid.telemetry.reconnect import FIRST_PAUSE, LONGEST_PAUSE, PersistentLink
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 

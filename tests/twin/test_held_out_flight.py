@@ -15,7 +15,7 @@ import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import attitude
-from gcs_sysid.report import evidence
+from gcs_sysid.report import evidence_sections
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
@@ -238,7 +238,7 @@ def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
 
 def test_a_report_shows_what_the_command_prints(twin):
     data = SimpleNamespace(twin=twin.as_json(), twin_picture=twin_svg(twin))
-    page = str(evidence.twin(data))
+    page = str(evidence_sections.twin(data))
     ahead = twin.accuracy[1.0]["rates"]
     row = re.search(r"Rates, 1 s ahead.*?</tr>", page, re.DOTALL)[0]
     shown = re.findall(r"<td[^>]*>([^<]*)</td>", row)
@@ -247,7 +247,7 @@ def test_a_report_shows_what_the_command_prints(twin):
     assert shown[2] == f"{100.0 * ahead.inside:.0f} %"
     assert page.count("<svg") == 1
     assert "37 to 62 s" in page
-    assert evidence.twin(SimpleNamespace(twin={}, twin_picture="")) is None
+    assert evidence_sections.twin(SimpleNamespace(twin={}, twin_picture="")) is None
 
 
 @pytest.mark.slow

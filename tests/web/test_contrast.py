@@ -8,7 +8,7 @@ from textual.color import Color
 
 from gcs_sysid.results.words import CHANGE, STATUS, VERDICT, WAITING
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.themes import DARK, LIGHT
+from gcs_sysid.screen.app import DARK, LIGHT
 from gcs_sysid.web.site import asset
 
 TEXT, SIGN = 4.5, 3.0

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output, reported_airframe
-from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning

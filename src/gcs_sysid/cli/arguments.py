@@ -19,7 +19,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import with_mapping
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
-"""Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
+"""Names of `estimation.article_estimator.METHODS` (a test compares); not imported:
+that would start slowly."""
 
 EXPORT_TARGETS = (
     "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",

@@ -11,14 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
-from gcs_sysid.cli.output import Deliveries, say
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
-from gcs_sysid.fleet.batch import Batch, Tally
+from gcs_sysid.fleet.batch import AIRFRAME_FILE, Batch, Tally, find_logs, nearest_airframe
 from gcs_sysid.fleet.jobs import Job
 from gcs_sysid.fleet.limits import Limits, analyze_within
-from gcs_sysid.fleet.log_files import AIRFRAME_FILE, find_logs, nearest_airframe
 from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
 from gcs_sysid.model.airframe import Airframe

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.live_command import baseline_of, follow, refit_interval
 from gcs_sysid.cli.option_groups import coach_options
+from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession

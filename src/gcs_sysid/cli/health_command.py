@@ -2,18 +2,27 @@
 
 import argparse
 import sys
+import textwrap
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
-from gcs_sysid.health.autopilot_parameters import format_of, parameter_file
-from gcs_sysid.health.health_file import document_of, read_baseline
+from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, suggested
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
+from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
+
+_NAME = 20
+_WINDY = 2e-3
+"""m by wind that are worth a line."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -100,3 +109,139 @@ def _write(
         picture = health_picture(document_of(best), series_of(usable) if len(usable) > 1 else ())
         deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
     deliveries.check()
+
+
+def health_text(health: Health) -> str:
+    """All that hover shows of a vehicle, in lines."""
+    return "\n".join([*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)])
+
+
+def _head(health: Health) -> Iterator[str]:
+    yield health.source
+    what = {"speed": "measured speeds", "command": "commands"}[health.rotor_input]
+    yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
+    yield ""
+    assert health.cg is not None
+    for place, positive, negative in zip(
+        health.cg, ("forward", "right"), ("aft", "left"), strict=True
+    ):
+        value, half = place.value or 0.0, place.half or 0.0
+        way = positive if value >= 0.0 else negative
+        flown = 1.96e3 * max((place.std or 0.0) ** 2 - place.std_given**2, 0.0) ** 0.5
+        yield _line(
+            "CG " + ("along" if positive == "forward" else "across"),
+            f"{PLAIN.measure(1e3 * abs(value), 1e3 * half, 'mm')} {way} of the center "
+            f"(identical rotors: ± {PLAIN.fixed(flown, decimals_for(max(flown, 0.01)))} mm)",
+        )
+    yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
+    if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
+        yield _line("  wind contribution", _as_flown(health.by_wind))
+    yield from _pure("yaw imbalance", health.yaw_imbalance, 100.0, "% of the load, ccw minus cw")
+    yield from _pure("hover throttle", health.hover_throttle, 100.0, "%")
+    yield from _pure("full thrust", health.thrust_to_weight, 1.0, "times the weight")
+    if health.scale is not None:
+        name, quantity = health.scale
+        yield _line(name, _value(quantity))
+    if health.mass is not None:
+        yield _line("mass", _value(health.mass))
+    if health.curve is not None:
+        yield from _pure(
+            "thrust curve",
+            health.curve.c,
+            1.0,
+            health.curve.origin
+            if health.curve.origin in ("given", "assumed")
+            else f"by {health.curve.origin}",
+        )
+    yield from _pure("thrust drift", health.drift, 100.0, "% a minute, for the same command")
+    if health.motor_lag:
+        yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
+    if health.condition is not None:
+        yield _line("rotors", condition_text(health.condition))
+    if health.apart:
+        yield from _wrapped(health.apart, f"{'rotors':<{_NAME}}")
+    if health.weakened is not None:
+        weak_rotor = condition_text(health.weakened.condition)
+        yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
+
+
+def _as_flown(moved: tuple[float, float]) -> str:
+    x, y = (1e3 * value for value in moved)
+    along, across = "forward" if x >= 0.0 else "aft", "right" if y >= 0.0 else "left"
+    return f"perhaps {abs(x):.0f} mm {along}, {abs(y):.0f} mm {across}: fly in calm air to know"
+
+
+def _line(name: str, text: str) -> str:
+    return f"{name:<{_NAME}}{text}"
+
+
+def _pure(name: str, quantity: Quantity | None, scale: float, words: str) -> Iterator[str]:
+    if quantity is None or quantity.value is None:
+        return
+    half = scale * (quantity.half or 0.0)
+    yield _line(name, PLAIN.measure(scale * quantity.value, half, words))
+
+
+def _value(quantity: Quantity) -> str:
+    assert quantity.value is not None
+    if not quantity.half:
+        return f"{significant(quantity.value, 4)} {quantity.unit} (given)"
+    text, half, power, _ = PLAIN.value_and_half(quantity.value, quantity.half)
+    return (
+        f"({text} ± {half}){power} {quantity.unit}" if power else f"{text} ± {half} {quantity.unit}"
+    )
+
+
+def _rotors(health: Health) -> Iterator[str]:
+    columns = ["rotor", "thrust share", "motor gain", "throttle left", "at full", "vibration"]
+    yield "".join(f"{name:>14}" if i else f"{name:<6}" for i, name in enumerate(columns))
+    for number, rotor in enumerate(health.rotors, 1):
+        cells = [
+            _cell(rotor.thrust_share, 100.0, "%"),
+            _cell(rotor.motor_gain, 1.0, ""),
+            _cell(rotor.headroom, 100.0, "%"),
+            "-" if rotor.saturated is None else f"{100.0 * rotor.saturated:.1f} %",
+            _cell(rotor.vibration, 1.0, "m/s^2"),
+        ]
+        yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in cells)
+
+
+def _cell(quantity: Quantity | None, scale: float, unit: str) -> str:
+    if quantity is None or quantity.value is None:
+        return "-"
+    value = scale * quantity.value
+    return f"{value:.1f} {unit}" if unit == "%" else f"{value:.3f} {unit}".rstrip()
+
+
+def _parameters(health: Health) -> Iterator[str]:
+    found = suggested(health)
+    if not found:
+        return
+    yield ""
+    yield "Autopilot parameters that fit (nothing is sent; --params FILE writes them)"
+    for one in found:
+        assert one.quantity.value is not None
+        half = one.quantity.half or 0.0
+        now = "" if one.now is None else f"  now {one.now:.4g}"
+        interval = f" ± {half:.3f}" if half else ""
+        yield f"  {one.name:<{_NAME - 2}}{one.quantity.value:.3f}{interval}{now}"
+
+
+def _foot(health: Health) -> Iterator[str]:
+    if health.advice:
+        yield ""
+        for text in health.advice:
+            yield from _wrapped(text, "-> ")
+    yield ""
+    for text in health.assumptions:
+        yield from _wrapped(f"assumed: {text}", "")
+
+
+def _wrapped(text: str, begin: str) -> list[str]:
+    return textwrap.wrap(
+        text,
+        TEXT_WIDTH,
+        initial_indent=begin,
+        subsequent_indent=" " * len(begin),
+        break_on_hyphens=False,
+    )

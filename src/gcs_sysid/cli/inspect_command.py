@@ -2,23 +2,80 @@
 
 import argparse
 import shutil
+import textwrap
 import threading
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.inspection_text import report
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file
 from gcs_sysid.inspection.derived_facts import assumed_airframe
-from gcs_sysid.inspection.facts import Inspection
+from gcs_sysid.inspection.facts import (
+    GROUPS,
+    Inspection,
+    Obtainable,
+    RotorSource,
+    StreamFacts,
+    group_of,
+    role,
+)
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
+from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES, parse_url
 
 WIDEST = 120
 """Columns that lines are wrapped to at most: longer ones are hard to read."""
+_KINDS = {
+    "tlog": "recording of a ground station (.tlog)",
+    "ulog": "PX4's own log (.ulg)",
+    "dataflash": "ArduPilot's own log (.bin)",
+    "table": "table of signals",
+    "blackbox": "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
+    "link": "live link",
+}
+_ROLES = {
+    "vehicle": "vehicle",
+    "radio": "telemetry radio",
+    "gcs": "ground station",
+    "other": "other",
+    "unknown": "no heartbeat",
+}
+_STREAMS = {
+    Stream.IMU: "IMU",
+    Stream.ATTITUDE: "attitude",
+    Stream.ROTOR_SPEED: "rotor speed",
+    Stream.ROTOR_COMMAND: "commands",
+    Stream.VELOCITY: "velocity",
+}
+_RECOGNIZED_BY = {
+    "autopilot": "",
+    "rotors": " (armed with rotors turning; not reported by the autopilot)",
+    "arming": " (armed; flight is not reported by the autopilot)",
+    "": "",
+}
+_VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
+_LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
+"""Parameters of a vehicle that reports where its rotors are."""
+_OBTAINABLE: dict[Obtainable, str] = {
+    "everything": "everything: scale, CG, inertia, rotor coefficients",
+    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
+    "determined",
+    "in part": "scale, CG from hover; inertia as far as it was flown, perhaps rough",
+    "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
+    "nothing": "nothing",
+}
+_NAME = 14
+"""Columns of the names at the left."""
+_TIE = "\u00a0"
+"""A space at which lines do not break."""
+_OTHERS_NAMED = 6
+_FLIGHTS_NAMED = 8
 
 
 def run(options: argparse.Namespace) -> int:
@@ -83,3 +140,240 @@ def _link(options: argparse.Namespace) -> Inspection:
             stop=stop.is_set,
             progress=output.progress_bar(f"listening on {url}"),
         )
+
+
+def report(found: Inspection, width: int = 80) -> str:
+    """All that was found, in lines of at most `width` columns where words allow it."""
+    parts = [
+        _head(found, width),
+        _systems(found),
+        _streams(found, width),
+        _clock(found, width),
+        _rotors(found, width),
+        _motion(found),
+        _parameters(found, width),
+        _verdict(found, width),
+    ]
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def next_command(source: str, parameters: Mapping[str, float], kind: str = "") -> str:
+    """The command that identifies from a log. Layouts that vehicles report lack lengths."""
+    layout = "--airframe FILE"
+    if any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT):
+        layout = "--arm M"
+    elif kind == "blackbox":
+        layout = "--airframe betaflight-quad-x --arm M"
+    return f"gcs-sysid analyze {source} {layout} --mass KG"
+
+
+def _entry(name: str, text: str, width: int) -> list[str]:
+    """A name at the left and its text beside it, wrapped."""
+    lines = textwrap.wrap(
+        text,
+        max(width, 40),
+        initial_indent=f"{name:<{_NAME}}",
+        subsequent_indent=" " * _NAME,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace(_TIE, " ") for line in lines]
+
+
+def _head(found: Inspection, width: int) -> list[str]:
+    lines = [found.source, f"{_KINDS[found.kind]}, {found.duration:.1f} s"]
+    if found.flights:
+        spans = [f"{start:.0f}-{end:.0f} s" for start, end in found.flights[:_FLIGHTS_NAMED]]
+        more = [f"{len(found.flights) - _FLIGHTS_NAMED} more"] * (
+            len(found.flights) > _FLIGHTS_NAMED
+        )
+        count = "1 flight" if len(found.flights) == 1 else f"{len(found.flights)} flights"
+        text = f"in the air {found.in_air:.1f} s, {count}: {', '.join(spans + more)}"
+        lines += textwrap.wrap(text + _RECOGNIZED_BY[found.flight_told_by], width)
+    elif found.flight_told_by:
+        lines.append("never in the air" + _RECOGNIZED_BY[found.flight_told_by])
+    return lines
+
+
+def _systems(found: Inspection) -> list[str]:
+    if not found.systems:
+        return []
+    rows = []
+    for system in found.systems:
+        address = f"{system.system}:{system.component}"
+        name = str(system).removesuffix(address).strip()
+        what = _ROLES[role(system)]
+        chosen = ", inspected" if system.address == found.vehicle_address else ""
+        rows.append((address, name or "?", what + chosen))
+    wide = max(len(name) for _, name, _ in rows)
+    return ["Systems", *(f"  {a:<{_NAME - 2}}{n:<{wide}}  {w}".rstrip() for a, n, w in rows)]
+
+
+def _streams(found: Inspection, width: int) -> list[str]:
+    where = "in flight" if found.flights else "all of it"
+    lines = []
+    if found.streams:
+        lines.append(
+            f"{'Streams':<{_NAME}}{where:<22}{'rate':>10}{'gaps':>6}{'longest':>9}"
+            f"{'missing':>9}{'repeats':>9}"
+        )
+        lines += [_stream_row(stream) for stream in found.streams]
+    elif found.systems:
+        lines.append("Messages")
+    messages = found.telemetry.get("messages", {})
+    used = {stream.message for stream in found.streams}
+    others = {name: entry for name, entry in messages.items() if name not in used}
+    if others:
+        lines += _entry("  other", _others(others), width)
+    received = found.telemetry.get("received", 0)
+    if received:
+        lines += _entry("  all", f"{received} messages, {_losses(found.telemetry)}", width)
+    return lines
+
+
+def _stream_row(stream: StreamFacts) -> str:
+    rate = "-" if stream.rate is None else f"{stream.rate:.1f} Hz"
+    longest = f"{stream.longest_gap:.1f} s" if stream.gaps else "-"
+    return (
+        f"  {_STREAMS.get(stream.stream, stream.stream):<{_NAME - 2}}{stream.message:<22}{rate:>10}"
+        f"{stream.gaps:>6}{longest:>9}"
+        f"{_percent(stream.missing_percent):>9}{_percent(stream.repeats_percent):>9}"
+    )
+
+
+def _percent(value: float) -> str:
+    return f"{value:.1f} %" if value else "-"
+
+
+def _others(messages: Mapping[str, Mapping[str, float | None]]) -> str:
+    by_count = sorted(messages.items(), key=lambda item: -(item[1]["count"] or 0.0))
+    named = []
+    for name, entry in by_count[:_OTHERS_NAMED]:
+        rate = entry["rate"]
+        named.append(name if rate is None else f"{name}{_TIE}{_short(rate)}{_TIE}Hz")
+    more = ["..."] if len(by_count) > _OTHERS_NAMED else []
+    kinds = "1 kind" if len(by_count) == 1 else f"{len(by_count)} kinds"
+    return f"{kinds}: {', '.join(named + more)}"
+
+
+def _losses(telemetry: Mapping[str, float]) -> str:
+    words = [f"{telemetry.get('lost', 0)} lost ({telemetry.get('lost_percent', 0.0):.2f} %)"]
+    for key, what in (
+        ("unknown", "of unknown kinds"),
+        ("bad_crc", "with a wrong checksum"),
+        ("garbage_bytes", "bytes of garbage"),
+    ):
+        if telemetry.get(key):
+            words.append(f"{telemetry[key]} {what}")
+    return ", ".join(words)
+
+
+def _clock(found: Inspection, width: int) -> list[str]:
+    if found.vehicle is None:
+        return []
+    drift = found.clock.drift_ppm
+    if drift is None:
+        against = "drift unknown"
+    else:
+        ppm = round(drift)
+        way = "" if ppm == 0 else " fast" if ppm > 0 else " slow"
+        against = f"{abs(ppm)} ppm{way} against the computer that received"
+    text = (
+        f"the autopilot's; {against}; {_times(found.clock.reboots, 'reboot')}, "
+        f"{_times(found.clock.wraps, 'wrap')} of a 32-bit stamp"
+    )
+    return _entry("Clock", text, width)
+
+
+def _times(count: int, what: str) -> str:
+    return f"{count or 'no'} {what}{'s' if count > 1 else ''}"
+
+
+def _rotors(found: Inspection, width: int) -> list[str]:
+    if not found.rotor_sources:
+        return []
+    chosen = found.rotor_input.chosen
+    shown = chosen or min(found.rotor_sources, key=lambda source: source.kind == "command")
+    what = "measured speeds" if shown.kind == "speed" else "commands"
+    text = f"{shown.message}, {what} at {_short(shown.rate or 0.0)} Hz"
+    if chosen is None:
+        choice = "none is usable" if found.rotor_input.judged else "chosen in flight"
+        text = f"{choice}; {text}"
+    lines = _entry("Rotor input", text, width)
+    if shown.rotors:
+        unit = "rpm" if shown.kind == "speed" else "output"
+        lines.append(f"{'  motor':<{_NAME}}{'lowest':>9}{'mean':>9}{'highest':>9}  {unit}")
+        lines += _rotor_rows(shown)
+    for source in found.rotor_sources:
+        if source is not shown:
+            dead = ", ".join(map(str, source.dead))
+            silent = f", nothing of motor {dead}" if dead else ""
+            lines += _entry(
+                "  also", f"{source.message} {_short(source.rate or 0.0)} Hz{silent}", width
+            )
+    return lines
+
+
+def _rotor_rows(source: RotorSource) -> Iterable[str]:
+    scale = 1.0 / RPM if source.kind == "speed" else 1.0
+    digits = 3 if scale == 1.0 and max(rotor.high for rotor in source.rotors) < 10.0 else 0
+    for motor, rotor in enumerate(source.rotors, 1):
+        values = "".join(f"{scale * v:>9.{digits}f}" for v in (rotor.low, rotor.mean, rotor.high))
+        dead = "  dead" if motor in source.dead else ""
+        yield f"  {motor:<{_NAME - 2}}{values}{dead}"
+
+
+def _motion(found: Inspection) -> list[str]:
+    if not found.motion:
+        return []
+    lines = [f"{'Motion':<{_NAME}}{'rate rms':>12}{'acceleration rms':>22}"]
+    for axis, motion in found.motion.items():
+        little = "  too little" if motion.acceleration_rms < THRESHOLDS.acceleration[axis] else ""
+        lines.append(
+            f"  {axis:<{_NAME - 2}}{motion.rate_rms:>6.2f} rad/s"
+            f"{motion.acceleration_rms:>14.2f} rad/s^2{little}"
+        )
+    return lines
+
+
+def _parameters(found: Inspection, width: int) -> list[str]:
+    if not found.parameter_count:
+        return []
+    lines = [f"Parameters    {len(found.parameters)} of {found.parameter_count} matter"]
+    for group in GROUPS:
+        own = {name: v for name, v in found.parameters.items() if group_of(name) == group}
+        if own:
+            lines += _entry(
+                f"  {group}", ", ".join(f"{n}{_TIE}{v:.6g}" for n, v in own.items()), width
+            )
+    return lines
+
+
+def _verdict(found: Inspection, width: int) -> list[str]:
+    lines = [
+        f"Can be identified from: {_VERDICTS[found.verdict]}",
+        *_entry("Obtainable", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
+    ]
+    for i, finding in enumerate(found.findings):
+        mark = "-" if finding.level == "note" else "!"
+        lines += textwrap.wrap(
+            finding.text, width, initial_indent=f"  {mark} ", subsequent_indent="    "
+        )
+        following = found.findings[i + 1 :]
+        if finding.advice and not any(f.advice == finding.advice for f in following):
+            lines += textwrap.wrap(
+                finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
+            )
+    if found.verdict != "no" and found.kind != "link":
+        lines += ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]
+    elif found.obtainable == "health" and found.kind != "link":
+        lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
+    return lines
+
+
+def _of_hover(found: Inspection) -> str:
+    return f"; {found.hover:.0f} s of hover" if found.hover else ""
+
+
+def _short(rate: float) -> str:
+    return f"{rate:.0f}" if rate >= 20.0 else f"{rate:.1f}"

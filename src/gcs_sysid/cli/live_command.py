@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import gc
 import sys
 import threading
 import time
@@ -12,12 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from gcs_sysid.cli import arguments, output, reported_airframe
-from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
+from gcs_sysid.cli.output import JsonLines, on_signals
 from gcs_sysid.cli.result_table import result_table
-from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.garbage import spare_what_stays
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
@@ -35,6 +34,8 @@ if TYPE_CHECKING:
 
 _SAY_EVERY = 1.0
 """s between lines of the headless output."""
+_SELDOM = 100
+"""Middle collections to a full one; Python's default is 10."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -340,3 +341,16 @@ def status_line(snapshot: Snapshot) -> str:
     if refused and reasons:
         words.append(f"({reasons[0]})")
     return "  ".join(words)
+
+
+def spare_what_stays() -> None:
+    """Exempt all there is now from collections, and have full ones less often.
+
+    A full collection walks all that a program holds. With a screen that took 0.1 s every ten
+    seconds, in which no datagram was read and no key answered; modules and style sheets are most
+    of it, and they stay. To be called by the owner of the process, once everything is loaded.
+    """
+    gc.collect()
+    gc.freeze()
+    young, middle, _ = gc.get_threshold()
+    gc.set_threshold(young, middle, _SELDOM)

@@ -2,22 +2,43 @@
 
 import argparse
 import json
+import math
+import textwrap
+from collections.abc import Iterator
 from dataclasses import replace
+from html import escape
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.option_groups import limits_of
-from gcs_sysid.cli.output import Deliveries, check_json, print_file, save, show
-from gcs_sysid.coach.flight_plan import make_plan
+from gcs_sysid.cli.output import TEXT_WIDTH, Deliveries, check_json, print_file, save, show
+from gcs_sysid.coach.flight_plan import HOVER, Plan, Step, make_plan
 from gcs_sysid.coach.interval_targets import shares
-from gcs_sysid.coach.plan_picture import plan_svg, plan_text
+from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of
 from gcs_sysid.setup_help.checks import can_show
+
+_BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
+_COLUMNS = 32
+_SHOWN = 4.0
+"""s of a maneuver that its small picture shows."""
+_AXES = ("roll", "pitch", "yaw", "climb")
+_GAINS = 4
+_FOOT = (
+    "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
+    "250 Hz). In flight the coach uses the measured data."
+)
+_COLOURS = ("#1f6fb4", "#c2571a", "#2b8a3e", "#7048a8")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,3 +81,124 @@ def _write(path: str, text: str, options: argparse.Namespace) -> None:
         print_file(text)
     else:
         save(Path(path), text, force=options.force)
+
+
+def plan_text(plan: Plan, *, unicode: bool = True) -> str:
+    """The plan as lines for a terminal or a sheet of paper.
+
+    Args:
+        plan: to show.
+        unicode: whether blocks can be printed; signs of ASCII otherwise.
+    """
+    limits = plan.limits
+    lines = [
+        *_wrapped(
+            f"Flight plan for {plan.airframe}: every 95 % interval within "
+            f"{100.0 * plan.target:g} % of the value"
+        ),
+        f"limits: tilt {math.degrees(limits.tilt):.0f}°, rate {math.degrees(limits.rate):.0f}°/s, "
+        f"height ±{limits.height:g} m",
+        "",
+        f"{0.0:4.0f} s  hover, {HOVER:.0f} s",
+    ]
+    for step in plan.steps:
+        lines += _wrapped(motion_words(step.manoeuvre), f"{step.start:4.0f} s  ", 8)
+        for axis, wave in _waves(step.manoeuvre):
+            lines.append(f"        {axis:6} {_spark(wave, _BLOCKS if unicode else _PLAIN)}")
+        lines += _wrapped(_gains(step), " " * 8, 8)
+    lines += [f"{plan.seconds:4.0f} s  end", "", *_wrapped(_widths(plan), "expected: ", 10)]
+    if not plan.enough:
+        lines.append("that is not enough: allow more tilt, rate or a wider interval")
+    lines += ["", *_wrapped(_FOOT)]
+    if not unicode:
+        return "\n".join(lines).replace("±", "+-").replace("°", " deg")
+    return "\n".join(lines)
+
+
+def _wrapped(text: str, begin: str = "", indent: int = 0) -> list[str]:
+    return textwrap.wrap(text, TEXT_WIDTH, initial_indent=begin, subsequent_indent=" " * indent)
+
+
+def _gains(step: Step) -> str:
+    return ", ".join(
+        gain_words(name, step.now.get(name), share)
+        for name in step.names[:_GAINS]
+        for share in (step.expected[name],)
+        if share is not None
+    )
+
+
+def _widths(plan: Plan) -> str:
+    return ", ".join(f"{name} {PLAIN.percent(share, 1)}" for name, share in plan.expected.items())
+
+
+def _waves(manoeuvre: Manoeuvre) -> Iterator[tuple[str, Array]]:
+    t = np.linspace(0.0, _SHOWN, _COLUMNS)
+    for axis, wave in zip(_AXES, manoeuvre.angles(t).T, strict=True):
+        if wave.any():
+            yield axis, wave / np.abs(wave).max()
+
+
+def _spark(wave: Array, signs: str) -> str:
+    places = np.clip((0.5 * (wave + 1.0) * len(signs)).astype(int), 0, len(signs) - 1)
+    return "".join(signs[place] for place in places)
+
+
+def plan_svg(plan: Plan) -> str:
+    """The motion over time, a lane for each axis; complete, nothing is loaded."""
+    width, left, lane, top = 900.0, 70.0, 70.0, 60.0
+    used = [
+        i
+        for i, axis in enumerate(_AXES)
+        if any(getattr(step.manoeuvre, axis) for step in plan.steps)
+    ]
+    height = top + lane * len(used) + 24.0 * (len(plan.steps) + 2) + 20.0
+    scale = (width - left - 20.0) / max(plan.seconds, 1.0)
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
+        'font-family="sans-serif" font-size="13" fill="#222">',
+        '<rect width="100%" height="100%" fill="#fff"/>',
+        f'<text x="{left:.0f}" y="24" font-size="16">Flight plan for {escape(plan.airframe)}: '
+        f"every interval within {100.0 * plan.target:g} %, {plan.seconds:.0f} s</text>",
+    ]
+    for row, i in enumerate(used):
+        middle = top + lane * (row + 0.5)
+        most = max(getattr(step.manoeuvre, _AXES[i]) for step in plan.steps)
+        unit = f"±{most:g} m" if _AXES[i] == "climb" else f"±{math.degrees(most):.0f}°"
+        out.append(f'<text x="8" y="{middle:.0f}">{_AXES[i]}</text>')
+        out.append(f'<text x="8" y="{middle + 16:.0f}" font-size="11">{unit}</text>')
+        points = " ".join(
+            f"{left + scale * t:.1f},{middle - 0.42 * lane * value / most:.1f}"
+            for t, value in _history(plan, i)
+        )
+        out.append(
+            f'<polyline points="{points}" fill="none" stroke="{_COLOURS[i]}" stroke-width="1.2"/>'
+        )
+    under = top + lane * len(used)
+    for number, step in enumerate(plan.steps, 1):
+        x = left + scale * step.start
+        out.append(
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top - 14:.0f}" y2="{under:.0f}" '
+            'stroke="#999" stroke-dasharray="3 3"/>'
+        )
+        out.append(f'<text x="{x + 3:.1f}" y="{top - 4:.0f}">{number}</text>')
+        line = f"{number}.  {step.start:.0f} s: {motion_words(step.manoeuvre)}"
+        out.append(f'<text x="{left:.0f}" y="{under + 24 * number:.0f}">{escape(line)}</text>')
+    below = under + 24.0 * (len(plan.steps) + 1)
+    out.append(
+        f'<text x="{left:.0f}" y="{below:.0f}" font-size="11">expected: '
+        f"{escape(_widths(plan))}</text>"
+    )
+    return "\n".join([*out, "</svg>", ""])
+
+
+def _history(plan: Plan, axis: int) -> Iterator[tuple[float, float]]:
+    """Times and values of an axis from the start to the end, swings growing and fading."""
+    edges = [*(step.start for step in plan.steps), plan.seconds]
+    yield 0.0, 0.0
+    for step, (start, _) in zip(plan.steps, pairwise(edges), strict=True):
+        t = np.arange(0.0, step.manoeuvre.seconds + 1e-9, 0.04)
+        grown = np.clip(np.minimum(t, step.manoeuvre.seconds - t) / RAMP, 0.0, 1.0)
+        values = step.manoeuvre.angles(t)[:, axis] * grown
+        yield from zip((start + t).tolist(), values.tolist(), strict=True)
+    yield plan.seconds, 0.0

@@ -1,4 +1,4 @@
-"""Parsing, and one place that turns errors into one line and an exit status.
+"""Parsing, what `gcs-sysid` alone shows, and errors turned into one line and an exit status.
 
 Each command's module is imported only when that command runs, so that `--help` and `--version`
 need neither NumPy nor Textual.
@@ -9,7 +9,7 @@ import errno
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser
@@ -22,7 +22,7 @@ from gcs_sysid.sanitize import one_line
 PROGRAM = "gcs-sysid"
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
-A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
+A command that Ctrl-C ended at once has 130; see also `output.BY_SIGNAL`."""
 
 
 _BRITISH = {"analyse": "analyze"}
@@ -240,8 +240,6 @@ def _run(argv: Sequence[str]) -> int:
         return stop.code if isinstance(stop.code, int) else USAGE
     options.argv = (PROGRAM, *argv)
     if options.command is None:
-        from gcs_sysid.cli.welcome import welcome
-
         show(welcome(parser))
         return DONE
     arguments.with_mappings(options)
@@ -257,3 +255,29 @@ def _reader_has_gone(error: Exception) -> bool:
     if type(error) is OSError and error.errno == errno.EIO and error.filename is None:
         return True  # a terminal that was closed
     return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
+
+
+def welcome(parser: argparse.ArgumentParser) -> str:
+    """One screen of 80 columns.
+
+    Args:
+        parser: the whole command line; its commands are listed.
+    """
+    commands = "\n".join(f"  {name:<12}{what}" for name, what in commands_of(parser))
+    return f"""\
+gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
+Try the emulator, then your vehicle (--arm: m, center to motor; --mass: kg):
+  gcs-sysid demo
+  gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
+Commands
+{commands}
+
+Options: gcs-sysid COMMAND --help. No vehicle found? gcs-sysid doctor"""
+
+
+def commands_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    """Name and one line of every command of a parser, in the order of its help."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for entry in action._choices_actions:
+                yield entry.dest, entry.help or ""

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.live_command import baseline_of, follow, is_watched, refit_interval
+from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live.log_playback import survey
 from gcs_sysid.live.replay_session import ReplaySession
 

@@ -12,9 +12,8 @@ from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.data import gather, provenance_of
+from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.page import render
-from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer
 from gcs_sysid.session.chain import Chain

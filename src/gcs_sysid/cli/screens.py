@@ -8,8 +8,7 @@ from pathlib import Path
 from gcs_sysid.cli import output
 from gcs_sysid.cli.live_command import Session, say_until_end
 from gcs_sysid.cli.live_report import ReportJob, have_written
-from gcs_sysid.cli.output import save
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import on_signals, save
 from gcs_sysid.cli.web_command import say_addresses
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble

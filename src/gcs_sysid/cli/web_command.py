@@ -5,7 +5,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from gcs_sysid.cli import output
-from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.output import on_signals
 
 if TYPE_CHECKING:
     from gcs_sysid.web.site import Site

@@ -5,16 +5,15 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import information
+from gcs_sysid.coach.information import Motion, information, motion_of, within_reach
 from gcs_sysid.coach.interval_targets import excess, is_enough
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.coach.motion import Motion, motion_of, within_reach
 from gcs_sysid.coach.predicted_information import PredictedInformation
 from gcs_sysid.estimation.actuator_dynamics import LAG
 from gcs_sysid.estimation.online import Fit
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
-"""Shares of a fit, see `targets.shares`."""
+"""Shares of a fit, see `interval_targets.shares`."""
 
 USUAL = 10.0
 """s that a maneuver lasts."""

@@ -6,8 +6,7 @@ from typing import Any
 
 from gcs_sysid.coach.choice import Judge, choose
 from gcs_sysid.coach.interval_targets import is_enough
-from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library
-from gcs_sysid.coach.manoeuvre_words import motion_words
+from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library, motion_words
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import RATE, SPEED_STD, PriorVehicle, prior_noise
 from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG
@@ -30,7 +29,7 @@ class Step:
     Attributes:
         start: s after the plan's start.
         manoeuvre: to fly.
-        now: shares before, see `targets.shares`.
+        now: shares before, see `interval_targets.shares`.
         expected: shares after.
         names: parameters that it narrows, the widest first.
     """

@@ -1,4 +1,4 @@
-"""The information that a maneuver adds about the parameters, before it is flown.
+"""What a maneuver asks of a vehicle, and the information that it adds, before it is flown.
 
 What a swing adds is counted frequency by frequency (Whittle's likelihood): with s_j(f) what the
 j-th unknown changes of the angular acceleration and S(f) the spectral density of what disturbs it,
@@ -9,16 +9,26 @@ A period has a few tens of frequencies, so that a library of maneuvers costs mil
 flight is simulated. The estimator's filters pass over both sides alike, so they are not in it.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.motion import Craft, Motion
+from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG, N_COORDINATES, ROTOR_COLUMNS
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import GRAVITY
 
+_POINTS = 96
+"""In a period; the fastest products of the fastest pace take eight of them."""
+_LEAST_THRUST = 0.15
+"""Of the mean hover thrust of a rotor: what each has to keep."""
+_MOST_THRUST = 2.0
+"""The same, what each may give where the greatest thrust is not known."""
+_SHRUNK = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""Swings that are tried where the rotors cannot give a whole one."""
 _SLOWEST = 0.5
 """Hz; lower frequencies carry no more information than this one: biases and gusts wander."""
 _QUIETEST = 1e-12
@@ -27,6 +37,129 @@ _EFFICIENCY = 0.75
 """Information that the online estimator's intervals show over what there is: it weighs all
 frequencies alike, and never claims less scatter than white residuals have (measured on flights of
 the emulator)."""
+
+
+@dataclass(frozen=True)
+class Craft:
+    """What is known, or assumed, of the vehicle.
+
+    Attributes:
+        geometry: (3, rotors) x, y, spin.
+        theta: (N_THETA,) see `rigid_body.THETA`.
+        thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
+        commands: whether the rotors' inputs are commands.
+        most: greatest thrust of a rotor over its mean hover share; None: not known.
+        curve: thrust curve with commands, see `estimation.actuator_dynamics`.
+    """
+
+    geometry: Array
+    theta: Array
+    thrust: float
+    commands: bool = False
+    most: float | None = None
+    curve: float = 1.0
+
+    @property
+    def mean_share(self) -> float:
+        """Thrust of a rotor in hover, on average, in units of `thrust`."""
+        return self.thrust / float(self.geometry.shape[1])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One period of a maneuver at full swing.
+
+    Attributes:
+        signals: (n, N_SIGNALS) of the forward form.
+        rates: (n, 3) body rates, rad/s.
+        shares: (n, rotors) thrust of each, in units of `Craft.thrust`.
+        period: s.
+    """
+
+    signals: Array
+    rates: Array
+    shares: Array
+    period: float
+
+
+def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion] | None:
+    """The maneuver with no more swing than the rotors can give, and its motion.
+
+    Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
+    """
+    for smaller in _SHRUNK:
+        tilted = replace(
+            manoeuvre,
+            roll=_whole(smaller * manoeuvre.roll),
+            pitch=_whole(smaller * manoeuvre.pitch),
+            climb=smaller * manoeuvre.climb,
+        )
+        for weaker in _SHRUNK if manoeuvre.yaw else (1.0,):
+            tried = replace(tilted, yaw=_whole(weaker * manoeuvre.yaw))
+            if not tried.can_be_seen:
+                break
+            motion = motion_of(tried, craft)
+            if _is_within(motion.shares, craft):
+                return tried, motion
+    return None
+
+
+def _whole(angle: float) -> float:
+    """rad, in whole steps of a degree."""
+    return math.radians(round(math.degrees(angle)))
+
+
+def _is_within(shares: Array, craft: Craft) -> bool:
+    most = _MOST_THRUST if craft.most is None else 0.9 * craft.most
+    return bool(
+        shares.min() >= _LEAST_THRUST * craft.mean_share and shares.max() <= most * craft.mean_share
+    )
+
+
+def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
+    """The motion that the maneuver is, and the rotors' part in it."""
+    paces = [manoeuvre.pace] if not manoeuvre.yaw else [manoeuvre.pace, manoeuvre.yaw_pace]
+    period = 1.0 / min(paces)
+    t = np.arange(_POINTS) * (period / _POINTS)
+    angles = manoeuvre.angles(t).T
+    roll, pitch = angles[:2]
+    roll_rate, pitch_rate, yaw_rate, _ = (_derivative(a, period) for a in angles)
+    up = _derivative(_derivative(angles[3], period), period)
+    rates = np.stack(
+        [
+            roll_rate - yaw_rate * np.sin(pitch),
+            pitch_rate * np.cos(roll) + yaw_rate * np.cos(pitch) * np.sin(roll),
+            yaw_rate * np.cos(pitch) * np.cos(roll) - pitch_rate * np.sin(roll),
+        ],
+        axis=1,
+    )
+    turning = np.stack([_derivative(w, period) for w in rates.T], axis=1)
+    thrust = craft.thrust * (1.0 + up / GRAVITY) / (np.cos(roll) * np.cos(pitch))
+    x = np.zeros((_POINTS, rb.N_SIGNALS))
+    x[:, 4:10] = rb.rate_products(rates)
+    x[:, 10:13] = rates
+    x[:, 2] = thrust
+    # What the rotors have to give on top of what these signals do by themselves.
+    theta = craft.theta.copy()
+    theta[rb.ROTOR_INERTIA] = 0.0
+    J = rb.inertia_matrix(theta)
+    left = turning @ J.T - x @ (J @ rb.forward_matrix(theta)).T
+    x[:, 0], x[:, 1] = left[:, 0], left[:, 1]
+    x[:, 3] = left[:, 2] / theta[rb.MOMENT_RATIO]
+    shares = x[:, :4] @ np.linalg.pinv(rb.mixer(craft.geometry))
+    speeds = np.sqrt(np.maximum(shares, 0.0))
+    H = (shares if craft.commands else speeds) @ craft.geometry[2]
+    x[:, 13], x[:, 14] = rates[:, 1] * H, rates[:, 0] * H
+    x[:, 15] = _derivative(H, period)
+    return Motion(x, rates, shares, period)
+
+
+def _derivative(signal: Array, period: float) -> Array:
+    """Of a periodic signal, exactly up to half the points' frequency."""
+    spectrum = np.fft.rfft(signal)
+    spectrum *= 2j * np.pi / period * np.arange(len(spectrum))
+    derived: Array = np.fft.irfft(spectrum, len(signal))
+    return derived
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import Noise
-from gcs_sysid.coach.motion import Craft
+from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
 from gcs_sysid.estimation.online import MIN_MOMENTUM_SECONDS, Fit
@@ -143,7 +142,7 @@ def predicted_information(
         fit: so far; `Fit(None, None, 0.0)` before a flight.
         prior_vehicle: of the airframe.
         noise: that maneuvers are flown in.
-        free_coordinates: of `estimation.basis`, those that are estimated.
+        free_coordinates: of `estimation.actuator_dynamics`, those that are estimated.
     """
     kappa = prior_vehicle.kappa
     if fit.translation is not None and fit.translation.kappa > 0.0:

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import Noise, speed_noise
-from gcs_sysid.coach.motion import Craft
+from gcs_sysid.coach.information import Craft, Noise, speed_noise
 from gcs_sysid.estimation.search import COORDINATE_STD
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe

@@ -37,7 +37,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import cosine_window
 
 COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve", "lag_asymmetry", "lag_exponent")
 """Of the coordinates d, tau, c as in `model.parameters`, and of e and p, which only

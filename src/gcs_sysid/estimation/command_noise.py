@@ -20,7 +20,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
     ActuatorDynamics,
     motor_filter,
 )
-from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
+from gcs_sysid.estimation.input_noise import ENOUGH, THIRD_DIFFERENCE, InputNoise
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
@@ -31,7 +31,6 @@ _DOUBT = 0.3
 takes some noise away, and messages are lost."""
 _SPACING = 2
 """Samples between those of a difference: it sees most at a quarter of the sample rate."""
-_ENOUGH = 100
 _FOLDS = 40
 """Multiples of the sample rate from which noise folds down, at most."""
 _SETTLED = 12.0
@@ -126,18 +125,12 @@ class CommandNoise(InputNoise):
     @property
     def covariance(self) -> Array:
         """(rotors, rotors) of white noise on the commands equivalent to the aliased part."""
-        if self._differences < _ENOUGH:
+        if self._differences < ENOUGH:
             return np.zeros_like(self._products)
         missed, seen = self._places @ self._folding
         scale = missed / seen / (self._differences * THIRD_DIFFERENCE)
         covariance: Array = scale * self._products
         return covariance
-
-    @property
-    def std(self) -> Array:
-        """(rotors,) of the same, 1."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
 
     def moments(self, smoother: Smoother, memory: float) -> Array:
         """(WIDTH, WIDTH) what it adds to the moments of a row, as if motors had no lag.

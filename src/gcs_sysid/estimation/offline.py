@@ -13,13 +13,14 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
+from gcs_sysid.estimation.input_noise import with_sparse_readings
 from gcs_sysid.estimation.instruments import combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood, most_passes
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.speed_noise import with_sparse_readings
 from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
@@ -28,8 +29,6 @@ _LOOKS = 3
 """Most second looks: the noise is that of residuals, which change with the fit."""
 _SETTLED = 0.1
 """Standard deviations that another look at the noise moves the moments of inertia by at most."""
-_CHANCE = 1.959963984540054
-"""Standard deviations by which two estimates may differ by chance."""
 
 Progress = Callable[[str, float], None]
 """Called with the current step and the share of it that is done, 0 to 1."""
@@ -135,7 +134,8 @@ def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
     """
     n = rb.N_THETA
     apart = fit.theta - online.theta
-    chance = _CHANCE**2 * np.maximum(online.std**2 - fit.std**2, 0.0)
+    # Two estimates differ by so much by chance.
+    chance = Z95**2 * np.maximum(online.std**2 - fit.std**2, 0.0)
     strong = fit.disturbance > RULES.detected
     error = np.sqrt(np.maximum(apart**2 - chance, 0.0)) * np.sign(apart)
     if not strong.any() or not error.any():

@@ -17,6 +17,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
 from gcs_sysid.estimation.disturbance import curve_doubt
+from gcs_sysid.estimation.input_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
 from gcs_sysid.estimation.motor_linearization import MeanThrust
 from gcs_sysid.estimation.priors import Prior
@@ -24,12 +25,11 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
-from gcs_sysid.estimation.speed_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
-from gcs_sysid.estimation.whitened_estimator import Followed, LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.whitened_estimator import LEAST_OWN, Followed, LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.samples import Samples
@@ -41,9 +41,6 @@ _WELL_KNOWN = 10.0
 """s of flight from which the search for a warm start starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
-
-_LEAST_OWN = 0.02
-"""Of a residual's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 PriorSource = Callable[[TranslationFit | None], Prior | None]
 """Prior knowledge, given k_T / m as far as it is known."""
@@ -207,7 +204,7 @@ class OnlineEstimator:
 
     @property
     def free(self) -> tuple[int, ...]:
-        """The coordinates that are estimated, see `estimation.basis`."""
+        """The coordinates that are estimated, see `estimation.actuator_dynamics`."""
         return self._basis.free
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
@@ -226,7 +223,7 @@ class OnlineEstimator:
         own = np.diag(fit.residual_covariance)
         noise = self._basis.noise_at(record.noise(fit.leak), fit.coordinates)
         rotors = np.diag(Q @ noise[:n, :n] @ Q.T)
-        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        left = np.maximum(own - rotors, LEAST_OWN * own)
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 

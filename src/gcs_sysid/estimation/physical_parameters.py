@@ -12,10 +12,10 @@ from gcs_sysid.estimation.individual_values import (
     mean_damping,
     rotor_coefficients,
 )
+from gcs_sysid.estimation.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import Scale, resolve_scale
-from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.status import NOTHING, RULES, Value, doubted, judged
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb

@@ -17,12 +17,12 @@ from gcs_sysid.estimation.actuator_dynamics import (
 )
 from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.input_noise import SpeedNoise
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.rotor_signals import RotorPath
-from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.whitened_fit import explained_by

@@ -28,7 +28,7 @@ class Rows:
     """Regression rows, NaN where a window held a sample that must not be used.
 
     Attributes:
-        rotation: (1, n, width) of elements, see `estimation.basis`.
+        rotation: (1, n, width) of elements, see `estimation.actuator_dynamics`.
         momentum: (3, n, thrusts + 3), one for each world axis: the thrust of each lag and set
             along it, velocity, 1, and what they make up.
         accelerometer: (n, thrusts + 3).

@@ -6,8 +6,9 @@ Levenberg-Marquardt damping; W is the inverse of the residual covariance, which 
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
 Rows hold the rotors' signals in several forms, of which those at any delay, and with commands
-at any motor lag and thrust curve, are linear maps (`estimation.basis`); these are unknowns of the
-fit too. Moments come with several leaks as hypotheses, fitted at once as stacked arrays.
+at any motor lag and thrust curve, are linear maps (`estimation.actuator_dynamics`); these
+are unknowns of the fit too. Moments come with several leaks as hypotheses, fitted at once as
+stacked arrays.
 
 Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
 is, but in the outcome it is weighed against the information that the scatter of the batch
@@ -45,7 +46,7 @@ from gcs_sysid.estimation.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
-_BLIND_STEP = 3.0
+BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
@@ -289,7 +290,7 @@ def follow_rotation(
     unknowns = start.warm_start.unknowns[None]
     scatter = start.warm_start.inflation, start.warm_start.widening
     outcome = Outcome(problem, problem.evaluate(unknowns), noise)
-    near = outcome.take_step(_BLIND_STEP)
+    near = outcome.take_step(BLIND_STEP)
     stuck = np.full(len(rows), start.warm_start.stuck)
     leaks = [start.leak] * len(rows)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)

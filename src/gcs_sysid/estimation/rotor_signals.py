@@ -2,8 +2,8 @@
 
 Measured speeds need no more than their squares. Commands pass a first-order motor lag and a
 thrust curve that are not known: their signals are formed for some lags, of the lagged commands
-and of their squares (`estimation.basis`). All are in units of the anchor: rad^2/s^2 with k_T for
-speeds, shares of full thrust with T_max for commands.
+and of their squares (`estimation.actuator_dynamics`). All are in units of the anchor:
+rad^2/s^2 with k_T for speeds, shares of full thrust with T_max for commands.
 
 An autopilot that low-passes its gyro sees the rotors' effect late and rounded; the same filter on
 the rotors' side puts both in step again.

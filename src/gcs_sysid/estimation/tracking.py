@@ -34,29 +34,43 @@ from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
-_LOOK_EVERY = 0.1
-"""s between decisions."""
-_MOST_AT_ONCE = 4096
-"""Samples."""
-_HELD_BACK = 0.3
-"""s, more than samples wait in the estimator."""
-_CONTAMINATED = 0.3
-"""s before a change's onset that are forgotten too: windows reach over it."""
-_INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
-"""How far a change may take inertia (share of it) and CG (share of the arm), one std."""
-_STAY = 3.0
-"""s without flight that separate two flights: two on the ground and one of takeoff. Less is a hop,
-or a state reported wrongly."""
-_AWAY = 10.0
-"""s of silence in which the vehicle may have landed and been changed."""
-MOST_SEGMENTS = 100
-"""Segments kept. Who changes more often is no vehicle; changes are looked for no more then."""
-MOST_PASSING = 200
-"""Events kept that ended no segment, the latest: a day of gusts may bring many."""
-_TOUCHDOWN = 1.0
-"""s before a reported landing that are left out: autopilots report it late."""
-_SAME = 10.0
-"""s within which a disturbance is reported once."""
+
+@dataclass(frozen=True)
+class TrackingTuning:
+    """Settings of what is decided between the detector and the estimator.
+
+    Attributes:
+        look_every: s between decisions.
+        most_at_once: samples.
+        held_back: s, more than samples wait in the estimator.
+        contaminated: s before a change's onset that are forgotten too: windows reach over it.
+        inertia_moves: how far a change may take inertia, share of it, one standard deviation.
+        cg_moves: the same of the CG, share of the arm.
+        stay: s without flight that separate two flights: two on the ground and one of takeoff. Less
+            is a hop, or a state reported wrongly.
+        away: s of silence in which the vehicle may have landed and been changed.
+        touchdown: s before a reported landing that are left out: autopilots report it late.
+        same: s within which a disturbance is reported once.
+        most_segments: kept. Who changes more often is no vehicle; changes are looked for no more
+            then.
+        most_passing: events kept that ended no segment, the latest: a day of gusts may bring many.
+    """
+
+    look_every: float = 0.1
+    most_at_once: int = 4096
+    held_back: float = 0.3
+    contaminated: float = 0.3
+    inertia_moves: float = 0.25
+    cg_moves: float = 0.2
+    stay: float = 3.0
+    away: float = 10.0
+    touchdown: float = 1.0
+    same: float = 10.0
+    most_segments: int = 100
+    most_passing: int = 200
+
+
+TRACKING = TrackingTuning()
 
 
 @dataclass(frozen=True)
@@ -146,7 +160,7 @@ class Tracker:
         self._reserves = False
         self._estimator.prior_source = prior
         self._count = self._hasty = 0
-        self._frame = max(round(_LOOK_EVERY / dt), 1)
+        self._frame = max(round(TRACKING.look_every / dt), 1)
         self._changes = changes
         self._watch = self._new_watch()
         self._trial: Trial | None = None
@@ -237,9 +251,9 @@ class Tracker:
             if self._trial is None:
                 self._touch_down()
             else:
-                self._trial.drop_last(_TOUCHDOWN)
+                self._trial.drop_last(TRACKING.touchdown)
                 self._trial.restart()
-        if t[-1] - self._landed >= _STAY:
+        if t[-1] - self._landed >= TRACKING.stay:
             self._end_trial()
 
     def _touch_down(self) -> None:
@@ -250,7 +264,7 @@ class Tracker:
             self._watch.land()
         if self.stopped:
             return
-        self._forget_last(_TOUCHDOWN)
+        self._forget_last(TRACKING.touchdown)
         if self.kept:
             self.kept.append(gap(self.kept[-1]))
 
@@ -270,9 +284,9 @@ class Tracker:
         if self.start is None:
             self.start = float(t[0])
         landed, self._landed = self._landed, None
-        stay = _STAY
+        stay = TRACKING.stay
         if landed is None:
-            landed, stay = self._newest, _AWAY
+            landed, stay = self._newest, TRACKING.away
         if t[0] - landed >= stay and np.isfinite(landed):
             self._end_trial()
             self._trial = Trial(self._fresh(landed=True), landed, float(t[0]))
@@ -304,7 +318,7 @@ class Tracker:
         assert self.start is not None
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
-        room = len(self.segments) < MOST_SEGMENTS
+        room = len(self.segments) < TRACKING.most_segments
         if room and is_another(before, trial.fit(before), arm, trial.battery_doubt):
             self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
@@ -349,10 +363,10 @@ class Tracker:
         """Samples in which nothing is decided, if no change is detected."""
         frame = self._frame - self._count % self._frame
         if self._watch is None:
-            return _MOST_AT_ONCE
+            return TRACKING.most_at_once
         if self._watch.busy or self._hasty:
             return frame
-        quiet = self._watch.arm_at - self._estimator.seconds - _HELD_BACK
+        quiet = self._watch.arm_at - self._estimator.seconds - TRACKING.held_back
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
     def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
@@ -360,7 +374,10 @@ class Tracker:
         at_once = len(t) > self._frame
         if self._watch is not None and not self._watch.take(t, samples, tentative=at_once):
             return None
-        return self._learn(samples, stops)
+        if self._keep:
+            self.kept.append(samples)
+        fits = self._estimator.follow(samples, stops)
+        return [Point(fit, len(self.segments)) for fit in fits]
 
     def _look(self, now: float) -> None:
         """Decide what there is to decide; give the watch a better reference."""
@@ -380,24 +397,18 @@ class Tracker:
         left = None if self._watch is None or self.stopped else self._watch.undecided()
         if left is not None:
             alarm, found = left
-            self._forget_last(self._newest - found.onset + _CONTAMINATED)
+            self._forget_last(self._newest - found.onset + TRACKING.contaminated)
             self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None))
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
         return self._estimator.fit(quick=quick, series=series)
 
-    def _learn(self, samples: Samples, stops: Sequence[int]) -> list[Point]:
-        if self._keep:
-            self.kept.append(samples)
-        fits = self._estimator.follow(samples, stops)
-        return [Point(fit, len(self.segments)) for fit in fits]
-
     def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
         """It was a disturbance: the vehicle is what it was."""
         if found.cause.disturbance == "contact":
             # What holds the vehicle down is not part of it.
-            self._forget_last(now - found.onset + _CONTAMINATED)
+            self._forget_last(now - found.onset + TRACKING.contaminated)
             self._break()
         event = Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
         last = self.events[-1] if self.events else None
@@ -410,7 +421,7 @@ class Tracker:
         assert self._watch is not None
         onset, since = alarm.step_of(found)
         event = Event(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
-        self._forget_last(now - onset + _CONTAMINATED)
+        self._forget_last(now - onset + TRACKING.contaminated)
         before = self.fit()
         if found.cause.kind == "rotor_failure":
             self.stopped = True
@@ -438,7 +449,7 @@ class Tracker:
 
     def _restart_detection(self) -> None:
         """Another vehicle: residuals of the last one do not apply."""
-        if len(self.segments) >= MOST_SEGMENTS:
+        if len(self.segments) >= TRACKING.most_segments:
             self._changes = None
         self._watch = self._new_watch()
 
@@ -456,7 +467,7 @@ class Tracker:
     def _add(self, event: Event) -> None:
         self.events.append(event)
         passing = [i for i, known in enumerate(self.events) if known.segment is None]
-        if len(passing) > MOST_PASSING:
+        if len(passing) > TRACKING.most_passing:
             del self.events[passing[0]]
             self.forgotten += 1
 
@@ -472,8 +483,8 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
         before.rotation.theta, float(np.mean(np.hypot(geometry[0], geometry[1])))
     )
     spread, places = np.zeros(N_UNKNOWNS), [rb.CG_X, rb.CG_Y]
-    spread[rb.ELEMENTS] = _INERTIA_MOVES * size[rb.ELEMENTS]
-    spread[places] = _CG_MOVES * size[places]
+    spread[rb.ELEMENTS] = TRACKING.inertia_moves * size[rb.ELEMENTS]
+    spread[places] = TRACKING.cg_moves * size[places]
     return _prior(before.rotation, before.rotation.full_covariance + np.diag(spread**2))
 
 
@@ -506,4 +517,4 @@ def _goes_on(last: Event, event: Event) -> bool:
     own = {"contact", "moment"}
     name, before = event.cause.disturbance, last.cause.disturbance
     same = name == before or own.isdisjoint((name, before))
-    return same and last.cause.kind == "passing" and event.onset - last.decided < _SAME
+    return same and last.cause.kind == "passing" and event.onset - last.decided < TRACKING.same

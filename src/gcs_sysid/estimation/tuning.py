@@ -23,7 +23,8 @@ class Tuning:
     """Settings of the online estimator.
 
     Attributes:
-        method: "forward", or one of the article's variants, for study (`estimation.article`).
+        method: "forward", or one of the article's variants, for study
+            (`estimation.article_estimator`).
         smoother: "whitened" (rows of one step through a bank of causal whiteners), "window"
             (symmetric), or "td" (linear tracking differentiator).
         half_width: s, half of the window, at high sample rates.

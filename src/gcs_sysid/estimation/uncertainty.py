@@ -4,6 +4,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.intervals import Z95
 
 _RIDGE = 1e-12
 """Of the scaled information: an unseen direction keeps a huge, finite variance."""
@@ -163,7 +164,7 @@ def student_factor(
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
     freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, _LEAST_SHARE) ** 2
-    factor: Array = stdtrit(freedom, 0.975) / _NORMAL
+    factor: Array = stdtrit(freedom, 0.975) / Z95
     return factor
 
 
@@ -187,10 +188,9 @@ def watched_factor(seconds: float) -> float:
         Factor on its standard deviation.
     """
     t = max(seconds / _FIRST_LOOK, 1.0)
-    return float(np.sqrt((1.0 + 1.0 / t) * (np.log1p(t) - 2.0 * np.log(0.05)))) / _NORMAL
+    return float(np.sqrt((1.0 + 1.0 / t) * (np.log1p(t) - 2.0 * np.log(0.05)))) / Z95
 
 
-_NORMAL = 1.959963984540054
 _LEAST_SHARE = 1e-3
 _FIRST_LOOK = 1.0
 """s; the first estimates have hardly more. A larger value widens later intervals."""

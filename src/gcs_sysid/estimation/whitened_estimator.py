@@ -41,7 +41,7 @@ _SHORTEST_VALIDATED = 4.0
 _HELD_OUT = 1.0
 """s: of five such stretches, two are predicted from the others."""
 _THRUST = rb.SIGNALS.index("thrust")
-_LEAST_OWN = 0.02
+LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 
@@ -268,7 +268,7 @@ class WhitenedEstimator:
         input_noise = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
         rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
-        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        left = np.maximum(own - rotors, LEAST_OWN * own)
         # Without a whitener the gyro's part is unknown: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
         density: Array = np.diag(left * shares) * T**3

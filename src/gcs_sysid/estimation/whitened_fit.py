@@ -22,7 +22,7 @@ from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProble
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
-from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.rotation import BLIND_STEP, RotationFit
 from gcs_sysid.estimation.search import first_guess, residual_maker, scales
 from gcs_sysid.estimation.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
@@ -49,8 +49,6 @@ _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
 """Neighbors of a batch with correlated scores: innovations have little memory."""
-_BLIND_STEP = 3.0
-"""Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _LEAST = 0.05
 """Share of an innovation's power that no correction leaves it without."""
 _AXES = 3
@@ -230,7 +228,7 @@ def follow_whitened(
     deviations = start.deviating
     problem = AxisProblem(totals, rows, basis, prior, noise, deviations)
     outcome = WhitenedOutcome(problem, problem.evaluate(unknowns))
-    near = outcome.take_step(_BLIND_STEP)
+    near = outcome.take_step(BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [0] * len(rows))
     if not near.all():
         far = ~near

@@ -16,8 +16,7 @@ import math
 import numpy as np
 
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import Format, commented, number, provenance
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 FORMAT = Format(

@@ -15,8 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import FOUR, Format, commented, number, provenance
 from gcs_sysid.model.parameters import INERTIA
 
 FORMAT = Format(
@@ -27,7 +26,6 @@ FORMAT = Format(
     needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "T_max"),
     uses=("linear_drag", "rotor_inertia"),
 )
-_ROTORS = 4
 _RPM = 60.0 / (2.0 * math.pi)
 
 
@@ -48,9 +46,7 @@ def write(vehicle: Vehicle) -> str:
         MissingError: a parameter that the model cannot do without is not known.
         InputError: it has other than four rotors, or motors without a lag.
     """
-    if len(vehicle.rotors) != _ROTORS:
-        raise InputError(f"crazyflow: it flies four rotors, this has {len(vehicle.rotors)}")
-    FORMAT.check(vehicle)
+    FORMAT.check(vehicle, rotors=FOUR)
     if not vehicle["motor_lag"] > 0.0:
         raise InputError("crazyflow: it divides by motor_lag: give --set motor_lag=SECONDS")
     places = vehicle.rotors_flu - vehicle.cg_flu

@@ -12,8 +12,14 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, provenance, xml_comment
-from gcs_sysid.exports.xml import inertia_elements, number, numbers
+from gcs_sysid.exports.header import (
+    Format,
+    inertia_elements,
+    number,
+    numbers,
+    provenance,
+    xml_comment,
+)
 from gcs_sysid.model.parameters import INERTIA
 
 FORMAT = Format(

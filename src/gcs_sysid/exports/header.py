@@ -1,12 +1,21 @@
-"""Header of an exported file: its origin, uncertainty and omissions."""
+"""What exported files share: a header of origin and uncertainty, and numbers as XML has them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gcs_sysid import __version__
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import UNITS, Quantity, Vehicle
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
+
+FOUR = 4
+"""Rotors that several simulators fly, and no other number."""
+ELEMENTS = {
+    "ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2),
+}  # fmt: skip
+"""Names of the elements of an inertia matrix in SDF and URDF, in MuJoCo's order."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +40,17 @@ class Format:
     uses: tuple[str, ...] = ()
     lacks: tuple[str, ...] = ()
 
-    def check(self, vehicle: Vehicle) -> None:
-        """Check that all it needs is known.
+    def check(self, vehicle: Vehicle, rotors: int | None = None) -> None:
+        """Check that all it needs is known, and that it flies so many rotors; None: any number.
 
         Raises:
             MissingError: it is not, or no body has this inertia.
+            InputError: the vehicle has other than that many rotors.
         """
+        if rotors is not None and len(vehicle.rotors) != rotors:
+            raise InputError(
+                f"{self.name}: it flies {rotors} rotors, this has {len(vehicle.rotors)}"
+            )
         vehicle.need(self.name, self.needs)
         vehicle.check_inertia()
 
@@ -115,3 +129,23 @@ def _recorded(telemetry: object) -> str:
 def _plain(text: str) -> str:
     """Text that stays on one line."""
     return "".join(c if c.isprintable() else " " for c in text)
+
+
+def number(value: float) -> str:
+    """A number without needless digits; never -0."""
+    return f"{float(value) + 0.0:.10g}"
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Numbers with a space between."""
+    return " ".join(map(number, values))
+
+
+def inertia_attributes(inertia: Array) -> str:
+    """A (3, 3) inertia matrix as URDF's attributes."""
+    return " ".join(f'{name}="{number(inertia[at])}"' for name, at in ELEMENTS.items())
+
+
+def inertia_elements(inertia: Array) -> str:
+    """A (3, 3) inertia matrix as SDF's elements."""
+    return "".join(f"<{name}>{number(inertia[at])}</{name}>" for name, at in ELEMENTS.items())

@@ -17,8 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance, xml_comment
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import Format, commented, number, provenance, xml_comment
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 _NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag")

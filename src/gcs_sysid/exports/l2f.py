@@ -13,9 +13,8 @@ import json
 
 import numpy as np
 
-from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, provenance
+from gcs_sysid.exports.header import FOUR, Format, provenance
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 FORMAT = Format(
@@ -26,7 +25,6 @@ FORMAT = Format(
     needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
     uses=("thrust_curve",),
 )
-_ROTORS = 4
 
 
 def notes(vehicle: Vehicle) -> list[str]:
@@ -47,22 +45,20 @@ def write(vehicle: Vehicle) -> str:
         MissingError: a parameter that l2f cannot do without is not known.
         InputError: it has other than four rotors.
     """
-    if len(vehicle.rotors) != _ROTORS:
-        raise InputError(f"l2f: it flies four rotors, this has {len(vehicle.rotors)}")
-    FORMAT.check(vehicle)
+    FORMAT.check(vehicle, rotors=FOUR)
     J = vehicle.inertia_flu
     full, c = vehicle["T_max"], vehicle.get("thrust_curve")
     c = 1.0 if c is None else c
-    share = vehicle["mass"] * GRAVITY / (_ROTORS * full)
+    share = vehicle["mass"] * GRAVITY / (FOUR * full)
     hover = 2.0 * share / (1.0 - c + float(np.sqrt(max((1.0 - c) ** 2 + 4.0 * c * share, 0.0))))
     dynamics = {
         "rotor_positions": (vehicle.rotors_flu - vehicle.cg_flu).tolist(),
-        "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * _ROTORS,
+        "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * FOUR,
         "rotor_torque_directions": [[0.0, 0.0, -float(r.spin)] for r in vehicle.rotors],
-        "rotor_thrust_coefficients": [[0.0, full * (1.0 - c), full * c]] * _ROTORS,
-        "rotor_torque_constants": [vehicle["moment_ratio"]] * _ROTORS,
-        "rotor_time_constants_rising": [vehicle["motor_lag"]] * _ROTORS,
-        "rotor_time_constants_falling": [vehicle["motor_lag"]] * _ROTORS,
+        "rotor_thrust_coefficients": [[0.0, full * (1.0 - c), full * c]] * FOUR,
+        "rotor_torque_constants": [vehicle["moment_ratio"]] * FOUR,
+        "rotor_time_constants_rising": [vehicle["motor_lag"]] * FOUR,
+        "rotor_time_constants_falling": [vehicle["motor_lag"]] * FOUR,
         "mass": vehicle["mass"],
         "gravity": [0.0, 0.0, -GRAVITY],
         "J": J.tolist(),

@@ -6,8 +6,7 @@ Positions and velocities are laid out as those of a free joint.
 """
 
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, provenance, xml_comment
-from gcs_sysid.exports.xml import ELEMENTS, number, numbers
+from gcs_sysid.exports.header import ELEMENTS, Format, number, numbers, provenance, xml_comment
 from gcs_sysid.model.parameters import INERTIA
 
 _ABSENT = {

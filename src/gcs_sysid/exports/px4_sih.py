@@ -16,6 +16,7 @@ import numpy as np
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
 from gcs_sysid.exports.header import Format, commented, provenance
+from gcs_sysid.model.parameter_file import INT32, REAL32
 from gcs_sysid.model.parameters import INERTIA
 
 OPTIONAL = {
@@ -42,7 +43,6 @@ _LAYOUTS = {
 """SIH_VEHICLE_TYPE -> its rotors: x over SIH_L_PITCH, y over SIH_L_ROLL, spin."""
 _CLOSE = 0.02
 """Of the arm: rotors further from SIH's layout are not flown by it."""
-_FLOAT, _INT32 = 9, 6
 """MAVLink's parameter types."""
 _LITTLE_CURVE = 0.05
 
@@ -93,8 +93,8 @@ def write(vehicle: Vehicle) -> str:
     values |= _allocation(vehicle)
     whole = {"SIH_VEHICLE_TYPE": kind, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotors)}
     # PX4 holds single precision; QGroundControl writes 18 decimals.
-    rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{_FLOAT}\n" for n, v in sorted(values.items())]
-    rows += [f"1\t1\t{n}\t{v}\t{_INT32}\n" for n, v in whole.items()]
+    rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{REAL32}\n" for n, v in sorted(values.items())]
+    rows += [f"1\t1\t{n}\t{v}\t{INT32}\n" for n, v in whole.items()]
     return commented(head, "#") + "".join(rows)
 
 

@@ -8,8 +8,7 @@ import math
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
-from gcs_sysid.exports.xml import number
+from gcs_sysid.exports.header import FOUR, Format, commented, number, provenance
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 FORMAT = Format(
@@ -20,7 +19,6 @@ FORMAT = Format(
     needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "rotor_speed_max"),
     uses=("linear_drag",),
 )
-_ROTORS = 4
 """RotorPy inverts its allocation, which is square for four."""
 
 
@@ -46,20 +44,18 @@ def write(vehicle: Vehicle) -> str:
         MissingError: a parameter that RotorPy cannot do without is not known.
         InputError: it has other than four rotors.
     """
-    if len(vehicle.rotors) != _ROTORS:
-        raise InputError(f"rotorpy: RotorPy flies four rotors, this has {len(vehicle.rotors)}")
-    FORMAT.check(vehicle)
+    FORMAT.check(vehicle, rotors=FOUR)
     if not vehicle["motor_lag"] > 0.0:
         raise InputError("rotorpy: RotorPy divides by motor_lag: give --set motor_lag=SECONDS")
     J = vehicle.inertia_flu
     places = vehicle.rotors_flu - vehicle.cg_flu
-    hover = math.sqrt(vehicle["mass"] * GRAVITY / (_ROTORS * vehicle["k_T"]))
-    drag = (vehicle.get("linear_drag") or 0.0) / (_ROTORS * hover)
+    hover = math.sqrt(vehicle["mass"] * GRAVITY / (FOUR * vehicle["k_T"]))
+    drag = (vehicle.get("linear_drag") or 0.0) / (FOUR * hover)
     directions = ", ".join(str(-rotor.spin) for rotor in vehicle.rotors)
     rows: list[tuple[str, str, str]] = [
         ("mass", number(vehicle["mass"]), "kg"),
         *((n, number(J[a, b]), "kg m^2") for n, (a, b) in _MATRIX.items()),
-        ("num_rotors", str(_ROTORS), "in the autopilot's motor order"),
+        ("num_rotors", str(FOUR), "in the autopilot's motor order"),
     ]
     return (
         commented(provenance(vehicle, FORMAT, notes(vehicle)), "#")

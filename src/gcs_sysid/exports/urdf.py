@@ -5,8 +5,7 @@ no place for what rotors do.
 """
 
 from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, provenance, xml_comment
-from gcs_sysid.exports.xml import inertia_attributes, numbers
+from gcs_sysid.exports.header import Format, inertia_attributes, numbers, provenance, xml_comment
 from gcs_sysid.model.parameters import INERTIA
 
 FORMAT = Format(

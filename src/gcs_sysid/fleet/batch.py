@@ -1,12 +1,32 @@
-"""A batch: every log done once, kept as it is done, and a row for each."""
+"""A batch: which files are logs, every log done once, kept as it is done, and a row for each."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
 
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import (
+    TABLE_SUFFIXES,
+    check_regular,
+    split_mapping,
+    split_session,
+    with_mapping,
+)
 from gcs_sysid.fleet.batch_table import Row, row
 from gcs_sysid.fleet.jobs import Document, Job, Task, make_task
 from gcs_sysid.fleet.pools import Pool, complete, reason
 from gcs_sysid.fleet.store import Store
+from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
+from gcs_sysid.telemetry.blackbox import flight_sessions
+from gcs_sysid.telemetry.frames import Validity, read_frame
+from gcs_sysid.telemetry.tlog_scan import STAMP
+
+AIRFRAME_FILE = "airframe.toml"
+_SUFFIXES = frozenset({".tlog", ".ulg", ".bin", ".bbl", ".bfl"})
+_HEAD = 4096
+"""Bytes: the longest record of a .tlog and more."""
 
 
 @dataclass
@@ -98,3 +118,92 @@ class Batch:
         self.tally.rows.append(made)
         self.tally.verdicts[made["verdict"] or "failed"] += 1
         self._show(made, self.tally)
+
+
+def find_logs(paths: Iterable[Path], mapping: Path | None = None) -> list[Path]:
+    """The logs among files and in folders, each once.
+
+    A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
+    is what its content or its name says is one; a log that is damaged from the beginning is found
+    by its name. Names that begin with a dot are skipped. A blackbox log of several sessions counts
+    once for each that holds frames, as `LOG.bbl#2`. A table of signals is a log where a mapping
+    says what its columns are.
+
+    Args:
+        paths: of files and folders.
+        mapping: of all tables; None: a columns.toml beside them.
+
+    Returns:
+        As reached from `paths`, in their order, and by name within a folder.
+
+    Raises:
+        InputError: there is no such file or folder, or a folder cannot be read.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        file, session = split_session(path)
+        if (table := split_mapping(path))[1] is not None:
+            file = table[0]
+        if not file.exists():
+            raise InputError(f"{path}: no such file or folder")
+        if not path.is_dir():
+            check_regular(file)
+        for log in _in_folder(path, mapping) if path.is_dir() else [path]:
+            if mapping is not None:
+                log = with_mapping(log, mapping)
+            single = session is not None or split_mapping(log)[1] is not None
+            for flight in [log] if single else _sessions(log):
+                found.setdefault(flight.resolve(), flight)
+    return list(found.values())
+
+
+def _in_folder(folder: Path, mapping: Path | None) -> Iterable[Path]:
+    def refuse(error: OSError) -> NoReturn:
+        raise InputError(f"{error.filename}: cannot read the folder: {error.strerror}")
+
+    for parent, folders, files in os.walk(folder, onerror=refuse):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            path = Path(parent, name)
+            if not name.startswith(".") and path.is_file() and _is_log(path, mapping):
+                yield path
+
+
+def _sessions(log: Path) -> list[Path]:
+    """A log of its own for each session of a blackbox log that holds several."""
+    try:
+        with open(log, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return [log]
+    numbers = flight_sessions(log) if blackbox_format.MAGIC in head else []
+    if numbers in ([], [1]):
+        return [log]
+    return [log.with_name(f"{log.name}#{number}") for number in numbers]
+
+
+def _is_log(path: Path, mapping: Path | None) -> bool:
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        return (mapping or split_mapping(path)[1]) is not None
+    if path.suffix.lower() in _SUFFIXES:
+        return True
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return False
+    if blackbox_format.MAGIC in head:
+        return True
+    if head.startswith((ulog_scan.MAGIC[:4], dataflash_format.HEAD)):
+        return True
+    frame = read_frame(head, STAMP)
+    return frame is not None and frame.valid is Validity.OK
+
+
+def nearest_airframe(log: Path) -> Path | None:
+    """The airframe.toml beside a log, or in the nearest folder above that has one."""
+    for folder in log.absolute().parents:
+        file = folder / AIRFRAME_FILE
+        if file.is_file():
+            return file
+    return None

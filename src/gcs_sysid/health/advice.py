@@ -4,7 +4,7 @@ import math
 
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.balance import Quantity
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.results.number_format import PLAIN
 

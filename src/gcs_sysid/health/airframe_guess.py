@@ -1,12 +1,27 @@
-"""Where the rotors are, by the airframe file or by the autopilot's own parameters."""
+"""Where the rotors are, by the airframe file, by the autopilot's own parameters, or
+by how the vehicle turns.
+
+The moments of a layout's rotors must be what turns the vehicle: of all layouts that are flown, one
+explains the angular acceleration about roll and pitch and the others hardly any of it. Over tenths
+of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
+"""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
+from gcs_sysid.health.hover import flight_of, windowed_means
+from gcs_sysid.health.hover_tuning import TUNING
+from gcs_sysid.health.log_streams import RotorStream, Streams, rate_of, streams_of
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.session.reported_layout import reported_layout
+from gcs_sysid.session.reported_layout import place_words, reported_layout, usual_layouts
+from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -23,6 +38,10 @@ _UNKNOWN_ARM = 0.5
 """Relative standard deviation of an arm that was not given."""
 _REAL = (0.02, 5.0)
 """m: rotors of CA_ROTORn_P* in meters lie between; stock simulators have 1 for all."""
+_CORNERS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
+_KINDS = {6: "hexa", 8: "octo"}
+_COUNTS = (8, 6)
+"""Of rotors that may fly though the vehicle calls itself a quadrotor; the larger first."""
 
 
 @dataclass(frozen=True)
@@ -132,3 +151,207 @@ def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirfra
         origin = f"{shape} X in the autopilot's order {ASSUMED}"
     airframe = airframe.with_arm(_USUAL_ARM)
     return GuessedAirframe(airframe, f"{origin}, {size}", _UNKNOWN_ARM, assumed=True)
+
+
+def layout_by_motion(
+    blocks: Sequence[RecordBlock],
+    guess: GuessedAirframe,
+    autopilot: str,
+    parameters: Mapping[str, float],
+) -> tuple[GuessedAirframe, Streams]:
+    """The layout by which the vehicle turns, where its order was only assumed.
+
+    Args:
+        blocks: of the log.
+        guess: from the log, or from the user.
+        autopilot: "px4", "ardupilot" or another key.
+        parameters: the autopilot's.
+
+    Returns:
+        The guess, or where it was assumed the layout that the flight shows instead, and the
+        streams of its rotors. A layout that was given or logged stays, and `as_flown` is the one
+        that contradicts it.
+    """
+    if guess.assumed:
+        guess = _of_as_many_as_carry(blocks, guess, autopilot, parameters)
+    airframe = guess.airframe
+    streams = streams_of(blocks, airframe, autopilot, parameters)
+    count = len(airframe.rotors)
+    motions = [_motion(streams, count, half) for half in TUNING.order_windows]
+    seen = [motion for motion in motions if motion is not None]
+    if not seen:
+        return guess, streams
+    own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
+    shown = _least(own) >= TUNING.surely_explained
+    guess = replace(guess, explained=_least(own))
+    first = _clearly_best(count, seen)
+    if not guess.assumed:
+        as_flown = "" if first is None else _contradiction(first, airframe, _least(own))
+        return replace(guess, shown=shown and not as_flown, as_flown=as_flown), streams
+    if first is None:
+        return replace(guess, shown=shown), streams
+    rotors = first.rotors
+    size = guess.origin.partition(f" {ASSUMED}, ")[2]
+    layout = Airframe("as flown", rotors).with_arm(airframe.arm)
+    if np.allclose(layout.geometry, airframe.geometry, atol=1e-9):
+        origin = guess.origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
+        return replace(guess, origin=origin, shown=True, explained=first.least), streams
+    origin = f"{first.name} as the flight shows: motors {first.places}; {size}"
+    found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
+    return found, streams
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A layout, and the lesser share of roll and pitch acceleration that it explains."""
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    least: float
+
+    @property
+    def places(self) -> str:
+        """Each motor's, in words."""
+        return ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(self.rotors, 1))
+
+    def differs(self, other: "_Candidate") -> bool:
+        """Whether a rotor stands elsewhere; spins do not count."""
+        return not np.allclose(
+            [(r.x, r.y) for r in self.rotors], [(r.x, r.y) for r in other.rotors], atol=0.1
+        )
+
+
+def _clearly_best(count: int, seen: Sequence[tuple[Array, Array]]) -> _Candidate | None:
+    """The layout that explains the motion far better than any other; None where none does."""
+    ranked = [_ranked(count, *motion) for motion in seen]
+    best = max(filter(None, ranked), key=lambda layouts: layouts[0].least, default=None)
+    if best is None:  # no usual layout has as many rotors
+        return None
+    first = best[0]
+    rival = max((other.least for other in best[1:] if other.differs(first)), default=0.0)
+    least = max(TUNING.least_explained, TUNING.more_explained * rival)
+    return first if first.least >= least else None
+
+
+def _contradiction(first: _Candidate, airframe: Airframe, explained: float) -> str:
+    """Where the motors are as flown; empty where the airframe explains the motion as well."""
+    own = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, explained)
+    if first.least < TUNING.more_explained * own.least or not first.differs(own):
+        return ""
+    return "motor " + first.places.replace(" ", " is ", 1)
+
+
+def _ranked(count: int, thrust: Array, turning: Array) -> list[_Candidate]:
+    """All layouts, the best first, their spins as yaw has them."""
+    found = []
+    for name, rotors in _layouts(count, thrust, turning):
+        shares = _explained(Airframe(name, rotors).geometry, thrust, turning)
+        if shares[2] < 0.0:
+            rotors = tuple(Rotor(r.x, r.y, -r.spin) for r in rotors)
+        found.append(_Candidate(name, rotors, round(_least(shares), 9)))
+    return sorted(found, key=lambda candidate: -candidate.least)
+
+
+def _least(shares: Sequence[float]) -> float:
+    return min(shares[:2])
+
+
+def _of_as_many_as_carry(
+    blocks: Sequence[RecordBlock],
+    guess: GuessedAirframe,
+    autopilot: str,
+    parameters: Mapping[str, float],
+) -> GuessedAirframe:
+    """The guess with more rotors, where more do what the first four do."""
+    for count in _COUNTS:
+        if count <= len(guess.airframe.rotors):
+            break
+        rotors = usual_layouts(count)[f"{_KINDS[count]} x"]
+        wider = Airframe(f"{_KINDS[count]}-x", rotors).with_arm(guess.airframe.arm)
+        streams = streams_of(blocks, wider, autopilot, parameters)
+        motion = _motion(streams, count, TUNING.order_windows[0])
+        if motion is None:
+            continue
+        thrust, _ = motion
+        load, moved = thrust.mean(axis=0), thrust.std(axis=0)
+        if (load > TUNING.carrying * load[:4].mean()).all() and (
+            moved > TUNING.carrying * moved[:4].mean()
+        ).all():
+            size = guess.origin.partition(f" {ASSUMED}, ")[2]
+            origin = f"{_KINDS[count]} X in the autopilot's order {ASSUMED}, {size}"
+            return replace(guess, airframe=wider, origin=origin)
+    return guess
+
+
+def _motion(streams: Streams, rotors: int, half: float) -> tuple[Array, Array] | None:
+    """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight; None where too little."""
+    source = streams.speeds or streams.commands
+    if source is None or Stream.IMU not in streams.tracks:
+        return None
+    times, imu = streams.tracks[Stream.IMU]
+    slowest = min(source.rate, rate_of(times))
+    if slowest <= 0.0:
+        return None
+    half = max(half, 2.0 / slowest)
+    grid, flying = flight_of(streams, rotors)
+    if not flying.any():
+        return None
+    t = np.arange(half, float(grid[-1]) - half, half)
+    t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
+    turning = windowed_means(times, imu[:, :3], t, half, slope=True)
+    thrust = _thrust(source, t, half)
+    there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
+    if np.count_nonzero(there) < TUNING.fewest_for_order:
+        return None
+    thrust, turning = thrust[there], turning[there]
+    return thrust / thrust[:, :4].mean(), turning - turning.mean(axis=0)
+
+
+def _thrust(source: RotorStream, t: Array, half: float) -> Array:
+    power = 1 if source.range is not None else 2
+    return np.hstack([windowed_means(times, v**power, t, half) for times, v in source.samples])
+
+
+def _explained(geometry: Array, thrust: Array, turning: Array) -> list[float]:
+    """Share of the angular acceleration about each axis that a layout's moments explain.
+
+    Negative where they turn the vehicle the other way.
+    """
+    x, y, spin = geometry
+    moved = thrust - thrust.mean(axis=0)
+    out = []
+    for lever, turned in zip((-y, x, spin), turning.T, strict=True):
+        moment = moved @ lever
+        both = float(moment @ turned)
+        power = float(moment @ moment) * float(turned @ turned)
+        out.append(float(np.copysign(both**2 / power, both)) if power > 0.0 else 0.0)
+    return out
+
+
+def _layouts(count: int, thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
+    """All that are flown: names and rotors, at a distance of about 1."""
+    if count == 4:
+        side = math.sqrt(0.5)
+        for order in permutations(_CORNERS):
+            rotors = (Rotor(side * x, side * y, 1 if x == y else -1) for x, y in order)
+            yield "quad X", tuple(rotors)
+    yield from usual_layouts(count).items()
+    if count == 8:
+        yield from _coaxial(thrust, turning)
+
+
+def _coaxial(thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
+    """Four pairs at the corners: each rotor where its effect, by minimum norm, has it.
+
+    Commands lie within the mixer's span, and there the minimum norm is that of the mixer itself.
+    """
+    effect = np.linalg.pinv(thrust - thrust.mean(axis=0), rcond=1e-2) @ turning  # (8, 3)
+    corners = [(float(np.sign(pitch)), float(-np.sign(roll))) for roll, pitch, _ in effect]
+    if sorted(corners) != sorted(2 * _CORNERS):
+        return
+    spins = [0] * len(corners)
+    for corner in _CORNERS:
+        pair = sorted((effect[i, 2], i) for i, at in enumerate(corners) if at == corner)
+        (_, low), (_, high) = pair
+        spins[low], spins[high] = -1, 1
+    yield "octo coaxial X", tuple(Rotor(x, y, s) for (x, y), s in zip(corners, spins, strict=True))

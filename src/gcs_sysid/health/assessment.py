@@ -11,17 +11,21 @@ from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advice_of
-from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe
+from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
-from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
+from gcs_sysid.health.drive_health import (
+    battery_of,
+    idle_output,
+    motor_gains,
+    vibration_of,
+    with_throttle,
+)
 from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
-from gcs_sysid.health.motion_layout import layout_by_motion
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
-from gcs_sysid.health.vibration import vibration_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.reasons import blames_rotors
 from gcs_sysid.signals.columns import RecordBlock

@@ -21,11 +21,10 @@ from pathlib import Path
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.balance import Quantity
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.model.parameter_file import REAL32
 
-_REAL32 = 9
-"""MAV_PARAM_TYPE_REAL32; all of these are."""
 _FULL, _EMPTY = 4.2, 3.3
 """V of a LiPo cell: what MOT_BAT_VOLT_MAX and MIN are a pack's multiple of."""
 _CELLS = 24
@@ -225,7 +224,7 @@ def parameter_file(health: Health, form: str) -> str:
         lines.append(f"# {one.name}: {interval} ({one.note}{now})")
         number = f"{value:.6f}"
         if form == "qgroundcontrol":
-            lines.append(f"{system}\t{component}\t{one.name}\t{number}\t{_REAL32}")
+            lines.append(f"{system}\t{component}\t{one.name}\t{number}\t{REAL32}")
         else:
             lines.append(f"{one.name},{number}")
     return "\n".join(lines) + "\n"

@@ -1,7 +1,7 @@
 """Balances of force and moment in hover: CG, thrust coefficients, shares.
 
-With T_i = k_T Omega_i^2, or T_max ((1 - c) u_i + c u_i^2), Newton-Euler about the CG (MODEL.md's
-signs, rotors at x_i, y_i from the geometric center) reads
+With T_i = k_T Omega_i^2, or T_max ((1 - c) u_i + c u_i^2), Newton-Euler about the CG (signs of
+docs/method.md, rotors at x_i, y_i from the geometric center) reads
 
     sum T_i x_i / T = cg_x + (Jyy q' + (Jxx - Jzz) r p + ...) / T
     sum T_i y_i / T = cg_y - (Jxx p' + (Jzz - Jyy) q r + ...) / T ,     T = sum T_i
@@ -20,8 +20,8 @@ from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
-from gcs_sysid.health.tuning import TUNING
-from gcs_sysid.intervals import Z95
+from gcs_sysid.health.hover_tuning import TUNING
+from gcs_sysid.intervals import Z95, interval95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -53,9 +53,7 @@ class Quantity:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """The 95 % interval (normal); None without a value."""
-        if self.value is None or self.std is None:
-            return None
-        return self.value - Z95 * self.std, self.value + Z95 * self.std
+        return interval95(self.value, self.std)
 
     def as_json(self) -> dict[str, Any]:
         """As result files write it."""

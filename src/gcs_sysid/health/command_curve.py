@@ -8,7 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.health.balance import Fit, Quantity, robust_fit
 from gcs_sysid.health.hover import Windows, variations_of_lift
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 
 
 @dataclass(frozen=True)

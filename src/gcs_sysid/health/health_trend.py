@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.intervals import Z95
 from gcs_sysid.results.number_format import PLAIN, power_of_ten, times_power

@@ -7,7 +7,7 @@ the weighted mean follows from its second integral S,
 
 and the same formula applied to the first integral's integrand gives the mean of a derivative: the
 mean angular acceleration is that of the gyro's first integral. Both sides of a balance are thus
-filtered alike whatever their rates, as in `signals.windows`, down to a few samples a window.
+filtered alike whatever their rates, as in `signals.smoothers`, down to a few samples a window.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
-from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.records import Stream
-
-_GRID = 0.1
-"""s between the instants at which flight is judged."""
-_HELD = 3.0
-"""s for which a state (armed, in the air) holds after it was reported."""
 
 
 class _Integrals:
@@ -368,7 +363,7 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     ends = [t[-1] for t, _ in streams.tracks.values()]
     if source is None or not ends:
         return np.empty(0), np.empty(0, bool)
-    grid = np.arange(0.0, float(max(ends)) + _GRID, _GRID)
+    grid = np.arange(0.0, float(max(ends)) + TUNING.judged_every, TUNING.judged_every)
 
     def held(stream: Stream) -> Array:
         times, values = streams.tracks.get(stream, (np.empty(0), np.empty((0, 1))))
@@ -395,6 +390,6 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
 def _held(times: Array, values: Array, grid: Array) -> Array:
     """(n,) the last value reported, for a while; NaN after that and before the first."""
     i = np.searchsorted(times, grid, side="right") - 1
-    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < _HELD)
+    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < TUNING.state_holds)
     out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)
     return out

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream

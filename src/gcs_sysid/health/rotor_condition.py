@@ -26,7 +26,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health.balance import Quantity, lift_of, robust_values
 from gcs_sysid.health.hover import Windows
-from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 

@@ -31,7 +31,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
-from gcs_sysid.telemetry.clock import JUMP_BACK
+from gcs_sysid.telemetry.clock import JUMP_BACK, WRAP_US
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
@@ -40,8 +40,6 @@ from gcs_sysid.telemetry.transceiver import Transceiver
 
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
-_WRAP = 2**32 * 1e-6
-"""s between two wraps of 32-bit stamps in microseconds."""
 _POLL, _ASK_EVERY = 0.05, 0.2
 _RECORDS_AT_ONCE = 4096
 _STATES = (Stream.IN_AIR, Stream.ARMED)
@@ -140,7 +138,7 @@ class Inspector:
 
     def _count_wraps(self) -> None:
         if any(source == "SERVO_OUTPUT_RAW" for _, source, _ in self._streams):
-            self._wraps += int(self._newest // _WRAP) - int(self._boot_began // _WRAP)
+            self._wraps += int(self._newest // WRAP_US) - int(self._boot_began // WRAP_US)
 
     def _look_at_all(self) -> None:
         for key, watch in self._streams.items():

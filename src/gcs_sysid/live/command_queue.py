@@ -6,11 +6,11 @@ from collections.abc import Callable
 from gcs_sysid.errors import GcsSysidError, InputError
 
 _MOST = 64
-"""CommandQueue that wait; who asks faster is refused."""
+"""Commands that wait; who asks faster is refused."""
 
 
 class CommandQueue:
-    """Wait until the session's thread does what was asked for."""
+    """Commands of users, which wait until the session's thread carries them out."""
 
     def __init__(self) -> None:
         self._waiting: queue.Queue[Callable[[], None]] = queue.Queue(_MOST)

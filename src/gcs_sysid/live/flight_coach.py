@@ -13,8 +13,15 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.choice import Choice, choose
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.interval_targets import is_enough, shares
-from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library
-from gcs_sysid.coach.manoeuvre_words import axis_words, damped_words, motion_words, sentence
+from gcs_sysid.coach.manoeuvre_library import (
+    Limits,
+    Manoeuvre,
+    axis_words,
+    damped_words,
+    library,
+    motion_words,
+    sentence,
+)
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation.online import Fit

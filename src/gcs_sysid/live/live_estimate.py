@@ -15,8 +15,7 @@ from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Snapshot
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import Batch

@@ -27,9 +27,8 @@ from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Failure, Item, Reception
 from gcs_sysid.live.recording import Recording
 from gcs_sysid.live.request_relay import RequestsDone
-from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.receiver import Batch
-from gcs_sysid.telemetry.reconnect import PersistentLink
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 

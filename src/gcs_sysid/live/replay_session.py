@@ -15,8 +15,7 @@ from pathlib import Path
 
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
 from gcs_sysid.live.live_view import picture
-from gcs_sysid.live.log_playback import LogPlayback, Recorded
-from gcs_sysid.live.log_segments import LogSegments
+from gcs_sysid.live.log_playback import LogPlayback, LogSegments, Recorded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     HeardVehicle,

@@ -14,7 +14,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
 
 SUFFIXES = (".params", ".param", ".parm")
-_REAL32, _INT32 = 9, 6
+REAL32, INT32 = 9, 6
 """MAV_PARAM_TYPE."""
 _MOST_BYTES = 4_000_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -60,7 +60,7 @@ def qgroundcontrol_lines(
     lines = ["# Vehicle-Id Component-Id Name Value Type"]
     for name, value in values.items():
         lines += [f"# {name}: {notes[name]}"] if name in notes else []
-        number = f"{value:.0f}\t{_INT32}" if name in whole else f"{value:.9g}\t{_REAL32}"
+        number = f"{value:.0f}\t{INT32}" if name in whole else f"{value:.9g}\t{REAL32}"
         lines.append(f"1\t1\t{name}\t{number}")
     return lines
 

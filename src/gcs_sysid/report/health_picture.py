@@ -8,8 +8,7 @@ from typing import Any
 from gcs_sysid.health.health_trend import Series
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report.health_trend_picture import height_of, trend_panels
-from gcs_sysid.report.markup import Markup, element, joined
-from gcs_sysid.report.parts import note, section
+from gcs_sysid.report.parts import Markup, element, joined, note, section
 from gcs_sysid.results.number_format import PAGE
 
 _WIDTH, _HEIGHT = 900.0, 632.0

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from gcs_sysid.health.health_trend import Series
 from gcs_sysid.intervals import Z95
-from gcs_sysid.report.markup import Markup, element
+from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
 
 _COLUMNS = 3

@@ -5,13 +5,12 @@ import hashlib
 import json
 from importlib import resources
 
-from gcs_sysid.report import evidence
+from gcs_sysid.report import evidence_sections
 from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.health_picture import health_section
-from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import Figures
-from gcs_sysid.report.parts import Column, facts, section, table
+from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
 
@@ -42,12 +41,12 @@ def render(data: ReportData) -> str:
         "verdict": findings.verdict(data),
         "parameters": findings.parameters(data),
         "convergence": findings.convergence(data, figures),
-        "prediction": evidence.prediction(data, figures),
-        "twin": evidence.twin(data),
-        "residual": evidence.residual(data, figures),
-        "excitation": evidence.excitation(data, figures),
-        "events": evidence.events(data, figures),
-        "telemetry": evidence.telemetry(data),
+        "prediction": evidence_sections.prediction(data, figures),
+        "twin": evidence_sections.twin(data),
+        "residual": evidence_sections.residual(data, figures),
+        "excitation": evidence_sections.excitation(data, figures),
+        "events": evidence_sections.events(data, figures),
+        "telemetry": evidence_sections.telemetry(data),
         "settings": _settings(data),
     }
     style, script = _asset("report.css"), _asset("scales.js") + _asset("report.js")

@@ -1,5 +1,9 @@
-"""What each figure shows, as plain JSON values that the page's script draws."""
+"""What each figure shows, as plain JSON values that the page's script draws.
 
+Series of numbers are thinned to what a figure can show, and packed for the page.
+"""
+
+import base64
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +15,6 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, ReportData
-from gcs_sysid.report.series import packed, thinned
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import event_text
 
@@ -263,3 +266,43 @@ def _spans(t: Array, mask: Array, step: float) -> list[list[float]]:
             spans.append([round(first, 3), last])
     spans = sorted(spans, key=lambda span: span[0] - span[1])[:_MOST_SPANS]
     return sorted([a, round(b, 3)] for a, b in spans)
+
+
+def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
+    """At most about `most` instants that keep every peak of every column.
+
+    Of each bucket of neighbors a column keeps its least and its greatest value, in the order in
+    which they came; a bucket with something missing keeps that as a break.
+
+    Args:
+        t: (n,) s.
+        values: (n, columns).
+        most: instants; an even number.
+    """
+    n, pairs = len(t), most // 2
+    if n <= most:
+        return t, values
+    size = -(-n // pairs)
+    whole = np.full((-(-n // size) * size, values.shape[1]), np.nan)
+    whole[:n] = values
+    buckets = whole.reshape(-1, size, values.shape[1])
+    there = np.isfinite(buckets)
+    low = np.where(there, buckets, np.inf)
+    high = np.where(there, buckets, -np.inf)
+    rises = low.argmin(axis=1) <= high.argmax(axis=1)
+    least, greatest = low.min(axis=1), high.max(axis=1)
+    out = np.empty((len(buckets), 2, values.shape[1]))
+    out[:, 0] = np.where(rises, least, greatest)
+    out[:, 1] = np.where(rises, greatest, least)
+    inner = there.all(axis=1)
+    inner[-1] = there[-1].any(axis=0)  # filled up above
+    out[:, 1][~inner] = np.nan
+    out[:, 0][~np.isfinite(out[:, 0])] = np.nan
+    first = np.arange(0, n, size)
+    middle = np.minimum(first + size // 2, n - 1)
+    return np.stack([t[first], t[middle]], axis=1).reshape(-1), out.reshape(-1, values.shape[1])
+
+
+def packed(values: Array) -> str:
+    """(n,) numbers as base64 of little-endian float32; NaN is a break."""
+    return base64.b64encode(np.asarray(values, "<f4").tobytes()).decode("ascii")

@@ -7,11 +7,11 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.command_noise import CommandNoise
+from gcs_sysid.estimation.input_noise import SpeedNoise
 from gcs_sysid.estimation.rotor_signals import RotorInput
-from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.live.acceleration_prediction import Model, Motion, Predictor, half_window
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.windows import cosine_window
+from gcs_sysid.signals.smoothers import cosine_window
 
 _MOST_POINTS = 512
 """Rows in one piece of a spectrum, at most."""

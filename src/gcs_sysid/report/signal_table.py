@@ -16,8 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.data import predicted
-from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.report.data import Recorder, predicted
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
+from gcs_sysid.intervals import interval95
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF
 from gcs_sysid.results.result import Estimate, Result, Scale
@@ -61,9 +61,7 @@ class Difference:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """The 95 % interval of the difference, of this parameter alone."""
-        if self.value is None or self.std is None:
-            return None
-        return self.value - Z95 * self.std, self.value + Z95 * self.std
+        return interval95(self.value, self.std)
 
     def as_json(self) -> dict[str, Any]:
         """The difference as `--json` writes it."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.status import Status
 from gcs_sysid.files import write_whole
-from gcs_sysid.intervals import Z95
+from gcs_sysid.intervals import Z95, interval95
 
 if TYPE_CHECKING:
     import pandas
@@ -67,11 +67,7 @@ class Estimate:
         Intervals of what cannot be negative are cut off at zero. No true value lies below, so
         coverage stays at least 95 %.
         """
-        if self.value is None or self.std is None:
-            return None
-        half = Z95 * self.std
-        low = self.value - half
-        return (max(low, 0.0) if self.not_negative else low, self.value + half)
+        return interval95(self.value, self.std, not_negative=self.not_negative)
 
     @property
     def bounded(self) -> "Estimate":
@@ -142,8 +138,7 @@ class IdentifiedEstimate(Estimate):
     @property
     def ci95(self) -> tuple[float, float]:
         """The 95 % interval, as of `Estimate`."""
-        low, high = self.value - Z95 * self.std, self.value + Z95 * self.std
-        return (max(low, 0.0) if self.not_negative else low, high)
+        return interval95(self.value, self.std, not_negative=self.not_negative)
 
 
 @dataclass(frozen=True)

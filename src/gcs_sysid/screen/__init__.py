@@ -1,7 +1,6 @@
 """The live terminal screen: shows snapshots, knows neither MAVLink nor the estimator."""
 
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.source import Actions, SnapshotSource
-from gcs_sysid.screen.view import Baseline
+from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource
 
 __all__ = ["Actions", "Baseline", "SnapshotSource", "SysidApp"]

@@ -14,8 +14,7 @@ from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.dialogs import Choose, Enter
-from gcs_sysid.screen.source import Actions
-from gcs_sysid.screen.view import Baseline
+from gcs_sysid.screen.view import Actions, Baseline
 
 
 class ActingApp(App[None]):

@@ -1,4 +1,4 @@
-"""The live screen's application: polls a snapshot source, answers keys."""
+"""The live screen's application: polls a snapshot source, answers keys; its themes."""
 
 import os
 import time
@@ -9,6 +9,7 @@ from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
 from textual.driver import Driver
 from textual.screen import Screen
+from textual.theme import Theme
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.results import words
@@ -17,17 +18,45 @@ from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.call_outs import Announcer
-from gcs_sysid.screen.help import HelpScreen
-from gcs_sysid.screen.main_view import MainScreen
+from gcs_sysid.screen.dialogs import HelpScreen
+from gcs_sysid.screen.main_view import PAGES, MainScreen, PageBar
 from gcs_sysid.screen.pilot_view import PilotScreen
-from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.terminal import ending_with_its_terminal
-from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.verdict_summary import shares
-from gcs_sysid.screen.view import Baseline, View
-from gcs_sysid.screen.widgets.pages import PAGES, PageBar
+from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource, View
 from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
+DARK = Theme(
+    name="gcs-dark",
+    dark=True,
+    primary="#3d8bd9",
+    secondary="#5a7fa3",
+    accent="#f0b429",
+    success="#57c285",
+    warning="#f0b429",
+    error="#e0607e",
+    foreground="#e4e8ec",
+    background="#101418",
+    surface="#151a20",
+    panel="#232c36",
+)
+LIGHT = Theme(
+    name="gcs-light",
+    dark=False,
+    primary="#1769c2",
+    secondary="#44617d",
+    accent="#0b5cad",
+    success="#17803d",
+    warning="#c07a00",
+    error="#d61f55",
+    foreground="#14191e",
+    background="#f1f4f7",
+    surface="#ffffff",
+    panel="#e3e9ef",
+    # Paler than derived: muted and warning text on the chosen row must reach a contrast of 4.5.
+    variables={"primary-muted": "#c9dcf0"},
+)
+"""Bright ground for sunlight on a field."""
 POLL_SECONDS = 0.2
 """At most five redraws a second."""
 

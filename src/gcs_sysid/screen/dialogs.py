@@ -1,4 +1,4 @@
-"""Questions over the main screen: one of a list, or a line of text."""
+"""What opens over the main screen: a list to choose from, a line to enter, the help."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -6,12 +6,34 @@ from typing import ClassVar
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Vertical
+from textual.containers import Vertical, VerticalScroll
 from textual.content import Content
 from textual.screen import ModalScreen
 from textual.suggester import SuggestFromList
 from textual.widgets import Input, OptionList, Static
 from textual.widgets.option_list import Option
+
+from gcs_sysid.results.words import CHANGE, STATUS
+from gcs_sysid.screen import formatting as fmt
+
+KEYS = (
+    ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
+    ("tab  1-6", "next page or plot; 6: health"),
+    ("m", "mark this instant in the event log"),
+    ("l", "pilot view: the coach in large print"),
+    ("a", "call-outs: off, voice, bell"),
+    ("r", "reset: discard the data so far; asks first"),
+    ("o", "start or stop recording"),
+    ("p", "pause the display; identification continues"),
+    ("e", "export the values for a simulator, into a new file"),
+    ("h", "report of the flight so far (HTML), into a new file"),
+    ("s", "scale: enter mass or rotor thrust"),
+    ("b", "compare with an earlier result"),
+    ("v", "choose the vehicle, if there are several"),
+    ("d", "dark or light"),
+    ("pgup pgdn", "scroll the events"),
+    ("ctrl+p  ? q", "command palette, this help, quit"),
+)
 
 
 class Choose(ModalScreen[str | None]):
@@ -85,3 +107,52 @@ class Enter(ModalScreen[str | None]):
     def action_cancel(self) -> None:
         """Answer with nothing."""
         self.dismiss(None)
+
+
+def help_text(keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> Content:
+    """The whole help.
+
+    Args:
+        keys: what to press, and what it does.
+        ended: whether the flight is over, so that there is nothing more to fly.
+    """
+    parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
+    for key, meaning in keys:
+        parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
+    parts.append(("Status\n", "bold underline"))
+    for status, word in STATUS.items():
+        style = fmt.STATUS_STYLE[status]
+        meaning = word.meaning if ended else word.with_advice
+        parts += [(f"{word.sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
+    parts.append("± is half the 95 % interval; the bar is full at the target.\n")
+    changes = ", ".join(f"{word.sign} {word.meaning}" for word in CHANGE.values())
+    parts.append(f"Change: {changes}.")
+    return Content.assemble(*parts)
+
+
+class HelpScreen(ModalScreen[None]):
+    """Help over the main screen; any of its keys closes it.
+
+    Args:
+        keys: what to press, and what it does.
+        ended: whether the flight is over.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
+    ]
+
+    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> None:
+        super().__init__()
+        self._keys, self._ended = keys, ended
+
+    def compose(self) -> ComposeResult:
+        """One box in the middle."""
+        with VerticalScroll(id="help-box") as box:
+            box.border_title = "Help"
+            box.border_subtitle = "esc closes"
+            yield Static(help_text(self._keys, ended=self._ended))
+
+    def on_click(self) -> None:
+        """A click anywhere closes it too."""
+        self.dismiss()

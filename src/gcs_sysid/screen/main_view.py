@@ -6,11 +6,13 @@ from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Container
+from textual.content import Content
 from textual.message import Message
 from textual.screen import Screen
 from textual.widget import Widget
 from textual.widgets import Footer
 
+from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import Panel, View
 from gcs_sysid.screen.widgets.acceleration import AccelerationPanel
 from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
@@ -19,11 +21,19 @@ from gcs_sysid.screen.widgets.convergence import Convergence
 from gcs_sysid.screen.widgets.event_log import EventLog
 from gcs_sysid.screen.widgets.health_panel import HealthPanel
 from gcs_sysid.screen.widgets.link_panel import LinkPanel
-from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.parameter_table import ParameterTable
-from gcs_sysid.screen.widgets.status import AnswerLine, Banner, StatusLine
+from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
 from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
+PAGES = {
+    "parameters": "Parameters",
+    "plot": "Plot",
+    "motion": "Motion",
+    "vehicle": "Vehicle",
+    "events": "Events",
+    "health": "Health",
+}
+"""Name of each page (and of its CSS class), and its title."""
 COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
 """From this size on, all panels stand side by side; below it, pages."""
 WIDE_WIDTH, WIDE_HEIGHT = 196, 40
@@ -36,6 +46,56 @@ TALL_HEIGHT = 40
 
 Hiding = Banner | VerdictPanel | CoachPanel
 """Panels that hide themselves while they have nothing to say."""
+
+
+class PageBar(Widget):
+    """One line of page titles; a click or a number key chooses one."""
+
+    class Chosen(Message):
+        """The user clicked on a page."""
+
+        def __init__(self, page: str) -> None:
+            super().__init__()
+            self.page = page
+
+    def __init__(self) -> None:
+        super().__init__(id="pages")
+        self.page = next(iter(PAGES))
+
+    def select(self, page: str) -> None:
+        """Light up another title."""
+        self.page = page
+        self.refresh()
+
+    def _titles(self) -> list[tuple[str, str]]:
+        """Number and title of each; where all do not fit, only the selected page has its title."""
+        numbered = list(enumerate(PAGES.items(), start=1))
+        whole = [(name, f" {number} {title} ") for number, (name, title) in numbered]
+        if sum(len(text) + 1 for _, text in whole) - 1 <= self.size.width:
+            return whole
+        return [
+            (name, text if name == self.page else f" {number} ")
+            for number, (name, text) in enumerate(whole, start=1)
+        ]
+
+    def render(self) -> Content:
+        """The titles; brackets as well as color say which page it is."""
+        parts: list[tuple[str, str]] = []
+        for name, title in self._titles():
+            on = name == self.page
+            text = f"[{title[1:-1]}]" if on else title
+            parts += [(text, "bold $text-primary on $primary-muted" if on else fmt.MUTED)]
+            parts += [(" ", "")]
+        return Content.assemble(*parts[:-1])
+
+    def on_click(self, event: events.Click) -> None:
+        """Find the title under the mouse."""
+        x = 0
+        for name, title in self._titles():
+            if x <= event.x < x + len(title):
+                self.post_message(self.Chosen(name))
+                return
+            x += len(title) + 1
 
 
 def layout_classes(width: int, height: int) -> set[str]:

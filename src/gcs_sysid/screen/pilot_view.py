@@ -10,12 +10,12 @@ from textual.widgets import Footer
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.big_letters import big, height_of
 from gcs_sysid.screen.call_outs import seconds_left
+from gcs_sysid.screen.text_drawing import big, height_of
 from gcs_sysid.screen.verdict_summary import Known, headline, short_headline, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
-from gcs_sysid.screen.widgets.status import AnswerLine
+from gcs_sysid.screen.widgets.status_bar import AnswerLine
 
 _LARGEST = 4
 """Columns of a dot; larger letters would leave no room for a maneuver's axes."""

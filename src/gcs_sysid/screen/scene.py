@@ -1,14 +1,122 @@
-"""What a screen is given beside snapshots, wherever it stands: a terminal or a browser."""
+"""The application of a session or a replay, wherever it stands: a terminal or a browser.
 
-from collections.abc import Mapping
+That of a replay is the live screen with keys to pause, to go elsewhere and faster.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
+
+from textual.app import SystemCommand
+from textual.binding import Binding, BindingType
+from textual.screen import Screen
 
 from gcs_sysid.screen.app import SysidApp
 from gcs_sysid.screen.call_outs import Announcer
-from gcs_sysid.screen.replay_app import ReplayApp
-from gcs_sysid.screen.source import Actions, SnapshotSource
-from gcs_sysid.screen.view import Baseline
-from gcs_sysid.screen.widgets.transport import Transport
+from gcs_sysid.screen.dialogs import KEYS, HelpScreen
+from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource
+from gcs_sysid.screen.widgets.transport import Transport, TransportBar
+
+STEP, LEAP = 10.0, 60.0
+"""s that a key goes on or back, and with shift."""
+
+REPLAY_KEYS = (
+    ("space  p", "pause or resume the replay"),
+    ("← →", f"{STEP:.0f} s back or on; with shift {LEAP:.0f} s"),
+    ("home end", "to the beginning, to the end (or click on the bar)"),
+    ("[ ]  - +", "slower, faster: 1x, 10x, max"),
+)
+
+
+class ReplayApp(SysidApp):
+    """The screen on a recorded flight.
+
+    Args:
+        source: the replay.
+        transport: what moves it.
+        truth: as of `SysidApp`.
+        actions: as of `SysidApp`.
+        baseline: as of `SysidApp`.
+        title: as of `SysidApp`.
+        time_source: as of `SysidApp`.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("space", "pause", "Pause", show=False),
+        Binding("left", f"skip(-{STEP})", "Back", show=False),
+        Binding("right", f"skip({STEP})", "On", show=False),
+        Binding("shift+left", f"skip(-{LEAP})", "Back", show=False),
+        Binding("shift+right", f"skip({LEAP})", "On", show=False),
+        Binding("home", "seek(0.0)", "To the beginning", show=False),
+        Binding("end", "to_end", "To the end", show=False),
+        Binding("left_square_bracket,minus", "speed(-1)", "Slower", show=False),
+        Binding("right_square_bracket,plus,equals_sign", "speed(1)", "Faster", show=False),
+    ]
+
+    def __init__(
+        self,
+        source: SnapshotSource,
+        transport: Transport,
+        truth: Mapping[str, float] | None = None,
+        actions: Actions | None = None,
+        baseline: Baseline | None = None,
+        title: str = "gcs-sysid",
+        time_source: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(source, truth, actions, baseline, title, time_source)
+        self.transport = transport
+        self._bar = TransportBar()
+
+    def on_main_screen_ready(self) -> None:
+        """Put the transport bar above the answers."""
+        self._main.mount(self._bar, before="#answer")
+
+    def draw(self) -> None:
+        """Draw the present view."""
+        super().draw()
+        self._bar.show(None if self.snapshot is None else self.snapshot.playback)
+
+    def action_pause(self) -> None:
+        """Pause the replay, or let it go on."""
+        self._ask(self.transport.toggle_pause)
+
+    def action_speed(self, step: int) -> None:
+        """Faster or slower."""
+        self._ask(lambda: self.transport.change_speed(step))
+
+    def action_skip(self, seconds: float) -> None:
+        """Go on by so many seconds, or back."""
+        self._ask(lambda: self.transport.skip(seconds))
+
+    def action_seek(self, position: float) -> None:
+        """Go to so many seconds of the flight."""
+        self._ask(lambda: self.transport.seek(position))
+
+    def action_to_end(self) -> None:
+        """Go to the end, where the numbers are final."""
+        playback = None if self.snapshot is None else self.snapshot.playback
+        self.action_seek(0.0 if playback is None else playback.duration)
+
+    def on_transport_bar_chosen(self, message: TransportBar.Chosen) -> None:
+        """A click into the bar goes there."""
+        self.action_seek(message.position)
+
+    def action_help(self) -> None:
+        """Show the help screen."""
+        live = [line for line in KEYS if line[0] != "p"]
+        self.push_screen(HelpScreen((*REPLAY_KEYS, *live)))
+
+    def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
+        """The actions, in the command palette."""
+        for title, meaning, action in (
+            ("Beginning", "Replay from the start", lambda: self.action_seek(0.0)),
+            ("End", "To the final numbers", self.action_to_end),
+            ("Faster", "1x, 10x, max", lambda: self.action_speed(1)),
+            ("Slower", "max, 10x, 1x", lambda: self.action_speed(-1)),
+        ):
+            yield SystemCommand(title, meaning, action)
+        yield from super().get_system_commands(screen)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ Known = tuple[str, float | None]
 
 
 def shares(result: Result) -> dict[str, float | None]:
-    """Half of each 95 % interval over what it is measured against, see `coach.targets`."""
+    """Half of each 95 % interval over what it is measured against, see `coach.interval_targets`."""
     estimates = result.parameters
     # Flying on makes no interval narrower by what was given.
     values = {name: Value(e.value, e.std_data, e.status) for name, e in estimates.items()}

@@ -1,38 +1,82 @@
-"""The one chain from records to estimates: samples, estimator, parameters.
+"""The one chain from records to estimates: samples, estimator, parameters, events.
 
 Live sessions, replays, log analyses and tests all feed this class with blocks of records, a few
 frames or minutes of a log. Its state depends on the records and their order alone, so the analysis
 of a recording ends with the numbers that the live session ended with.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.change_detection import ChangeTuning
+from gcs_sysid.estimation.evidence import Evidence, evidence_of
+from gcs_sysid.estimation.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
+from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import Value
+from gcs_sysid.estimation.tracking import TRACKING, Segment, Tracker
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Event, History
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.results.snapshot import Event, History, HistoryRecorder
+from gcs_sysid.sanitize import one_line
 from gcs_sysid.session.chain_result import Findings
-from gcs_sysid.session.learner import Cutoffs, Known, Learner
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import gyro_cutoff, loop_cutoff
+from gcs_sysid.signals.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
-
-__all__ = ["WINDOW", "Chain", "ChainOptions"]
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline import OfflineFit
 
 WINDOW = 8192
 """IMU samples that are best taken at once."""
+_MAX_EVENTS = 300
+
+Cutoffs = tuple[float | None, float | None]
+"""Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
+
+
+@dataclass(frozen=True)
+class ChainOptions:
+    """What a user may set.
+
+    Attributes:
+        tuning: of the estimator with rotor speeds; with commands it has its own.
+        changes: of the change detector; None: changes in flight are not looked for.
+        history_interval: s between refits for the estimate's history; None: only at the end.
+        tick: s of vehicle time between blocks; the estimate does not depend on it.
+        start: s after the first record; earlier records are not used.
+        end: s after the first record; later ones are not used.
+        offline: whether the final estimate is the offline one.
+        progress: called with the offline estimator's current step and the share of it that is done.
+        reserve: whether the memory of a long flight is taken at once, so that a session does not
+            find it wanting; a log takes what it needs.
+        parameters: of the autopilot, as far as they are known beforehand.
+    """
+
+    tuning: Tuning = field(default_factory=Tuning)
+    changes: ChangeTuning | None = field(default_factory=ChangeTuning)
+    history_interval: float | None = 0.5
+    tick: float = 0.1
+    start: float = 0.0
+    end: float = float("inf")
+    offline: bool = False
+    progress: Callable[[str, float], None] | None = None
+    reserve: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Chain:
@@ -60,11 +104,11 @@ class Chain:
             raise ValueError("the airframe has no scale reference (mass, k_T or T_max)")
         self.airframe = airframe
         self.options = options = options or ChainOptions()
-        self._learner = Learner(airframe, anchor, options)
+        selected = airframe
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
-            airframe = replace(airframe, rotor_input="speed")
-        rotor_selector = RotorSourceSelector(airframe, anchor)
+            selected = replace(airframe, rotor_input="speed")
+        rotor_selector = RotorSourceSelector(selected, anchor)
         rotor_selector.parameters |= options.parameters
         self.sampler = Sampler(
             rotor_selector,
@@ -77,7 +121,32 @@ class Chain:
         self.clock_error = 0.0
         """Share by which the vehicle's clock may be wrong, set by the owner; affects results
         alone."""
-        self._offline: OfflineFit | str | None = None
+        self.offline: OfflineFit | str | None = None
+        """The offline estimate where it was asked for, or why there is none."""
+        self.observers: list[Callable[[SampleBlock], None]] = []
+        """Are shown every block of samples before the estimator takes it."""
+        self.rotors: RotorSource | None = None
+        """The stream in use."""
+        self.cutoffs: Cutoffs = (None, None)
+        """Hz, gyro low-passes that the estimate allows for."""
+        self.anchors = [anchor]
+        """The scale of each segment, and that in force."""
+        self.tracker: Tracker | None = None
+        """None before the first sample in flight."""
+        self.fit = Fit(None, None, 0.0)
+        """The latest."""
+        self.renewals = 0
+        """How often it was renewed."""
+        self.input_events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
+        """Of rotor streams that died, came again or were replaced, as in a result."""
+        self._history = HistoryRecorder()
+        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self._events_reported = 0
+        self._rotors_lost = False
+        self._usable = True
+        self._spiked = self._stood_still = False
+        self._history_number = 0.0
+        self._interval = options.history_interval
 
     def take(self, block: RecordBlock) -> bool:
         """Take records that follow each other; how they are cut into blocks changes no number.
@@ -90,42 +159,44 @@ class Chain:
             for _, parameter in part.parameters:
                 self.rotor_selector.learn(parameter.source, parameter.values[0])
             for samples in self.sampler.take(part.tracks):
-                self._learn(samples)
+                self.learn(samples)
         return self.renewals > before
-
-    def _learn(self, block: SampleBlock) -> None:
-        self._learner.learn(block, self._known())
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
         for block in self.sampler.finish():
-            self._learn(block)
-        self._learner.finish(self.t)
+            self.learn(block)
+        if self.tracker is not None:
+            self.tracker.finish()
+            self._report_events(self.tracker, self.t)
         result = self.refit()
         if self.options.offline:
-            self._offline = self._fit_offline()
-            if not isinstance(self._offline, str):
-                self._learner.fit = self._offline.fit
+            self.offline = self._fit_offline()
+            if not isinstance(self.offline, str):
+                self.fit = self.offline.fit
             result = self.result()
         return result
 
     def _fit_offline(self) -> "OfflineFit | str":
         """The offline estimate, or why there is none."""
-        if self._learner.tracker is None:
+        if self.tracker is None:
             return "no estimate from this flight"
         if self.rotor_input != "speed":
             return "--offline needs measured rotor speeds, this flight has commands"
         # Splines and likelihoods take a while to load, and few ask for them.
         from gcs_sysid.estimation.offline import fit_offline
 
-        return fit_offline(self._learner.tracker, self._learner.fit, self.options.progress)
+        return fit_offline(self.tracker, self.fit, self.options.progress)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
         # However records were taken, what came before is forgotten, and nothing else.
         for block in self.sampler.catch_up():
-            self._learn(block)
-        self._learner.reset()
+            self.learn(block)
+        self.tracker = None
+        self.anchors = self.anchors[:1]
+        self._events_reported = 0
+        self._forget_fit()
         self.note("estimate reset")
 
     def check_anchor(self, kind: ScaleKind) -> None:
@@ -134,8 +205,7 @@ class Chain:
         Raises:
             InputError: it does not.
         """
-        rotors = self._learner.rotors
-        used = self.airframe.rotor_input if rotors is None else rotors.kind
+        used = self.airframe.rotor_input if self.rotors is None else self.rotors.kind
         if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
             raise InputError(f"{kind} cannot set the scale with {used}s as the rotors' input")
 
@@ -147,27 +217,39 @@ class Chain:
         """
         self.check_anchor(anchor.kind)
         self.rotor_selector.anchor = anchor
-        self._learner.set_anchor(anchor)
+        self.anchors = [anchor]
+        for segment in () if self.tracker is None else self.tracker.segments:
+            self._go_on_after(segment)
+        self._history.clear()
         scale = summary.scale_of(anchor)
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
     def renew_every(self, interval: float | None) -> None:
-        """As of `Learner`; the fits do not depend on it."""
-        self._learner.renew_every(interval)
+        """Renew the estimate this often from now on, s; None: only where it changes, or ends.
+
+        The fits do not depend on it.
+        """
+        self._interval = interval
 
     def note(self, text: str) -> None:
         """Add a line to the event log."""
-        self._learner.note(self.t, text)
+        self._note(self.t, text)
+
+    def _note(self, t: float, text: str) -> None:
+        self._events.append(Event(t, one_line(text)))
 
     def refit(self) -> Result:
         """Fit now and give the result."""
-        if self._learner.tracker is not None:
-            tracker = self._learner.tracker
-            fit = tracker.fit()
+        if self.tracker is not None:
+            fit = self.tracker.fit()
             # Only for a result: it costs more than the fit where the layout is wrong.
-            other = tracker.estimator.other_layout(fit.rotation)
-            self._learner.fit = replace(fit, other_layout=other)
+            other = self.tracker.estimator.other_layout(fit.rotation)
+            self.fit = replace(fit, other_layout=other)
         return self.result()
+
+    def result(self) -> Result:
+        """The latest fit as a result."""
+        return Findings(self).result()
 
     @property
     def t(self) -> float:
@@ -182,89 +264,225 @@ class Chain:
     @property
     def rotor_input(self) -> RotorInput:
         """What the estimate rests on."""
-        return self._learner.rotor_input
-
-    @property
-    def observers(self) -> list[Callable[[SampleBlock], None]]:
-        """Are shown every block of samples before the estimator takes it."""
-        return self._learner.observers
-
-    @property
-    def renewals(self) -> int:
-        """How often the estimate was renewed."""
-        return self._learner.renewals
+        if self.rotors is not None:
+            return self.rotors.kind
+        return "command" if self.airframe.rotor_input == "command" else "speed"
 
     @property
     def outdated(self) -> bool:
         """Whether parameters came too late: what they say is not what the estimate rests on."""
-        if self._learner.tracker is None:
+        if self.tracker is None:
             return False
-        learner = self._learner
-        return self.rotor_selector.outdated or learner.cutoffs != learner.used_of(self._cutoffs())
-
-    @property
-    def fit(self) -> Fit:
-        """The latest fit."""
-        return self._learner.fit
+        return self.rotor_selector.outdated or self.cutoffs != self._known_cutoffs()
 
     @property
     def estimator(self) -> OnlineEstimator | None:
         """The one in force; None before the first sample in flight."""
-        return None if self._learner.tracker is None else self._learner.tracker.estimator
-
-    def values(self, fit: Fit) -> dict[str, Value]:
-        """Physical parameters of any fit, by the rules of this flight's own."""
-        return self._learner.values(fit, self.anchor)
+        return None if self.tracker is None else self.tracker.estimator
 
     @property
     def anchor(self) -> ScaleReference:
         """The scale in force."""
-        return self._learner.anchors[-1]
+        return self.anchors[-1]
 
     @property
     def gyro_cutoff(self) -> float | None:
         """Hz, low-pass of the autopilot on its gyro that the estimate allows for."""
-        return self._learner.cutoffs[0]
+        return self.cutoffs[0]
 
     @property
     def used_seconds(self) -> float:
         """Flight time used by the latest estimate."""
-        return self._learner.fit.seconds
+        return self.fit.seconds
 
     @property
     def events(self) -> tuple[Event, ...]:
         """Event log, the latest last."""
-        return tuple(self._learner.events)
+        return tuple(self._events)
 
     @property
     def history(self) -> History:
         """How the estimates moved so far."""
-        return self._learner.history.history()
+        return self._history.history()
 
-    def result(self) -> Result:
-        """The latest fit as a result."""
-        return Findings(
-            self.airframe,
-            self.sampler,
-            self._learner,
-            self._offline,
-            self.clock_error,
-            self.outdated,
-        ).result()
+    def values(self, fit: Fit, anchor: ScaleReference | None = None) -> dict[str, Value]:
+        """Physical parameters of a fit, by the rules of this flight.
 
-    def _known(self) -> Known:
-        base = self.sampler.time_base
-        return Known(
-            base.imu_interval,
-            base.is_usable,
-            bool(base.faults.spikes),
-            bool(base.still_speeds),
-            self._cutoffs(),
-            self.rotor_selector.refused,
+        Args:
+            fit: any.
+            anchor: sets the scale; None: the one in force.
+        """
+        anchor = anchor or self.anchor
+        arm, known = self.airframe.arm, self.known_beforehand(anchor)
+        late = low_pass_delay(self.cutoffs[0])
+        aligned_fit = aligned(fit, alignment_of(fit, self.airframe))
+        values = summary.values_of(
+            aligned_fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
+        )
+        evidence = self.evidence(fit)
+        return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
+
+    def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:
+        """Priors that hold with a scale; one on the mass is of the vehicle as it took off."""
+        return {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
+
+    def evidence(self, fit: Fit) -> Evidence:
+        """Objections to a fit; none to the article's, which are for study."""
+        if self.options.tuning.method != "forward" or self.tracker is None:
+            return Evidence()
+        filtered = self.cutoffs[0] is not None
+        rotors = len(self.airframe.rotors)
+        return evidence_of(fit, self.rotor_input, self.tracker.dt, filtered=filtered, rotors=rotors)
+
+    def learn(self, block: SampleBlock) -> None:
+        """Learn from the next block of samples."""
+        if block.rotors is not None and block.rotors is not self.rotors:
+            self._use(block.rotors, block.newest_at)
+        elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
+            self._report_loss(self.rotors.name, block.newest_at)
+        for observer in self.observers:
+            observer(block)
+        if self.rotors is None:
+            return
+        tracker = self.tracker
+        if tracker is None or tracker.dt != block.dt:
+            if not np.isfinite(block.samples.gyro).any():
+                return  # nothing flies: no reason to give up what is known
+            if tracker is not None and tracker.start is not None:
+                old, new = 1.0 / tracker.dt, 1.0 / block.dt
+                text = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
+                self._note(block.newest_at, text)
+            tracker = self.tracker = self._new_tracker(self.rotors, block.dt)
+            if self.options.reserve:
+                tracker.reserve()
+            # Rows are counted from the first sample in flight, however blocks fall.
+            block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
+        elif block.fresh:
+            tracker.restart()
+        now = max(block.newest_at, float(block.t[-1]))
+        self._report_imu(now)
+        stops = self._stops(block.t)
+        points = tracker.update(block.t, block.samples, block.flying, stops)
+        self._report_events(tracker, now)
+        for stop, point in zip(stops, points, strict=True):
+            self.fit = point.fit
+            values = self.values(point.fit, self.anchors[point.segment])
+            self._history.append(float(block.t[stop - 1]), values)
+        self.renewals += len(points)
+
+    def _stops(self, t: Array) -> list[int]:
+        """After how many samples at (n,) times the estimate is renewed."""
+        if self._interval is None:
+            return []
+        # Times are rounded; a sample that is early by so little is on time.
+        number = np.floor(t / self._interval + 1e-3)
+        renewed = np.diff(number, prepend=self._history_number) > 0.0
+        self._history_number = max(float(number[-1]), self._history_number)
+        return [int(i) + 1 for i in np.flatnonzero(renewed)]
+
+    def _new_tracker(self, rotors: RotorSource, dt: float) -> Tracker:
+        self.anchors = self.anchors[:1]
+        self._events_reported = 0
+        own, changes = self.options.tuning, self.options.changes
+        self.cutoffs = gyro, loop = self._known_cutoffs()
+        tuning = replace(own, gyro_cutoff=gyro, speed_interval=rotors.interval)
+        if rotors.kind == "command":
+            curve = self.airframe.command.thrust_curve
+            tuning = replace(
+                tuning_for_commands(dt),
+                gyro_cutoff=gyro,
+                loop_cutoff=loop,
+                smoother=own.smoother,
+                bandwidth=own.bandwidth,
+                curves=COMMANDS.curves if curve is None else (curve,),
+            )
+        return Tracker(
+            self.airframe.geometry,
+            dt,
+            tuning,
+            changes if own.method == "forward" else None,
+            self._prior if self.airframe.priors else None,
+            keep=self.options.offline,
         )
 
-    def _cutoffs(self) -> Cutoffs:
-        """Of speeds, and of commands, by the parameters that have come."""
-        given, rotor_selector = self.airframe.gyro_filter, self.rotor_selector
-        known = rotor_selector.autopilot, rotor_selector.parameters
-        return gyro_cutoff(given, *known), loop_cutoff(*known)
+    def _known_cutoffs(self) -> Cutoffs:
+        """By the parameters that have come, as far as they matter to the rotors' input in use."""
+        given, selector = self.airframe.gyro_filter, self.rotor_selector
+        known = selector.autopilot, selector.parameters
+        loop = loop_cutoff(*known) if self.rotor_input == "command" else None
+        return gyro_cutoff(given, *known), loop
+
+    def _prior(self, translation: TranslationFit | None) -> Prior | None:
+        known = summary.priors_for(self.airframe.priors, self.rotor_input)
+        scale = resolve_scale(self.anchors[0], translation, known)
+        return relative_prior(known, scale, self.airframe.cant)
+
+    def _forget_fit(self) -> None:
+        self.fit = Fit(None, None, 0.0)
+        self._history.clear()
+
+    def _use(self, rotors: RotorSource, t: float) -> None:
+        """Take the rotors' input from this stream from now on."""
+        before, lost = self.rotors, self._rotors_lost
+        self.rotors, self._rotors_lost = rotors, False
+        text = f"rotors from {rotors.name}, {rotors.why}"
+        if before is None:
+            self._note(t, text)
+        elif lost and rotors.reads_as(before):
+            self._report_input(t, f"{rotors.name} is usable again: the estimate continues")
+            return
+        else:
+            self._report_input(t, f"{text}: estimate restarts")
+        self.tracker = None
+        self._forget_fit()
+
+    def _report_loss(self, name: str, t: float) -> None:
+        """Say that the rotors' input is not sound any more, and nothing else is."""
+        self._rotors_lost = True
+        why = self.rotor_selector.refused.get(name, "stopped")
+        self._report_input(
+            t,
+            f"{name} {why}, and no other input is usable: the estimate is that of earlier data",
+        )
+
+    def _report_input(self, t: float, text: str) -> None:
+        self._note(t, text)
+        self.input_events.append({"t": t, "kind": "rotor_input", "text": text})
+
+    def _report_imu(self, t: float) -> None:
+        """Say when the IMU becomes too slow for the grid, and when it no longer is; when the first
+        gyro spike was replaced, and when rotor speeds first stood still.
+
+        How many there were is in the result.
+        """
+        base = self.sampler.time_base
+        if base.is_usable != self._usable:
+            self._usable = base.is_usable
+            consequence = "the estimate continues" if self._usable else "too slow for the estimate"
+            rate = f"at {1.0 / base.imu_interval:.0f} Hz" if base.imu_interval else "again"
+            self._note(t, f"IMU data {rate}: {consequence}")
+        if base.faults.spikes and not self._spiked:
+            self._spiked = True
+            self._note(t, "gyro spikes: replaced by interpolation")
+        if base.still_speeds and not self._stood_still:
+            self._stood_still = True
+            self._note(t, "rotor speeds frozen under new timestamps: not used")
+
+    def _report_events(self, tracker: Tracker, t: float) -> None:
+        reported, self._events_reported = (
+            self._events_reported,
+            tracker.forgotten + len(tracker.events),
+        )
+        for event in tracker.events[max(reported - tracker.forgotten, 0) :]:
+            self._note(t, summary.note_of(event, self.rotor_input))
+            if event.segment is not None:
+                self._go_on_after(tracker.segments[event.segment])
+                self.fit = tracker.fit(quick=True)
+                if len(tracker.segments) == TRACKING.most_segments:
+                    self._note(t, f"{TRACKING.most_segments} changes: no further ones are detected")
+
+    def _go_on_after(self, segment: Segment) -> None:
+        """Find the anchor of what follows a segment."""
+        anchor = self.anchors[-1]
+        before = self.values(segment.fit, anchor)
+        self.anchors.append(summary.next_anchor(anchor, before, segment.end))

@@ -29,62 +29,41 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotor_signals import cutoff_of
 from gcs_sysid.estimation.scale import Scale, resolve_scale
 from gcs_sysid.estimation.status import Value
-from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import plausibility, summary
 from gcs_sysid.results.result import Estimate, Result
-from gcs_sysid.session.learner import Learner
 from gcs_sysid.session.reasons import data_reasons, limit_by_given
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
-from gcs_sysid.signals.sampling import Sampler
 
 if TYPE_CHECKING:
-    from gcs_sysid.estimation.offline import OfflineFit
+    from gcs_sysid.session.chain import Chain
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Where a chain stands.
+    """Where a chain stands."""
 
-    Attributes:
-        airframe: of the vehicle.
-        sampler: with what telemetry and rotor streams were like.
-        learner: with the latest fit.
-        offline: the offline estimate where it was asked for, or why there is none.
-        clock_error: share by which the vehicle's clock may be wrong.
-        outdated: whether parameters came too late: what they say is not what the fit rests on.
-    """
-
-    airframe: Airframe
-    sampler: Sampler
-    learner: Learner
-    offline: "OfflineFit | str | None"
-    clock_error: float
-    outdated: bool
-
-    @property
-    def _anchor(self) -> ScaleReference:
-        return self.learner.anchors[-1]
+    chain: "Chain"
 
     def result(self) -> Result:
         """All of it."""
-        values = self.learner.values(self.learner.fit, self._anchor)
+        values = self.chain.values(self.chain.fit, self.chain.anchor)
         objections = self._objections(values)
-        fit, anchor = self.learner.fit, self._anchor
+        fit, anchor = self.chain.fit, self.chain.anchor
         # What is implausible is partial at most, but not refused.
         whole = self._estimates(values, fit, anchor)[1]
-        evidence = self.learner.evidence(fit)
+        evidence = self.chain.evidence(fit)
         word, reasons = verdict(
-            whole, self.learner.rotor_input, fit.rigid_body_test, still=evidence.still
+            whole, self.chain.rotor_input, fit.rigid_body_test, still=evidence.still
         )
         reasons = (*reasons, *limit_by_given(values, whole))
-        first = data_reasons(self.sampler, self.learner, self.outdated, still=evidence.still)
+        first = data_reasons(self.chain, still=evidence.still)
         doubts = evidence.reasons
         if word == "identified" and doubts:
             word = "partial"
         reasons = (*doubts, *reasons)
-        if self.learner.fit.rotation is None:
+        if self.chain.fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
             reasons = (*first, *(objection.reason for objection in objections), *reasons)
@@ -95,28 +74,28 @@ class Findings:
         parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
         past = self._past_values()
         reasons = reasons if word != "identified" else ()
-        if isinstance(self.offline, str):
-            reasons = (f"this is the online estimate: {self.offline}", *reasons)
+        if isinstance(self.chain.offline, str):
+            reasons = (f"this is the online estimate: {self.chain.offline}", *reasons)
         return Result(
             verdict=word,  # type: ignore[arg-type]
             reasons=reasons,
             source="",
             vehicle={},
-            scale=summary.scale_of(self._anchor),
-            rotor_input=self.learner.rotor_input,
+            scale=summary.scale_of(self.chain.anchor),
+            rotor_input=self.chain.rotor_input,
             parameters=parameters,
-            estimator="online" if isinstance(self.offline, str | None) else "offline",
-            method="" if isinstance(self.offline, str | None) else self.offline.method,
+            estimator="online" if isinstance(self.chain.offline, str | None) else "offline",
+            method="" if isinstance(self.chain.offline, str | None) else self.chain.offline.method,
             timing=self._timing(),
-            events=(*self.learner.input_events, *self._changes([*past, values])),
+            events=(*self.chain.input_events, *self._changes([*past, values])),
             segments=self._segments(past),
-            validation=summary.validation_of(self.learner.fit),
+            validation=summary.validation_of(self.chain.fit),
             priors={
                 name: {"value": value, "std": std}
-                for name, (value, std) in self.airframe.priors.items()
+                for name, (value, std) in self.chain.airframe.priors.items()
             },
             telemetry=self._telemetry(),
-            airframe=self.airframe.as_json(),
+            airframe=self.chain.airframe.as_json(),
             disturbance=self._disturbance(),
             rotors=self._rotors(),
             covariance=self._covariance(parameters),
@@ -124,20 +103,20 @@ class Findings:
 
     @property
     def _scale(self) -> Scale:
-        fit, anchor = self.learner.fit, self._anchor
-        return resolve_scale(anchor, fit.translation, self.learner.known_beforehand(anchor))
+        fit, anchor = self.chain.fit, self.chain.anchor
+        return resolve_scale(anchor, fit.translation, self.chain.known_beforehand(anchor))
 
     def _disturbance(self) -> dict[str, float]:
-        rotation = self.learner.fit.rotation
+        rotation = self.chain.fit.rotation
         if rotation is None or not np.isfinite(rotation.disturbance).all():
             return {}
         return dict(zip(AXES, rotation.disturbance.tolist(), strict=True))
 
     def _rotors(self) -> tuple[dict[str, Estimate], ...]:
         """Each rotor's coefficients; with commands there are none."""
-        if self.learner.rotor_input != "speed":
+        if self.chain.rotor_input != "speed":
             return ()
-        rotors, cant = len(self.airframe.rotors), self.airframe.cant
+        rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
         each = rotor_values(self._aligned_rotation, self._scale, rotors, cant)
         return tuple(
             {
@@ -150,11 +129,11 @@ class Findings:
     @property
     def _aligned_rotation(self) -> RotationFit | None:
         """As values are: with rotors and IMU at their identified poses."""
-        return aligned(self.learner.fit, self._alignment).rotation
+        return aligned(self.chain.fit, self._alignment).rotation
 
     @cached_property
     def _alignment(self) -> Alignment | None:
-        return alignment_of(self.learner.fit, self.airframe)
+        return alignment_of(self.chain.fit, self.chain.airframe)
 
     def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
         rotation = self._aligned_rotation
@@ -166,7 +145,7 @@ class Findings:
             if e.value is not None and e.std is not None
         }
         entries = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
-        given = given_effects(entries, self.learner.fit, self._given(self._anchor))
+        given = given_effects(entries, self.chain.fit, self._given(self.chain.anchor))
         names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}
@@ -178,8 +157,8 @@ class Findings:
         }
 
     def _given(self, anchor: ScaleReference) -> Given:
-        known = self.learner.known_beforehand(anchor)
-        return Given(self.airframe, anchor, self.learner.rotor_input, known)
+        known = self.chain.known_beforehand(anchor)
+        return Given(self.chain.airframe, anchor, self.chain.rotor_input, known)
 
     def _estimates(
         self,
@@ -189,25 +168,25 @@ class Findings:
         bounds: dict[str, Value] | None = None,
     ) -> tuple[dict[str, Estimate], dict[str, Value]]:
         """Estimates with all of their uncertainty; the values of the same, for the verdict."""
-        airframe = self.airframe
+        airframe = self.chain.airframe
         stds = given_stds(values, fit, self._given(anchor))
-        timed = with_clock_error(values, self.clock_error)
+        timed = with_clock_error(values, self.chain.clock_error)
         estimates = summary.estimates_of(
             with_given(timed, stds, airframe.arm), fit, anchor, bounds, stds
         )
         return estimates, with_given(values, stds, airframe.arm)
 
     def _objections(self, values: dict[str, Value]) -> tuple[plausibility.Objection, ...]:
-        source = self.learner.rotors
+        source = self.chain.rotors
         return plausibility.objections(
             values,
-            self.airframe,
-            self.learner.rotor_input,
+            self.chain.airframe,
+            self.chain.rotor_input,
             reinterpreted=source is not None and source.scale != 1.0,
         )
 
     def _timing(self) -> dict[str, Estimate]:
-        timing = timing_values(self.learner.fit.rotation, self.learner.rotor_input)
+        timing = timing_values(self.chain.fit.rotation, self.chain.rotor_input)
         return {
             name: Estimate(
                 value.value,
@@ -216,32 +195,32 @@ class Findings:
                 value.status,
                 not_negative=REGISTRY[name].sign == "not negative",
             ).bounded
-            for name, value in with_clock_error(timing, self.clock_error).items()
+            for name, value in with_clock_error(timing, self.chain.clock_error).items()
         }
 
     def _past_values(self) -> list[dict[str, Value]]:
-        if self.learner.tracker is None:
+        if self.chain.tracker is None:
             return []
         return [
-            self.learner.values(segment.fit, anchor)
+            self.chain.values(segment.fit, anchor)
             for segment, anchor in zip(
-                self.learner.tracker.segments, self.learner.anchors, strict=False
+                self.chain.tracker.segments, self.chain.anchors, strict=False
             )
         ]
 
     def _bounds(self) -> dict[str, Value] | None:
-        if isinstance(self.offline, str | None):
+        if isinstance(self.chain.offline, str | None):
             return None
-        bounds = self.learner.values(self.offline.bounding_fit, self._anchor)
+        bounds = self.chain.values(self.chain.offline.bounding_fit, self.chain.anchor)
         # The likelihood is that of the rotation.
         return {n: v for n, v in bounds.items() if REGISTRY[n].fit in ("rotation", "actuator")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self.learner.tracker is None:
+        if self.chain.tracker is None:
             return ()
         out = []
         before = 0
-        for event in self.learner.tracker.events:
+        for event in self.chain.tracker.events:
             after = None
             if event.segment is not None:
                 before, after = event.segment, values[event.segment + 1]
@@ -251,7 +230,7 @@ class Findings:
         return tuple(out)
 
     def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self.learner.tracker is None:
+        if self.chain.tracker is None:
             return ()
         return tuple(
             {
@@ -267,15 +246,15 @@ class Findings:
                 "validation": summary.validation_of(segment.fit),
             }
             for segment, anchor, values in zip(
-                self.learner.tracker.segments, self.learner.anchors, past, strict=False
+                self.chain.tracker.segments, self.chain.anchors, past, strict=False
             )
         )
 
     def _telemetry(self) -> dict[str, Any]:
-        base = self.sampler.time_base
+        base = self.chain.sampler.time_base
         return {
             "grid_rate": 1.0 / base.dt if base.dt else None,
-            "used_seconds": self.learner.fit.seconds,
+            "used_seconds": self.chain.fit.seconds,
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
@@ -284,7 +263,7 @@ class Findings:
             "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
             "imu_rotation": self._imu_rotation(),
-            "thrust_voltage": self.learner.tracker.voltage if self.learner.tracker else None,
+            "thrust_voltage": self.chain.tracker.voltage if self.chain.tracker else None,
         }
 
     def _imu_rotation(self) -> dict[str, Any] | None:
@@ -301,7 +280,7 @@ class Findings:
 
     def _gyro_filter_found(self) -> float | None:
         """Hz of the undeclared low-pass that the gyro's delay is that of; None: none was found."""
-        tracker, fit = self.learner.tracker, self.learner.fit.rotation
+        tracker, fit = self.chain.tracker, self.chain.fit.rotation
         if tracker is None or fit is None or not tracker.low_passed or not fit.delay < 0.0:
             return None
         return cutoff_of(-float(fit.delay))
@@ -310,23 +289,25 @@ class Findings:
     def _twin(self) -> str | None:
         """The other stream of commands that is used."""
         return (
-            self.sampler.rotor_selector.twin if self.sampler.time_base.dt >= SLOW_COMMANDS else None
+            self.chain.sampler.rotor_selector.twin
+            if self.chain.sampler.time_base.dt >= SLOW_COMMANDS
+            else None
         )
 
     def _input_telemetry(self) -> dict[str, Any]:
         """Which rotor stream is used, how it is read, and why not the others."""
-        source = self.learner.rotors
+        source = self.chain.rotors
         if source is None:
-            return {"source": None, "refused": dict(self.sampler.rotor_selector.refused)}
+            return {"source": None, "refused": dict(self.chain.sampler.rotor_selector.refused)}
         out: dict[str, Any] = {
             "source": source.name,
             "why": source.why,
             "refused": dict(source.refused or {}),
             "with": self._twin,
-            "repeats": self.sampler.rotor_selector.repeats[source.name].as_dict(),
-            "gyro_filter": None if self.learner.tracker is None else self.learner.cutoffs[0],
+            "repeats": self.chain.sampler.rotor_selector.repeats[source.name].as_dict(),
+            "gyro_filter": None if self.chain.tracker is None else self.chain.cutoffs[0],
             "gyro_filter_found": self._gyro_filter_found(),
-            "loop_filter": None if self.learner.tracker is None else self.learner.cutoffs[1],
+            "loop_filter": None if self.chain.tracker is None else self.chain.cutoffs[1],
         }
         if source.range is not None:
             out["range"] = [source.range.low, source.range.high]

@@ -2,6 +2,11 @@
 
 Live sessions and log analyses are two ways to drive this one class, which is why they end with
 the same numbers.
+
+Frames of a link wait, unread, until the vehicle's clock has passed a tick of the chain.
+
+Before that they change nothing that anybody sees, and reading a few at a time costs as much as
+reading all of a tenth of a second at once. How long they wait changes no number.
 """
 
 from collections import deque
@@ -11,12 +16,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
-from gcs_sysid.session.frame_gathering import FrameGathering
 from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.telemetry.frame_block import FrameBlock
@@ -24,10 +30,78 @@ from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.imu_loss import loss_reason
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry
+from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 
+_MOST_WAITING = 1024
+"""Frames that wait: those of a tenth of a second on the fastest link."""
+_LONGEST_WAIT = 0.2
+"""s of the receiving computer's clock that they wait where the vehicle's gives no time."""
+_AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE", "MESSAGE_INTERVAL"))
+"""Messages that are waited for: heartbeats and replies to requests."""
+_ROUNDING = 2e-6
+"""s, of stamps and ticks."""
+_Sender = tuple[int, int, int]
+_STAMPS = {
+    MESSAGE_IDS[message.name]: (
+        picker(message.name, STAMP_FIELDS[message.stamp]),
+        1e-3 if message.stamp is Stamp.MS32 else 1e-6,
+    )
+    for message in MESSAGES
+    if message.name in INERTIAL
+}
 _MAX_EVENTS = 1000
 _SENSIBLE = (946_684_800.0, 4_102_444_800.0)
 """Unix times of the years 2000 and 2100: a record cannot be from outside."""
+
+
+class FrameGathering:
+    """Frames that wait."""
+
+    def __init__(self) -> None:
+        self._frames: list[Frame] = []
+        self._walls: list[float] = []
+        # (sender, message) -> s, its stamp when the waiting began, and its latest.
+        self._from: dict[_Sender, float] = {}
+        self._latest: dict[_Sender, float] = {}
+        self._left = 0.0
+
+    def add(self, frames: Iterable[Frame], wall: float | None) -> bool:
+        """Add frames; whether it is time to read them.
+
+        Args:
+            frames: in the order received.
+            wall: when they came, s since 1970; None: not known.
+        """
+        before = len(self._frames)
+        self._frames += frames
+        self._walls += [wall or 0.0] * (len(self._frames) - before)
+        due = len(self._frames) >= _MOST_WAITING
+        if wall is not None and self._frames:
+            due |= not 0.0 <= wall - self._walls[0] < _LONGEST_WAIT
+        awaited = [self._is_awaited(frame) for frame in self._frames[before:]]
+        return due or any(awaited)
+
+    def _is_awaited(self, frame: Frame) -> bool:
+        """Whether a frame ends the waiting: by its time, or by what it is."""
+        stamp = _STAMPS.get(frame.message_id)
+        if stamp is None:
+            return frame.message_id in _AWAITED or frame.system == OWN_SYSTEM
+        pick, unit = stamp
+        sender = frame.system, frame.component, frame.message_id
+        self._latest[sender] = t = unit * pick(frame.payload)[0]
+        return not 0.0 <= t - self._from.setdefault(sender, t) < self._left - _ROUNDING
+
+    def take(self) -> FrameBlock:
+        """The frames, which wait no more."""
+        block = FrameBlock.of(self._frames, np.array(self._walls))
+        self._frames, self._walls = [], []
+        return block
+
+    def wait(self, seconds: float) -> None:
+        """Have frames wait for so many seconds of the vehicle's clock from now on."""
+        self._from, self._latest, self._left = self._latest, {}, seconds
 
 
 class Pipeline:
@@ -85,7 +159,7 @@ class Pipeline:
     def take(self, frames: Iterable[Frame] | FrameBlock, wall: float | None = None) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed.
 
-        They may wait for others, see `frame_gathering`; `result` and `finish` have all of them.
+        They may wait for others, see `FrameGathering`; `result` and `finish` have all of them.
 
         Args:
             frames: as they came.

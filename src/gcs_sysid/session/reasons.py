@@ -1,13 +1,15 @@
 """Reasons of a verdict below `identified`."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from gcs_sysid.estimation.status import RULES, Value
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.session.learner import Learner
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.sampling import Sampler
+
+if TYPE_CHECKING:
+    from gcs_sysid.session.chain import Chain
 
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
@@ -20,17 +22,14 @@ def blames_rotors(reason: str) -> bool:
     return reason.startswith(_MISMATCH) or reason.endswith(_CORRECTED)
 
 
-def data_reasons(
-    sampler: Sampler, learner: Learner, outdated: bool, *, still: bool = False
-) -> tuple[str, ...]:
+def data_reasons(chain: "Chain", *, still: bool = False) -> tuple[str, ...]:
     """What is missing, the first cause alone: the rest follows from it.
 
     Args:
-        sampler: of the chain.
-        learner: of the chain.
-        outdated: whether parameters came too late to be used.
+        chain: with what came, and the latest fit.
         still: whether no axis was flown: rotors then explain nothing, even where they are right.
     """
+    sampler, fit = chain.sampler, chain.fit
     seen = sampler.seen
     if not seen:
         seconds = sampler.recorded
@@ -44,25 +43,25 @@ def data_reasons(
             "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
             "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): request them from the autopilot",
         )
-    if learner.rotors is None and sampler.rotor_selector.judged:
-        return _input_reasons(sampler.rotor_selector, learner.anchors[0])
-    if outdated:
+    if chain.rotors is None and sampler.rotor_selector.judged:
+        return _input_reasons(sampler.rotor_selector, chain.anchors[0])
+    if chain.outdated:
         return (
             "the autopilot's parameters came too late to set filters and ranges: "
             "analyze the recording",
         )
     if Stream.ATTITUDE not in seen:
         return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
-    if learner.fit.other_layout is not None:
-        return (f"{learner.fit.other_layout}{_CORRECTED}",)
-    if learner.fit.rotation is None:
-        if learner.fit.seconds > _ENOUGH_TO_ANSWER:
+    if fit.other_layout is not None:
+        return (f"{fit.other_layout}{_CORRECTED}",)
+    if fit.rotation is None:
+        if fit.seconds > _ENOUGH_TO_ANSWER:
             return (
                 f"{_MISMATCH}: check motor order and rotor positions in the airframe file, and fly "
                 "roll and pitch",
             )
         return ("too little flight with all needed data",)
-    rotation = learner.fit.rotation
+    rotation = fit.rotation
     least, _ = RULES.explained(whitened=bool(rotation.whiteners))
     if not still and rotation.r_squared.min() < least:
         share = max(100.0 * rotation.r_squared.min(), 0.0)

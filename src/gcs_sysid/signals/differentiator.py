@@ -20,6 +20,7 @@ from gcs_sysid.signals.recursions import lfilter
 
 ARTICLE_A = 1.75
 ARTICLE_B = 5.045
+"""b = 3.1 (a - 0.5) + 1.17, as printed."""
 ARTICLE_R = 50000.0
 
 DEFAULT_BANDWIDTH = 40.0
@@ -27,11 +28,6 @@ DEFAULT_BANDWIDTH = 40.0
 to it at 20 Hz (benchmarks/filter_claims.py). Quieter sensors allow 60 to 80."""
 DEFAULT_DAMPING = 2.0**0.5
 """b of the flattest gain; up to a quarter of R the lag is then next to constant too."""
-
-
-def damping_of(a: float) -> float:
-    """The article's b for an exponent a."""
-    return 3.1 * (a - 0.5) + 1.17
 
 
 class LinearDifferentiator:

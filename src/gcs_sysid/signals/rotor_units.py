@@ -22,7 +22,7 @@ PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM
                    "motorOutput", "minthrottle", "maxthrottle")  # fmt: skip
 """How the names of the parameters that matter here begin."""
 
-_FIRST_MOTOR = 101
+FIRST_MOTOR = 101
 """Output function of motor 1 in PX4."""
 _PX4_DRIVERS = ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC")
 _USUAL = (800.0, 2200.0)
@@ -107,7 +107,7 @@ def _of_px4(parameters: Parameters) -> Range | None:
     """Of the driver whose output is motor 1, where its parameters give a range."""
     for driver in _PX4_DRIVERS:
         for output in range(1, 17):
-            if parameters.get(f"{driver}_FUNC{output}") == _FIRST_MOTOR:
+            if parameters.get(f"{driver}_FUNC{output}") == FIRST_MOTOR:
                 low = parameters.get(f"{driver}_MIN{output}")
                 high = parameters.get(f"{driver}_MAX{output}")
                 if low is not None and high is not None and low < high:

@@ -18,17 +18,17 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import DISARM, Frames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
 MOST_BYTES = 2**32
 """Of a log, which is read whole: the cards that flight controllers write to hold no larger file."""
-_G = 9.80665
 _FRD = np.array([1.0, -1.0, -1.0])
 """Forward, left, up to forward, right, down; north, west, up to north, east, down."""
 _QUATERNION_ONE, _INDIFLIGHT_ONE = 32767.0, 8127.0
@@ -212,7 +212,9 @@ class _Reader:
         if gyro is None:
             return
         one_g = self._header.number("acc_1G", 0.0)
-        force = np.full_like(gyro, np.nan) if acc is None or one_g <= 0.0 else acc * (_G / one_g)
+        force = (
+            np.full_like(gyro, np.nan) if acc is None or one_g <= 0.0 else acc * (GRAVITY / one_g)
+        )
         values = np.hstack([gyro * self._gyro_unit() * _FRD, force * _FRD])
         recording.add(Stream.IMU, self._t, values)
 

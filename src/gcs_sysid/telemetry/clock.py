@@ -3,7 +3,7 @@
 Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
 32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
 seconds since the vehicle's boot. The wall clock is not used: its drift from the vehicle's is
-reported, and rejected where implausible for a clock (`session.clock_doubt`).
+reported, and rejected where implausible for a clock (`session.clock_check`).
 """
 
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ UNIX_FROM = 1e9
 
 WRAP_MS = 2**32 * 1e-3
 WRAP_US = 2**32 * 1e-6
+"""s between two wraps of 32-bit stamps in ms, and in us."""
 
 
 def may_wrap(now: Any) -> Any:

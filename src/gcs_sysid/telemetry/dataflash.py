@@ -20,8 +20,7 @@ from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import DataflashLog
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.onboard_table import OnboardMessage
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
 
 _EV_ARMED, _EV_DISARMED, _EV_LANDED, _EV_NOT_LANDED = 10, 11, 18, 28

@@ -17,11 +17,8 @@ from gcs_sysid.telemetry import message_table
 from gcs_sysid.telemetry.clock import ClockTimes, StampKind, VehicleClock, following
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.message_arrays import message_arrays
-from gcs_sysid.telemetry.message_table import STAMP_FIELDS, Message, Stamp
-from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.preference import Preference
-from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS
+from gcs_sysid.telemetry.message_table import MOST_ROTORS, STAMP_FIELDS, Message, Preference, Stamp
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_arrays
 from gcs_sysid.telemetry.track_collector import TrackCollector
 from gcs_sysid.telemetry.vehicle_states import STATE_IDS, VehicleStates
 

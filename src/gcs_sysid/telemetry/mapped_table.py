@@ -19,14 +19,14 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.attitude import conjugate, multiply
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
 _MOST_BYTES = 200_000
 _DEGREE = math.pi / 180.0
-_G = 9.80665
 _HALF = math.sqrt(0.5)
 _BODIES = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0)}
 _BODY_TURNS = {"FRD": (1.0, 0.0, 0.0, 0.0), "FLU": (0.0, 1.0, 0.0, 0.0)}
@@ -42,7 +42,7 @@ _RATES = {"rad/s": 1.0, "deg/s": _DEGREE}
 _SPEEDS = {"rad/s": 1.0, "rpm": RPM, "Hz": 2.0 * math.pi}
 _UNITS: dict[str, dict[str, float]] = {
     "gyro": _RATES,
-    "force": {"m/s^2": 1.0, "g": _G},
+    "force": {"m/s^2": 1.0, "g": GRAVITY},
     "attitude": {"rad": 1.0, "deg": _DEGREE},
     "velocity": {"m/s": 1.0},
     "position": {"m": 1.0},

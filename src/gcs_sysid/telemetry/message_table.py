@@ -6,23 +6,62 @@ add its row; `Message` documents the fields of a row.
 Where several messages have the same content (IMU, attitude, velocity), the best that arrives is
 taken: the one of the lowest rank. Rotor messages are all passed on under their own names: which of
 them is usable shows only in flight.
+
+Logs that an autopilot wrote itself have rows of their own, `OnboardMessage`, in its names.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotor_messages import RPM, used_outputs, used_sensors, used_servos
 
+RPM = 2.0 * math.pi / 60.0
+"""rad/s per revolution a minute."""
+MOST_ROTORS = 64
+"""As many as the definition of ESC_STATUS allows; its index could be higher."""
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""
+PREFERRED_FOR = 1.0
+"""s. The next best message is used only when no better one came for this long."""
+
+
+def used_sensors(_messages: Array, rpm: Array) -> Array:
+    """(n,) how many sensors n messages RPM report; absent ones are -1."""
+    return np.where(rpm[:, 0] < 0.0, 0, np.where(rpm[:, 1] >= 0.0, 2, 1))
+
+
+def used_outputs(messages: Array, outputs: Array) -> Array:
+    """(n,) how many outputs n messages ACTUATOR_OUTPUT_STATUS report, at least four.
+
+    `active` is by the definition a mask, from PX4 a count; either way outputs beyond it are unused.
+    """
+    most = outputs.shape[1]
+    active = messages["active"].astype(float)
+    bit_length = np.frexp(active)[1]
+    count = np.where(active <= most, active, np.minimum(bit_length, most)).astype(int)
+    count[count == 0] = most
+    there = np.isfinite(outputs) & (np.arange(most) < count[:, None])
+    used: Array = np.maximum(_to_last(there), np.minimum(count, 4))
+    return used
+
+
+def used_servos(_messages: Array, servos: Array) -> Array:
+    """(n,) how many servos n messages SERVO_OUTPUT_RAW report, at least four; 0: not there."""
+    used: Array = np.maximum(_to_last(servos != 0.0), 4)
+    return used
+
+
+def _to_last(there: Mask) -> Array:
+    """(n,) how many entries of each row there are up to the last true one."""
+    count = there.shape[1] - np.argmax(there[:, ::-1], axis=1)
+    return np.where(there.any(axis=1), count, 0)
 
 
 class Stamp(Enum):
@@ -184,3 +223,79 @@ read in `vehicle_states`, and by the clock."""
 
 INERTIAL = frozenset(message.name for message in MESSAGES if message.stream is Stream.IMU)
 """Messages with IMU data."""
+
+
+class Preference:
+    """Lets messages of a stream through only while none that ranks better comes."""
+
+    def __init__(self) -> None:
+        self._heard: dict[int, float] = {}
+
+    def allows(self, ranked: Sequence[tuple[int, Array, Array]]) -> list[Mask]:
+        """Note messages, and return which of them to use.
+
+        Args:
+            ranked: of each kind its rank, the (n,) places of its messages in the order of
+                arrival, and their times in s, NaN where there is none; the best first.
+
+        Returns:
+            Of each kind (n,) whether to use the message.
+        """
+        heard: list[tuple[int, Array, Array]] = []
+        masks = []
+        came = {rank for rank, _, _ in ranked}
+        silent = [(k, t) for k, t in self._heard.items() if k not in came]
+        for rank, order, t in ranked:
+            allowed = np.ones(len(t), bool)
+            for better, last in silent:
+                if better < rank:
+                    allowed &= ~(np.abs(t - last) <= PREFERRED_FOR)
+            for better, better_order, better_t in heard:
+                if better < rank:
+                    last_t = better_t[np.searchsorted(better_order, order)]
+                    allowed &= ~(np.abs(t - last_t) <= PREFERRED_FOR)
+            masks.append(allowed)
+            timed = np.isfinite(t)
+            times = np.concatenate([[self._heard.get(rank, np.nan)], t[timed]])
+            heard.append((rank, order[timed], times))
+            if len(times) > 1:
+                self._heard[rank] = float(times[-1])
+        return masks
+
+
+@dataclass(frozen=True)
+class OnboardMessage:
+    """How one topic (.ulg) or type of entry (.bin) makes samples.
+
+    Attributes:
+        name: of the topic or entry.
+        stream: what it measures.
+        fields: that make up the values; in a topic, `q[4]` are `q[0]` to `q[3]`, and `output[n]`
+            as many as its field `n` says.
+        scale: SI unit per unit of the fields.
+        rank: among those of a stream of which one is read, 0 the best; the others are read
+            where it is missing.
+        is_equal_to: value of a state's only field at which it is true; None: not a state.
+        offset: topic and fields that are subtracted, by their latest values.
+        sensors: which of several: "first" (another one is another stream, not more samples),
+            "primary" (of the estimator that the autopilot flies by), or "all".
+        convert: (n, fields) numbers as they are logged to (n, width) values, before the scale.
+    """
+
+    name: str
+    stream: Stream
+    fields: tuple[str, ...]
+    scale: float = 1.0
+    rank: int = 0
+    is_equal_to: int | None = None
+    offset: tuple[str, tuple[str, ...]] | None = None
+    sensors: str = "first"
+    convert: Callable[[Array], Array] | None = None
+
+    def values(self, columns: Array) -> Array:
+        """(n, width) in SI units of (n, fields) numbers."""
+        if self.is_equal_to is not None:
+            state: Array = columns == self.is_equal_to
+            return state
+        values = columns if self.convert is None else self.convert(columns)
+        return values if self.scale == 1.0 else values * self.scale

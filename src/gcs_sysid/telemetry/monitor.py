@@ -109,7 +109,7 @@ class SequenceCount:
 
 @dataclass(frozen=True)
 class LinkHealth:
-    """Figures of the moment, named as in `session.snapshot.LinkStatus`."""
+    """Figures of the moment, named as in `results.snapshot.LinkStatus`."""
 
     rates: dict[str, float] = field(default_factory=dict)
     """Messages a second of vehicle time by name."""

@@ -105,11 +105,6 @@ def _is_harmless_group(message: Any) -> bool:
     return bool(message.start_stop == 1 and 0 < rate <= MOST_OF_GROUP)
 
 
-def _is_harmless_timesync(message: Any) -> bool:
-    """A request only: a reply could set another station's clock."""
-    return bool(message.tc1 == 0 and 0 <= message.ts1 < 2**63)
-
-
 def _is_harmless_reading(message: Any) -> bool:
     """By a name that a parameter can have, not by a number: those differ between versions."""
     name = message.param_id
@@ -122,9 +117,7 @@ _ALLOWED: dict[int, Callable[[Any], bool]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _is_harmless_group,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: _is_harmless_timesync,
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _is_harmless_reading,
-    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _is_of_one_vehicle,
 }
 
 
@@ -234,16 +227,8 @@ class Gate:
             mavlink.MAVLink_request_data_stream_message(*target, group, hertz, int(hertz > 0))
         )
 
-    def timesync(self, ts1_ns: int) -> bool:
-        """Ask for the vehicle's time; `ts1_ns` is our own, in ns."""
-        return self.send(mavlink.MAVLink_timesync_message(tc1=0, ts1=ts1_ns))
-
     def read_parameter(self, target: tuple[int, int], name: str) -> bool:
         """Ask for one parameter by name (at most 16 characters)."""
         return self.send(
             mavlink.MAVLink_param_request_read_message(*target, name.encode("ascii")[:16], -1)
         )
-
-    def read_all_parameters(self, target: tuple[int, int]) -> bool:
-        """Ask for all parameters."""
-        return self.send(mavlink.MAVLink_param_request_list_message(*target))

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 from gcs_sysid.signals.samples import NEEDED_RATE
-from gcs_sysid.telemetry.group_requests import GroupRequests
+from gcs_sysid.telemetry.group_requests import ASK_AGAIN_AFTER, ASKS_AT_MOST, ENOUGH, GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 from gcs_sysid.telemetry.stream_restoration import StreamRestoration
@@ -31,13 +31,6 @@ HEARTBEAT_EVERY = 1.0
 INTRODUCTIONS = 3
 """Heartbeats in version 2 to a vehicle that sends version 1: PX4 sends 1 until it receives 2, and
 systems limited to 1 ignore them."""
-ASK_AGAIN_AFTER = 5.0
-"""s between two requests for the same message: time for it to arrive and be judged."""
-ENOUGH = 0.7
-"""Part of the asked rate that satisfies: busy PX4 links give 160-182 Hz when asked for 200."""
-ASKS_AT_MOST = 60
-"""Unanswered requests a message; five minutes. A stream that the vehicle has not got (ESC_STATUS
-without telemetry, say) need not be asked for during a whole flight."""
 REPORT_AFTER = 3
 """Requests after which a missing stream is reported, and gets no share of the link."""
 LOSS_JUDGED_EVERY = 10.0

@@ -18,7 +18,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
-from gcs_sysid.telemetry.wanted_streams import default_rates, rotor_streams
+from gcs_sysid.telemetry.wanted_streams import LAST_ID_OF_VERSION_1, default_rates, rotor_streams
 
 VEHICLE_DEFAULT, OFF = 0, -1
 """Intervals of SET_MESSAGE_INTERVAL that are none."""
@@ -34,7 +34,6 @@ SAME = 0.02
 """Share by which an interval may differ and still be the one asked for: autopilots round."""
 SCHEMA = "gcs-sysid-streams/1"
 _MOST_BYTES = 100_000
-_LAST_ID_OF_VERSION_1 = 255
 
 
 class StreamRestoration:
@@ -73,7 +72,7 @@ class StreamRestoration:
         if vehicle.key == "ardupilot":
             names.append("RAW_IMU")
         self._names = tuple(
-            n for n in names if vehicle.version == 2 or MESSAGE_IDS[n] <= _LAST_ID_OF_VERSION_1
+            n for n in names if vehicle.version == 2 or MESSAGE_IDS[n] <= LAST_ID_OF_VERSION_1
         )
         self._own, self._asked = {}, {}
         self._read()

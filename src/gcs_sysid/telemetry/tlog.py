@@ -13,7 +13,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.message_arrays import message_arrays
+from gcs_sysid.telemetry.messages import message_arrays
 from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner, shows_a_record
 
 WINDOW = 2**21

@@ -16,9 +16,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_units import FIRST_MOTOR
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.onboard_table import OnboardMessage
-from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
@@ -29,8 +29,6 @@ _ARMED = 2
 _MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY = (
     "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status", "battery_status"
 )  # fmt: skip
-_FIRST_MOTOR = 101
-"""esc_report.actuator_function of motor 1."""
 
 TOPICS = (
     OnboardMessage(
@@ -179,7 +177,7 @@ def _speeds(topic: Topic) -> Array:
         raise KeyError("esc")
     rpm = np.column_stack([topic[f"esc[{i}].esc_rpm"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
-    motors = [int(f.max()) - _FIRST_MOTOR for f in functions if f is not None]
+    motors = [int(f.max()) - FIRST_MOTOR for f in functions if f is not None]
     if sorted(motors) == list(range(count)):
         rpm = rpm[:, np.argsort(motors)]
     speeds: Array = np.abs(rpm.astype(float)) * RPM

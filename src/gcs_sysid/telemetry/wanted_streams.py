@@ -49,7 +49,7 @@ GROUPS = {
 ESC_GROUP = Group(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
 """The group with ESC_TELEMETRY, which brings much besides."""
 
-_LAST_ID_OF_VERSION_1 = 255
+LAST_ID_OF_VERSION_1 = 255
 _ARDUPILOT_SHARE = 0.8
 """Of its loop rate: ArduPilot sends nothing faster."""
 ARDUPILOT_LOOP_RATE = 400.0
@@ -86,7 +86,7 @@ def rotor_streams(autopilot: str, rotors: int, version: int = 2) -> tuple[tuple[
     key = "ardupilot" if autopilot == "ardupilot" else "px4"
     speeds = SPEEDS[key] if key == "px4" else SPEEDS[key][: -(-rotors // 4)]
     if version == 1:
-        return tuple(n for n in speeds if MESSAGE_IDS[n] <= _LAST_ID_OF_VERSION_1), (
+        return tuple(n for n in speeds if MESSAGE_IDS[n] <= LAST_ID_OF_VERSION_1), (
             "SERVO_OUTPUT_RAW"
         )
     return speeds, COMMANDS[key]

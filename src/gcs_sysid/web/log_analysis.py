@@ -16,10 +16,9 @@ from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
-from gcs_sysid.report.data import gather, provenance_of
+from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.health_picture import health_picture
 from gcs_sysid.report.page import render
-from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout

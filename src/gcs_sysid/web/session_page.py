@@ -20,7 +20,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.screen.scene import Scene
-from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.screen.view import SnapshotSource
 from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
 from gcs_sysid.web.session_view import history_view, session_view

@@ -4,11 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.results.snapshot import Acceleration
-from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line
-from gcs_sysid.screen.widgets.rationed import RationedPlot
+from gcs_sysid.screen.widgets.lines import Line, RationedPlot
 
 Floats = NDArray[np.float64]
 
@@ -34,10 +33,10 @@ def strip(
         limit: of the values at the upper edge, and minus that at the lower.
         size: columns and lines.
     """
-    per_second = (braille.DOTS_WIDE * size[0] - 1) / (end - start)
+    per_second = (text_drawing.DOTS_WIDE * size[0] - 1) / (end - start)
     x = np.rint((t - start) * per_second).astype(np.int64)
     bridge = max(2, round(BRIDGE * per_second))
-    return braille.curve(*braille.extremes(x, values), (-limit, limit), size, bridge)
+    return text_drawing.curve(*text_drawing.extremes(x, values), (-limit, limit), size, bridge)
 
 
 def overlay(

@@ -10,11 +10,10 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import scaled_unit
 from gcs_sysid.results.snapshot import History
-from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line
-from gcs_sysid.screen.widgets.rationed import RationedPlot
+from gcs_sysid.screen.widgets.lines import Line, RationedPlot
 
 Floats = NDArray[np.float64]
 
@@ -113,7 +112,7 @@ def shade(
     columns, lines = size
     x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * (columns - 1)).astype(np.int64)
     low, high = (
-        braille.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
+        text_drawing.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
     )
     cell = (bounds[1] - bounds[0]) / lines
     centres = bounds[1] - cell * (np.arange(lines)[:, None] + 0.5)
@@ -161,7 +160,7 @@ class Convergence(RationedPlot):
         history, truth = view.snapshot.history, view.truth.get(view.selected)
         key = "" if found is None else words.exponent_key(found[0])
         scale = 10.0 ** -view.exponents.get(key, 0)
-        whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
+        whole = reduce_course(history, view.selected, text_drawing.DOTS_WIDE * width, scale)
         if whole is None:
             missing = "history" if found is not None and found[1].shown else "estimate"
             yet = "" if view.ended else " yet"
@@ -173,7 +172,9 @@ class Convergence(RationedPlot):
         ticks = nice_ticks(*bounds, lines // 3)
         margin = max(map(len, ticks[1]), default=0) + 1
         columns = width - margin
-        curve = reduce_course(history, view.selected, braille.DOTS_WIDE * columns, scale) or whole
+        curve = (
+            reduce_course(history, view.selected, text_drawing.DOTS_WIDE * columns, scale) or whole
+        )
         rows = self._rows(curve, bounds, truth, (columns, lines))
         cell = (bounds[1] - bounds[0]) / lines
         at = {int((bounds[1] - tick) / cell): text for tick, text in zip(*ticks, strict=True)}
@@ -192,10 +193,10 @@ class Convergence(RationedPlot):
         """The lines of the picture: band, truth and value, each over the one before."""
         columns, lines = size
         span = _span(curve)
-        wide = braille.DOTS_WIDE * columns - 1
+        wide = text_drawing.DOTS_WIDE * columns - 1
         x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * wide).astype(np.int64)
         x, first = np.unique(x, return_index=True)
-        dots = braille.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
+        dots = text_drawing.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
         kinds = np.where(shade(curve, span, bounds, size), _BAND, _NOTHING)
         if truth is not None:
             kinds[int((bounds[1] - truth) / (bounds[1] - bounds[0]) * lines)] = _TRUTH

@@ -1,9 +1,13 @@
 """A widget of styled lines, of which only those that have changed are drawn again.
 
 Textual's own widgets format all their text again for any change of it. On a large screen whose
-numbers change several times a second that was most of what the whole program cost.
+numbers change several times a second that was most of what the whole program cost. A plot
+among them is drawn no more often than it can be read.
 """
 
+import math
+import time
+from abc import abstractmethod
 from collections.abc import Sequence
 from itertools import groupby, zip_longest
 
@@ -19,6 +23,8 @@ from gcs_sysid.sanitize import printable
 Part = tuple[str, str]
 """Text without line ends, and its style as in Textual's markup."""
 Line = list[Part]
+MIN_SECONDS = 0.5
+"""Between two drawings of what grows."""
 
 
 class Lines(Widget):
@@ -70,3 +76,40 @@ class Lines(Widget):
             assert self._base is not None
             self._styles[style] = found = (self._base + Style.parse(style)).rich_style
         return found
+
+
+class RationedPlot(Lines):
+    """Draws itself on request, several requests within `MIN_SECONDS` making one drawing."""
+
+    def __init__(self, id: str, classes: str | None = None) -> None:
+        super().__init__(id=id, classes=classes)
+        self._drawn_at = -math.inf
+        self._waiting = False
+
+    @abstractmethod
+    def drawing(self) -> list[Line]:
+        """The plot for the present size."""
+
+    def draw(self) -> None:
+        """Draw now."""
+        self._drawn_at = time.monotonic()
+        self.put(self.drawing())
+
+    def draw_later(self) -> None:
+        """Draw when the last drawing is old enough."""
+        if self._waiting:
+            return
+        rest = self._drawn_at + MIN_SECONDS - time.monotonic()
+        if rest <= 0.0:
+            self.draw()
+            return
+        self._waiting = True
+        self.set_timer(rest, self._draw_waiting)
+
+    def _draw_waiting(self) -> None:
+        self._waiting = False
+        self.draw()
+
+    def on_resize(self) -> None:
+        """Draw for the new size."""
+        self.draw()

@@ -5,7 +5,7 @@ from textual.widgets import Static
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
-from gcs_sysid.screen.big_letters import HEIGHT, big
+from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.verdict_summary import (
     Level,
     Standing,

@@ -36,7 +36,7 @@ class Tuning:
         most_speed: m/s over the ground: rotor drag and inflow grow with it.
         fewest_windows: of hover, for an answer.
         rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
-            them (3 %: what a set of one make shows; REALITY.md's CineRat and `--physics scatter`).
+            them (3 %: what a set of one make shows, a CineRat's and `--physics scatter`).
         curve_std: standard deviation of the thrust curve c where nothing else is known.
         least_throttle_motion: standard deviation of the mean command, from which the curve is
             estimated.
@@ -93,6 +93,14 @@ class Tuning:
             whose torque scatters by 3 % make 1.5 % on a quad, sound ones of given logs up to 3.5 %.
         shaking: times the others' vibration.
         least_shaking: m/s^2, amplitude below which it is no concern.
+        phase_stretch: s over which vibration is correlated with a rotor's phase; a speed off by
+            0.1 % turns the phase of 100 Hz by 0.3 rad meanwhile.
+        floor_beside: Hz off the rotor's frequency, where the floor is taken.
+        nyquist_share: of half of the IMU's rate, below which a rotor's frequency is seen.
+        fewest_stretches: for an amplitude.
+        stretches_at_once: worked on together.
+        judged_every: s between the instants at which flight is judged.
+        state_holds: s for which a state (armed, in the air) holds after it was reported.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below: motor lag, battery. Of
@@ -174,6 +182,13 @@ class Tuning:
     much_yaw: float = 0.05
     shaking: float = 3.0
     least_shaking: float = 1.0
+    phase_stretch: float = 0.5
+    floor_beside: tuple[float, ...] = (-12.0, -8.0, 8.0, 12.0)
+    nyquist_share: float = 0.9
+    fewest_stretches: int = 10
+    stretches_at_once: int = 64
+    judged_every: float = 0.1
+    state_holds: float = 3.0
     instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
     curve_floor: float = 0.008
     gusts_beside: float = 1.3

@@ -9,7 +9,6 @@ import numpy as np
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report.data import AXES, ReportData
-from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import (
     Figures,
     add_prediction,
@@ -17,7 +16,19 @@ from gcs_sysid.report.page_figures import (
     add_spectrum,
     add_timeline,
 )
-from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
+from gcs_sysid.report.parts import (
+    Child,
+    Column,
+    Markup,
+    element,
+    facts,
+    figure,
+    grid,
+    legend,
+    note,
+    section,
+    table,
+)
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.results.words import event_text
