@@ -143,19 +143,6 @@ def test_a_fresh_battery_is_no_lighter_vehicle():
     assert later.thrust_doubt < 0.04
 
 
-@pytest.mark.parametrize("inflow", [0.0, 0.6])
-def test_the_climb_at_the_start_is_no_battery_that_recovers(inflow):
-    """Its inflow costs more command than the battery does in the next half minute."""
-    climb = np.where(T < 5.0, 1.5, 0.0)
-    commands, force = hover(1.0 - (SAGGING / SAGGING[0]) ** 2, 1.0, noise=0.1)
-    commands = commands * np.sqrt(1.0 + inflow * climb / GRAVITY)[:, None]
-    told, blind = ThrustDrift(DT), ThrustDrift(DT)
-    factors = told.update(commands, force, SAGGING, climb).factors
-    assert factors[-1] == pytest.approx(SAGGING[-1] / told.voltage, rel=0.006)
-    unseen = blind.update(commands, force, SAGGING, np.full_like(climb, np.nan)).factors
-    np.testing.assert_array_equal(unseen, ThrustDrift(DT).update(commands, force, SAGGING).factors)
-
-
 def test_an_effect_that_no_battery_has_is_doubt():
     """Commands fell with the voltage: what did that may hide a battery in the next flight."""
     follower = ThrustDrift(DT)

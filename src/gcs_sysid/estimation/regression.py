@@ -99,9 +99,7 @@ class RowMaker:
         """The rows that these samples complete."""
         inputs, drift = samples.speeds, None
         if self._drift is not None:
-            drift = self._drift.update(
-                inputs, samples.force[:, 2], samples.voltage[:, 0], -samples.velocity[:, 2]
-            )
+            drift = self._drift.update(inputs, samples.force[:, 2], samples.voltage[:, 0])
             inputs = inputs * drift.factors[:, None]
         signals = self._signals(samples, inputs)
         rows = self._smoother.update(signals, self._late)

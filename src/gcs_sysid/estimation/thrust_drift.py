@@ -6,17 +6,15 @@ force, and the command that makes 1 g rises. With u the mean command of the roto
 force along the thrust and v the commands' variance over the square of their mean, averaged over a
 second,
 
-    ln u = l + D + eps ln(F / g) + c h / g - k v,    D = E + beta w,  E(0) = 0,  E' = b
+    ln u = l + D + eps ln(F / g) - k v,    D = E + beta w,  E(0) = 0,  E' = b
 
-where eps, the inverse slope of the thrust curve, k, its bend, and c, the thrust that inflow takes
-in a climb at h (0 where no velocity is reported), are as unknown as the drift D and its rate b:
-flights begin with a climb, and its command would pass for a battery that recovers. Where the
-battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is 1 where thrust depends
-on the product of voltage and command, 2 where thrust is linear in the command and a motor's speed
-goes with the voltage, 0 where the autopilot or a speed controller compensates for it. A Kalman
-filter follows the seven. Commands times exp(-D) make thrust as at V_0 (without a voltage, as at the
-start), whatever the curve: where it is a straight line full thrust has fallen by D, where it is a
-parabola by 2 D, and so do one command and its square.
+where eps, the inverse slope of the thrust curve, and k, its bend, are as unknown as the drift D and
+its rate b. Where the battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is
+1 where thrust depends on the product of voltage and command, 2 where thrust is linear in the
+command and a motor's speed goes with the voltage, 0 where the autopilot or a speed controller
+compensates for it. A Kalman filter follows the six. Commands times exp(-D) make thrust as at V_0
+(without a voltage, as at the start), whatever the curve: where it is a straight line full thrust
+has fallen by D, where it is a parabola by 2 D, and so do one command and its square.
 
 Other effects may look like drift: gusts, drag in a climb, a rough accelerometer, a payload.
 Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only
@@ -45,7 +43,6 @@ class DriftTuning:
         wander: 1/s per root second, by which b changes: as much as it is, in half an hour.
         slope: mean and standard deviation of eps, 1 of a straight line and 0.5 of a parabola.
         bend: the same of k, 0 and 0.5.
-        inflow: the same of c, 1/s: 0.6 in hover for usual disc loadings, times eps.
         far: noise of an average over its ln(F / g): drag, as of the climb after take-off, and what
             the curve is far from hover.
         noise: of an average, before the flight shows its own, and
@@ -64,7 +61,6 @@ class DriftTuning:
     wander: float = 4e-5
     slope: tuple[float, float] = (0.75, 0.25)
     bend: tuple[float, float] = (0.25, 0.25)
-    inflow: tuple[float, float] = (0.2, 0.3)
     far: float = 0.2
     noise: float = 0.005
     worth: float = 2.0
@@ -143,8 +139,8 @@ class ThrustDrift:
         self._tuning = tuning
         self._count = max(round(tuning.period / dt), 1)
         self._time = self._count * dt
-        self._sums = np.zeros(6)
-        """Samples, and sums over them of u, u^2, F, F^2 and h."""
+        self._sums = np.zeros(5)
+        """Samples, and sums over them of u, u^2, F and F^2."""
         self._volts = np.zeros(2)
         """Samples with a voltage, and their sum."""
         self.voltage: float | None = None
@@ -152,17 +148,12 @@ class ThrustDrift:
         self._measured = 0
         self._fallen = 0.0  # w
         self._started = False
-        priors = np.array(
-            [
-                (0.0, 10.0), tuning.slope, tuning.bend, (0.0, 0.0), (0.0, tuning.rate),
-                tuning.effect, tuning.inflow,
-            ]
-        )  # fmt: skip
-        self._mean, stds = priors.T.copy()
+        self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0, tuning.effect[0]])
+        stds = [10.0, tuning.slope[1], tuning.bend[1], 0.0, tuning.rate, tuning.effect[1]]
         self._covariance = np.diag(np.square(stds))
         self._noise, self._worth = tuning.noise**2, tuning.worth
         self._jumps = 0
-        self._step = np.eye(7)
+        self._step = np.eye(6)
         self._step[_D, _RATE] = self._time
         self._target = self._now = 0.0
         self._fallen_before = 0.0  # w of the average before
@@ -208,20 +199,13 @@ class ThrustDrift:
         elif not landed or measured:
             self._target = self._now = before._target
 
-    def update(
-        self,
-        commands: Array,
-        force: Array,
-        voltage: Array | None = None,
-        climb: Array | None = None,
-    ) -> Drift:
+    def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Drift:
         """Take samples.
 
         Args:
             commands: (n, rotors) of 0 to 1; NaN where missing.
             force: (n,) m/s^2, specific force along the body z axis, down.
             voltage: (n,) V; NaN where not reported.
-            climb: (n,) m/s, upward; NaN where not reported.
 
         Returns:
             D and w of each sample.
@@ -229,10 +213,7 @@ class ThrustDrift:
         out, fallen = np.empty(len(commands)), np.empty(len(commands))
         whole = complete_rows(commands) & np.isfinite(force)
         kept, up = np.where(whole[:, None], commands, 0.0), np.where(whole, -force, 0.0)
-        rise = 0.0 * up if climb is None else np.where(whole & np.isfinite(climb), climb, 0.0)
-        terms = np.column_stack(
-            [whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up, rise]
-        )
+        terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
         volts = np.full(len(out), np.nan) if voltage is None else voltage
         with np.errstate(invalid="ignore"):
             measured = whole & (volts > _LEAST_VOLTAGE)
@@ -256,15 +237,15 @@ class ThrustDrift:
         return Drift(out, fallen)
 
     def _take(self, means: Array) -> None:
-        """Take averages of u, u^2, F, F^2, h; later factors go on to the drift that they show."""
+        """Take averages of u, u^2, F and F^2; later factors go on to the drift that they show."""
         self._now, self._fallen_before = self._target, self._fallen
         self._take_voltage()
-        u, square, force, power, rise = means.tolist()
+        u, square, force, power = means.tolist()
         t = self._tuning
         if u <= 0.0 or force < t.least_force * GRAVITY:
             return
         bend = -(square / u**2 - 1.0)
-        row = np.array([1.0, np.log(force / GRAVITY), bend, 1.0, 0.0, self._fallen, rise / GRAVITY])
+        row = np.array([1.0, np.log(force / GRAVITY), bend, 1.0, 0.0, self._fallen])
         if self._started:
             self._mean = self._step @ self._mean
             self._covariance = self._step @ self._covariance @ self._step.T
@@ -316,7 +297,7 @@ class ThrustDrift:
 
     def _drift_and_std(self) -> tuple[float, float]:
         """D and its standard deviation, as far as the voltage lets it be a gain."""
-        row = np.zeros(7)
+        row = np.zeros(6)
         row[_D], row[_EFFECT] = 1.0, self._fallen
         drift, std = float(row @ self._mean), float(row @ self._covariance @ row) ** 0.5
         effect = min(max(float(self._mean[_EFFECT]), 0.0), _MOST_EFFECT)
