@@ -131,10 +131,15 @@ def flown(drawn: Drawn, loop: RateLoop, mission, injection=None) -> Simulation:
     )
 
 
-def measured_loop(drawn: Drawn, loop: RateLoop, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (rad/s) of a multisine on one torque, and the loop transfer there."""
+def measured_loop(
+    drawn: Drawn, loop: RateLoop, axis: int, crossover: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (rad/s) of a multisine on one torque, and the loop transfer there.
+
+    It begins at 1.2 rad/s, or at half of the crossover that is expected where that is lower.
+    """
     grid = 2.0 * math.pi / PERIOD
-    tones = np.unique(np.round(np.geomspace(1.2, 140.0, TONES) / grid)) * grid
+    tones = np.unique(np.round(np.geomspace(min(1.2, 0.5 * crossover), 140.0, TONES) / grid)) * grid
     # Schroeder's phases keep the peak low.
     phases = math.pi * np.arange(len(tones)) ** 2 / len(tones)
     size = SWEEP_SHARE / np.abs(loop.mixer[:, axis]).max() / math.sqrt(len(tones))
@@ -215,7 +220,7 @@ def vehicle_rows(drawn: Drawn, ours: Vehicle, autopilot: Autopilot) -> tuple[lis
     rows = []
     for axis in range(3):
         predicted = margins_of(omega, loops[:, :, axis])
-        tones, transfer = measured_loop(drawn, loop, axis)
+        tones, transfer = measured_loop(drawn, loop, axis, float(predicted.crossover[0]))
         found = margins_of(tones, transfer[None])
         peak, _ = measured_step(drawn, loop, axis)
         expected = float(step_response(dynamics.first(1), loop, axis).overshoot[0])
