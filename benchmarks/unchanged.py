@@ -40,7 +40,7 @@ def logs_in(paths: list[Path]) -> list[Path]:
 
 
 def airframe_for(log: Path) -> Airframe:
-    """The airframe that a log is analysed with."""
+    """The airframe that a log is analyzed with."""
     shared = [name for begin, name in _FAMILIES.items() if log.name.startswith(begin)]
     if shared and "_cmd" in log.stem:
         shared = [f"{shared[0]}_cmd"]

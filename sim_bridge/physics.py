@@ -196,7 +196,7 @@ def _weakening(text: str) -> Weakening:
 
 
 _part = between(0.0, 0.5, "of the mass")
-_metres = between(-5.0, 5.0, "m")
+_meters = between(-5.0, 5.0, "m")
 _rate = between(0.0, 20.0, "1/s")
 
 KINDS: dict[str, Kind] = {
@@ -230,7 +230,7 @@ KINDS: dict[str, Kind] = {
         "P:Q:R 1/S",
         "0.5:0.5:0.05",
     ),
-    "rotor-height": Kind("height of the rotors above the CG", _metres, "M", "0.03"),
+    "rotor-height": Kind("height of the rotors above the CG", _meters, "M", "0.03"),
     "wind": Kind(
         "steady wind, direction from (north is 0)",
         _numbers("M/S[:DEG]", (between(0.0, 40.0, "m/s"), _direction), ("0",)),
@@ -303,7 +303,7 @@ KINDS: dict[str, Kind] = {
     ),
     "imu-place": Kind(
         "position of the IMU from the CG: forward, right, down",
-        _numbers("X:Y:Z", (_metres, _metres, _metres)),
+        _numbers("X:Y:Z", (_meters, _meters, _meters)),
         "X:Y:Z M",
         "0.03:0.02:-0.02",
     ),

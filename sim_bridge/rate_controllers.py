@@ -215,7 +215,7 @@ class Px4RateController(RateController):
 
     def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
         rotors = vehicle.rotors
-        # CA_ROTORn_CT is one for all, and falls out by the normalisation.
+        # CA_ROTORn_CT is one for all, and falls out by the normalization.
         effect = np.array(
             [[-r.y for r in rotors], [r.x for r in rotors], [0.05 * r.spin for r in rotors],
              [-1.0] * len(rotors)]

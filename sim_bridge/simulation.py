@@ -31,7 +31,7 @@ class Change:
         kind: as in a result's events.
         apply: makes the vehicle after it from the one before. It may change anything, inertia and
             CG included; the state goes on unchanged, so a CG that moves leaves the velocity of
-            the new CG off by w x (shift), millimetres a second.
+            the new CG off by w x (shift), millimeters a second.
     """
 
     time: float

@@ -49,7 +49,7 @@ def signals(paper_flight):
 
 
 @pytest.fixture(scope="module")
-def analysed(paper_flight):
+def analyzed(paper_flight):
     return gcs_sysid.analyze(paper_flight.tlog, "paper")
 
 
@@ -58,17 +58,17 @@ def numbers(result):
 
 
 @pytest.mark.slow
-def test_a_log_gives_the_numbers_of_the_analysis(paper_flight, analysed):
+def test_a_log_gives_the_numbers_of_the_analysis(paper_flight, analyzed):
     same = analyze_log(paper_flight.tlog, gcs_sysid.load_airframe("paper"))
-    assert analysed.as_json() == same.as_json()
-    assert analysed.verdict == "identified"
+    assert analyzed.as_json() == same.as_json()
+    assert analyzed.verdict == "identified"
 
 
-def test_arrays_give_the_numbers_of_their_log(signals, analysed):
+def test_arrays_give_the_numbers_of_their_log(signals, analyzed):
     result = gcs_sysid.identify(signals, "paper")
     assert result.verdict == "identified"
     assert result.source == "arrays"
-    for name, estimate in analysed.parameters.items():
+    for name, estimate in analyzed.parameters.items():
         told = result.parameters[name]
         assert told.value == pytest.approx(estimate.value, rel=1e-6, abs=1e-4 * estimate.std)
         assert told.std == pytest.approx(estimate.std, rel=1e-3)
@@ -76,18 +76,18 @@ def test_arrays_give_the_numbers_of_their_log(signals, analysed):
 
 
 @pytest.mark.slow
-def test_rows_without_numbers_are_gaps(signals, analysed):
+def test_rows_without_numbers_are_gaps(signals, analyzed):
     holed = np.array(signals.gyro, copy=True)
     holed[400:440] = np.nan
     result = gcs_sysid.identify(replace(signals, gyro=holed), "paper")
-    lost = analysed.telemetry["used_seconds"] - result.telemetry["used_seconds"]
+    lost = analyzed.telemetry["used_seconds"] - result.telemetry["used_seconds"]
     assert 2.0 < lost < 4.0
     assert result.parameters["Ixx"].value == pytest.approx(
-        analysed.parameters["Ixx"].value, rel=0.01
+        analyzed.parameters["Ixx"].value, rel=0.01
     )
 
 
-def test_flying_is_believed(signals, analysed):
+def test_flying_is_believed(signals, analyzed):
     t = np.asarray(signals.t)
     first_half = (t < t[0] + 30.0).astype(float)
     result = gcs_sysid.identify(replace(signals, flying=first_half), "paper")
@@ -119,10 +119,10 @@ def test_scale_arm_and_priors_reach_the_airframe():
     assert gcs_sysid.load_airframe(airframe, k_T=1e-5).anchor() == ("k_T", 1e-5)
 
 
-def test_a_result_comes_back_from_its_file(analysed, tmp_path):
-    analysed.write(tmp_path / "result.json")
+def test_a_result_comes_back_from_its_file(analyzed, tmp_path):
+    analyzed.write(tmp_path / "result.json")
     back = gcs_sysid.read_result(tmp_path / "result.json")
-    assert numbers(back) == numbers(analysed)
+    assert numbers(back) == numbers(analyzed)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_the_package_alone_loads_no_numpy():
 
 
 @pytest.mark.slow
-def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, analysed):
+def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, analyzed):
     """Arms 3 % too long and a mass 5 % too large, given so: the truth is within the intervals."""
     long = 1.03 * gcs_sysid.load_airframe("paper").arm
     uncertainty = {"arm": "3%", "mass": "5%", "imu_rotation": 1.0}
@@ -198,7 +198,7 @@ def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, ana
     )
     exact = gcs_sysid.analyze(paper_flight.tlog, "paper", arm=long, mass=1.05 * 1.5)
     for name, factor in (("Ixx", 1.03 * 1.05), ("cg_x", 1.03), ("k_T", 1.05), ("k_M", 1.03 * 1.05)):
-        right, wide = analysed.parameters[name], told.parameters[name]
+        right, wide = analyzed.parameters[name], told.parameters[name]
         assert exact.parameters[name].value == pytest.approx(factor * right.value, rel=2e-4), name
         assert not exact.parameters[name].std_given
         low, high = wide.ci95

@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--report", type=Path, help="HTML file (default: of logs/sample.tlog)")
     parser.add_argument("--width", type=int, default=1100, help="pixels (default: %(default)s)")
     parser.add_argument("--height", type=int, default=1000, help="at most (default: %(default)s)")
-    parser.add_argument("--dark", action="store_true", help="the dark colours")
+    parser.add_argument("--dark", action="store_true", help="the dark colors")
     parser.add_argument(
         "--sections", default="verdict,prediction", help="with commas (default: %(default)s)"
     )

@@ -9,7 +9,7 @@ from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fl
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
+from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximize_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
 from gcs_sysid.estimation.status import Value
@@ -39,7 +39,7 @@ def online(samples: Samples, dt: float, tuning: Tuning | None = None) -> Fit:
 def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) -> Fit:
     """Maximum likelihood, from the online estimate; the translation stays the online one."""
     assert start.rotation is not None
-    found = maximise_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
+    found = maximize_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
     assert found is not None
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: DELAY + 1, : DELAY + 1] = found.covariance

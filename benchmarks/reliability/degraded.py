@@ -4,7 +4,7 @@
 
 Each seed is another vehicle's noise on one mission (PX4's messages, MEMS sensors). A flight is
 flown once; what a link does to it is done to its frames, and what arrives is recorded with the
-time of its arrival and analysed as any recording.
+time of its arrival and analyzed as any recording.
 """
 
 import argparse
@@ -170,7 +170,7 @@ def outcome_of(result: Result) -> Outcome:
     )
 
 
-def analysed(case: Case, flight: Flight, seed: int) -> Outcome:
+def analyzed(case: Case, flight: Flight, seed: int) -> Outcome:
     """One flight with one case's faults."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"
@@ -227,7 +227,7 @@ T = TypeVar("T")
 
 def several(cases: Sequence[Case], flight: Flight, seed: int) -> list[Outcome]:
     """One flight with each case's faults; flown once for all faults of the line."""
-    return [analysed(case, flight, seed) for case in cases]
+    return [analyzed(case, flight, seed) for case in cases]
 
 
 def over_seeds(work: Callable[[int], T], seeds: int, processes: int, label: str) -> list[T]:
@@ -316,7 +316,7 @@ def table(flight: Flight, seeds: int, processes: int, cases: Sequence[Case] = CA
         if case.sensor_faults == NO_SENSOR_FAULTS:
             for seed in range(1, seeds + 1):
                 fly(flight, seed)  # once for all faults of the line: forked children have it
-        row = Row(over_seeds(partial(analysed, case, flight), seeds, processes, case.name))
+        row = Row(over_seeds(partial(analyzed, case, flight), seeds, processes, case.name))
         clean = clean or row
         lines.append(line_of(case.name, row, clean))
         print(lines[-1], file=sys.stderr, flush=True)

@@ -13,7 +13,7 @@ how many moments of inertia would be `identified` by their intervals and the sha
 explain. `offline` is the filter error estimate, `setpoints` the same with the rates asked for as
 instruments.
 
-The vehicle is the article's with a CG offset of a centimetre: rigid body, motors of 30 ms, a PI
+The vehicle is the article's with a CG offset of a centimeter: rigid body, motors of 30 ms, a PI
 rate loop with a lagged derivative term that runs on the noisy gyro at 1 kHz. All flights of a
 cell are integrated side by side.
 """

@@ -55,7 +55,7 @@ def _misweighed(airframe: Airframe) -> Airframe:
 
 
 def _swapped(airframe: Airframe) -> Airframe:
-    """The first rotor's place and that of its neighbour in the list are taken for each other."""
+    """The first rotor's place and that of its neighbor in the list are taken for each other."""
     a, b, *rest = airframe.rotors
     return replace(airframe, rotors=(b, a, *rest))
 

@@ -1,6 +1,6 @@
 """Text of others, made harmless for a terminal.
 
-A vehicle, a file or its name can hold anything: escape sequences that recolour, clear or write
+A vehicle, a file or its name can hold anything: escape sequences that recolor, clear or write
 to a terminal, line breaks that forge lines, marks that turn text around. Shown are their codes.
 """
 

@@ -25,7 +25,7 @@ def files(tmp_path, monkeypatch):
     (tmp_path / "flight.ulg").write_bytes(b"ULog\x01\x12\x35")
     (tmp_path / "flight.bin").write_bytes(b"\xa3\x95\x80")
     (tmp_path / "folder.tlog").mkdir()
-    (tmp_path / "wrong-key.toml").write_text("colour = 3\n")
+    (tmp_path / "wrong-key.toml").write_text("color = 3\n")
     (tmp_path / "broken.toml").write_text("mass = = 3\n")
     for kind, scale in (("speed", "T_max = 5.0"), ("command", "k_T = 2e-5")):
         table = f'{scale}\nrotor_input = "{kind}"\n'
@@ -51,7 +51,7 @@ CASES = {
     "neither log nor airframe": (["analyze", "missing.tlog"], "missing.tlog"),
     "no such airframe": (["analyze", "a.tlog", "--airframe", "nonesuch"], "'nonesuch'"),
     "missing airframe file": (["analyze", "a.tlog", "--airframe", "no.toml"], "no.toml"),
-    "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'colour'"),
+    "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'color'"),
     "broken airframe": (["analyze", "a.tlog", "--airframe", "broken.toml"], "broken.toml"),
     "arm without its deviation": (["analyze", "a.tlog", *PAPER, "--arm", "0.2+-"], "'0.2+-'"),
     "mass known to 60 %": (["analyze", "a.tlog", *PAPER, "--mass", "1.5+-60%"], "'60%'"),

@@ -298,14 +298,14 @@ def test_demo_ends_with_estimate_truth_and_error(tmp_path):
     assert len(results) > 10
     for result in results[1:]:
         check_contract(result)
-    # The recording, analysed, says the same.
+    # The recording, analyzed, says the same.
     again = subprocess.run(
         program("analyze", record, *PAPER, "--json", "-"),
         capture_output=True,
         text=True,
         timeout=120,
     )
-    last, analysed = results[-1]["parameters"], read_strict(again.stdout)["parameters"]
-    assert last.keys() == analysed.keys()
+    last, analyzed = results[-1]["parameters"], read_strict(again.stdout)["parameters"]
+    assert last.keys() == analyzed.keys()
     for name, estimate in last.items():
-        assert estimate["value"] == pytest.approx(analysed[name]["value"], rel=1e-9, abs=0.0)
+        assert estimate["value"] == pytest.approx(analyzed[name]["value"], rel=1e-9, abs=0.0)

@@ -18,8 +18,8 @@ def log(fly):
 
 
 def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
-    replayed, analysed = tmp_path / "replay.json", tmp_path / "analyze.json"
-    assert run(["analyze", log, *PAPER, "--json", str(analysed)]) == 0
+    replayed, analyzed = tmp_path / "replay.json", tmp_path / "analyze.json"
+    assert run(["analyze", log, *PAPER, "--json", str(analyzed)]) == 0
     table = capsys.readouterr().out
     replay = ["replay", log, *PAPER, "--speed", "max", "--headless", "--json", str(replayed)]
     assert run(replay) == 0
@@ -28,7 +28,7 @@ def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
     assert "rotors from ESC_STATUS" in err
     lines = [json.loads(line) for line in replayed.read_text().splitlines()]
     assert len(lines) > 1
-    alone = json.loads(analysed.read_text())
+    alone = json.loads(analyzed.read_text())
     assert alone.pop("health")["seconds_of_hover"] > 0.0  # of `analyze` alone
     assert lines[-1] == alone
 

@@ -55,7 +55,7 @@ def workshop(tmp_path_factory):
 
 
 def shape(text: str) -> list[str]:
-    """Lines without their numbers, spaces and colours."""
+    """Lines without their numbers, spaces and colors."""
     lines = (re.sub(r"\s+", " ", _NUMBER.sub("0", line)).strip() for line in text.splitlines())
     return [line for line in lines if line]
 

@@ -1,4 +1,4 @@
-"""What an unmodelled moment leaves in an estimate: contrast between whiteners, floor and trim."""
+"""What an unmodeled moment leaves in an estimate: contrast between whiteners, floor and trim."""
 
 import numpy as np
 import pytest

@@ -227,7 +227,7 @@ def test_a_search_out_of_budget_says_so(monkeypatch, truth, flight):
     whole = tracker.fit()
     plain = replace(whole, rotation=replace(whole.rotation, whiteners=()))
     unfinished = SimpleNamespace(converged=False, passes=25)
-    monkeypatch.setattr(offline, "maximise_likelihood", lambda *_, **__: unfinished)
+    monkeypatch.setattr(offline, "maximize_likelihood", lambda *_, **__: unfinished)
     assert fit_offline(tracker, plain) == (
         "the maximum likelihood of 600 samples ran out of its budget of 25 passes"
     )

@@ -24,7 +24,7 @@ def followed(noise_of, dt, std=STD, n=20_000, motion=True, common=0.0):
 
 
 def test_noise_of_speeds_is_what_a_parabola_leaves():
-    # 20 000 third differences, of which neighbours share most, tell a deviation to 1 %.
+    # 20 000 third differences, of which neighbors share most, tell a deviation to 1 %.
     np.testing.assert_allclose(followed(SpeedNoise, 0.004).std, STD, rtol=0.03)
 
 

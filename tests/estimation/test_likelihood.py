@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
-from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
+from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximize_likelihood
 from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.propagation import SPLINE_END
@@ -53,7 +53,7 @@ def start(truth):
 def test_exact_without_noise(truth, flight, start, every):
     """At 20 Hz too, where the fastest signal turns by half a radian a sample."""
     dt = 0.005 * every
-    fit = maximise_likelihood(flight.part(slice(None, None, every)), truth.geometry, dt, start)
+    fit = maximize_likelihood(flight.part(slice(None, None, every)), truth.geometry, dt, start)
     assert fit.converged
     assert np.abs((fit.theta - truth.theta) / SIZE).max() < 2e-4
 
@@ -64,7 +64,7 @@ def test_intervals_and_bound_tell_the_errors(truth, slow, start):
     squares, inside = [], []
     for seed in range(10):
         noisy = with_noise(samples, white(samples, 0.02, seed))
-        fit = maximise_likelihood(noisy, truth.geometry, dt, start)
+        fit = maximize_likelihood(noisy, truth.geometry, dt, start)
         assert fit.converged
         error = fit.theta - truth.theta
         squares.append(error @ np.linalg.solve(fit.covariance[: rb.N_THETA, : rb.N_THETA], error))
@@ -73,7 +73,7 @@ def test_intervals_and_bound_tell_the_errors(truth, slow, start):
         assert np.all(fit.bound <= fit.std * (1.0 + 1e-9))
         for axis in fit.noise:
             # 1200 samples tell a standard deviation to 2 %: five of those, and one for what a
-            # needless colour would move.
+            # needless color would move.
             assert axis.white_std == pytest.approx(0.02, rel=0.12)
     # Ten sums of eleven squares: chi-square of 110, of which 99.9 % lie between 68 and 164.
     assert 68.0 < np.sum(squares) < 164.0
@@ -81,11 +81,11 @@ def test_intervals_and_bound_tell_the_errors(truth, slow, start):
 
 
 @pytest.mark.slow
-def test_colour_is_found_and_used(truth, slow, start):
+def test_color_is_found_and_used(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=1))
-    fit = maximise_likelihood(noisy, truth.geometry, dt, start)
-    plain = maximise_likelihood(
+    fit = maximize_likelihood(noisy, truth.geometry, dt, start)
+    plain = maximize_likelihood(
         with_noise(samples, white(samples, 0.02, 1)), truth.geometry, dt, start
     )
     for axis in fit.noise:
@@ -98,13 +98,13 @@ def test_colour_is_found_and_used(truth, slow, start):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("colour", [None, 5.0])
-def test_bound_equals_the_dense_computation(truth, slow, colour):
+@pytest.mark.parametrize("color", [None, 5.0])
+def test_bound_equals_the_dense_computation(truth, slow, color):
     """Against finite differences of the simulated record and its full covariance matrix."""
     samples, dt = slow[0].part(slice(120)), slow[1]
     n = len(samples.gyro)
     sigma, process = 0.02, 0.1
-    axis = AxisNoise(sigma, colour, 0.0 if colour is None else 1.0, process)
+    axis = AxisNoise(sigma, color, 0.0 if color is None else 1.0, process)
     bound = cramer_rao_bound(samples, truth.geometry, dt, truth.theta, (axis, axis, axis))
 
     t = np.arange(n) * dt
@@ -135,7 +135,7 @@ def test_bound_equals_the_dense_computation(truth, slow, colour):
     by_first = slopes(lambda v: rates(truth.theta, v), first, np.full(3, 1e-4))  # (n, 3, 3)
 
     # Gyro noise: from its impulse response, begun long before.
-    a = 0.0 if colour is None else np.exp(-colour * dt)
+    a = 0.0 if color is None else np.exp(-color * dt)
     response = lfilter([1.0, -axis.zero], [1.0, -a], np.eye(n + 800)[0])
     lags = [sigma**2 * response[: n + 800 - k] @ response[k:] for k in range(n)]
     lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
@@ -163,10 +163,10 @@ def test_noise_of_speeds_does_not_bias(truth, flight, start):
         noise = level * np.random.default_rng(seed).standard_normal(samples.speeds.shape)
         noisy = with_noise(samples, white(samples, 0.005, 100 + seed))
         noisy = replace(noisy, speeds=noisy.speeds + noise)
-        fit = maximise_likelihood(noisy, truth.geometry, dt, start, speed_std=level)
+        fit = maximize_likelihood(noisy, truth.geometry, dt, start, speed_std=level)
         assert fit.converged
         errors.append((fit.theta - truth.theta) / fit.std)
-        fit = maximise_likelihood(noisy, truth.geometry, dt, start)
+        fit = maximize_likelihood(noisy, truth.geometry, dt, start)
         uncorrected.append((fit.theta - truth.theta) / fit.std)
     # Means of three standard normals: 3.3 standard deviations.
     assert np.abs(np.mean(errors, axis=0)[:2]).max() < 1.9
@@ -181,11 +181,11 @@ def test_gaps_split_the_record(truth, slow, start):
     gone[400:440] = gone[800:810] = True
     gone[820:830] = True  # leaves ten samples between two gaps: too few
     holed = replace(noisy, gyro=np.where(gone[:, None], np.nan, noisy.gyro))
-    fit = maximise_likelihood(holed, truth.geometry, dt, start)
+    fit = maximize_likelihood(holed, truth.geometry, dt, start)
     assert fit.rows == len(gone) - gone.sum() - 10 - 3 * 2 * SPLINE_END
     assert fit.seconds == pytest.approx(fit.rows * dt)
     assert np.abs((fit.theta - truth.theta) / fit.std).max() < 4.0
-    whole = maximise_likelihood(noisy, truth.geometry, dt, start)
+    whole = maximize_likelihood(noisy, truth.geometry, dt, start)
     assert np.all(fit.bound[:6] > 0.98 * whole.bound[:6])
     # 94 % of the record is left, in pieces whose first rates and biases are unknown.
     assert np.all(fit.bound < 2.0 * whole.bound)
@@ -196,7 +196,7 @@ def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=2))
     fits = [
-        maximise_likelihood(noisy, truth.geometry, dt, s) for s in (start, start, 1.2 * truth.theta)
+        maximize_likelihood(noisy, truth.geometry, dt, s) for s in (start, start, 1.2 * truth.theta)
     ]
     np.testing.assert_array_equal(fits[0].theta, fits[1].theta)
     np.testing.assert_array_equal(fits[0].covariance, fits[1].covariance)
@@ -207,11 +207,11 @@ def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
 def test_prior_enters_as_information(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, white(samples, 0.02, 7))
-    free = maximise_likelihood(noisy, truth.geometry, dt, start)
+    free = maximize_likelihood(noisy, truth.geometry, dt, start)
     k = rb.MOMENT_RATIO
     mean, weight = truth.theta.copy(), np.zeros((rb.N_THETA, rb.N_THETA))
     weight[k, k] = (0.1 * free.std[k]) ** -2
-    held = maximise_likelihood(noisy, truth.geometry, dt, start, prior=(mean, weight))
+    held = maximize_likelihood(noisy, truth.geometry, dt, start, prior=(mean, weight))
     assert held.std[k] == pytest.approx(0.1 * free.std[k], rel=0.05)
     assert abs(held.theta[k] - mean[k]) < 0.3 * free.std[k]
     # Izz is known with it, through the yaw equation.
@@ -220,9 +220,9 @@ def test_prior_enters_as_information(truth, slow, start):
 
 def test_nothing_to_fit(truth, slow, start):
     samples, dt = slow
-    assert maximise_likelihood(samples.part(slice(20)), truth.geometry, dt, start) is None
+    assert maximize_likelihood(samples.part(slice(20)), truth.geometry, dt, start) is None
     with pytest.raises(ValueError, match="not that of a rigid body"):
-        maximise_likelihood(samples, truth.geometry, dt, -start)
+        maximize_likelihood(samples, truth.geometry, dt, -start)
     noise = AxisNoise(0.02, None, 0.0, 0.0)
     with pytest.raises(ValueError, match="without a gap"):
         cramer_rao_bound(samples.part(slice(20)), truth.geometry, dt, start, (noise, noise, noise))

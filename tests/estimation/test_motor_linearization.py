@@ -33,7 +33,7 @@ def flown(n=900, seed=1):
 
 
 def rows_at(at, of, samples=None, near=None):
-    """Rows [x, y] at a point; `near`: linearised about another one."""
+    """Rows [x, y] at a point; `near`: linearized about another one."""
     basis = LocalDynamics(at if near is None else near, of, DT)
     rows = MotorRows(GEOMETRY, DT, basis, HOVER).update(*(samples or flown()))
     rows = rows[np.isfinite(rows).all(axis=1)]

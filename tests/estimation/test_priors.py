@@ -28,12 +28,12 @@ def inputs(rng, tumbling):
     return np.column_stack([rotors, rb.rate_products(rates), rates, gyroscopic])
 
 
-def fit(seed, prior=None, tumbling=True, colour=1, theta=THETA, sigma=1.0):
-    """Fit rows whose residual is white, or a moving average over `colour` of them."""
+def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):
+    """Fit rows whose residual is white, or a moving average over `color` of them."""
     rng = np.random.default_rng(seed)
     x = inputs(rng, tumbling)
-    fresh = sigma * rng.standard_normal((ROWS + colour - 1, 3))
-    kernel = np.full(colour, 1.0 / np.sqrt(colour))
+    fresh = sigma * rng.standard_normal((ROWS + color - 1, 3))
+    kernel = np.full(color, 1.0 / np.sqrt(color))
     noise = np.column_stack([np.convolve(e, kernel, "valid") for e in fresh.T])
     moments = NormalEquations((1, WIDTH, WIDTH), PER_BATCH)
     moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None])
@@ -89,16 +89,16 @@ def test_a_prior_that_says_next_to_nothing_changes_nothing():
     np.testing.assert_allclose(plain.data_std, plain.std, rtol=1e-9)
 
 
-@pytest.mark.parametrize("colour", [1, 12])
-def test_prior_and_flight_are_weighed_by_what_they_know(colour):
-    """Posterior errors have the size that the posterior covariance says, coloured rows or not."""
-    size = fit(0, colour=colour).std
+@pytest.mark.parametrize("color", [1, 12])
+def test_prior_and_flight_are_weighed_by_what_they_know(color):
+    """Posterior errors have the size that the posterior covariance says, colored rows or not."""
+    size = fit(0, color=color).std
     squares, tightened = [], []
     for seed in range(40):
         rng = np.random.default_rng(100 + seed)
         mean = np.append(THETA + size * rng.standard_normal(rb.N_THETA), 0.0)
         prior = prior_of({i: (mean[i], size[i]) for i in range(rb.N_THETA)})
-        found = fit(seed, prior, colour=colour)
+        found = fit(seed, prior, color=color)
         error = found.theta - THETA
         squares.append(error @ np.linalg.solve(found.covariance, error) / rb.N_THETA)
         tightened.append(found.std / found.data_std)

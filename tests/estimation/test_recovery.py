@@ -67,7 +67,7 @@ SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3,
 @pytest.mark.parametrize(
     ("smoother", "bar"),
     [
-        # The window is exact for all that it resolves; what is left is the minimiser's own floor.
+        # The window is exact for all that it resolves; what is left is the minimizer's own floor.
         (lambda: WindowSmoother(DT, 20), 1e-5),
         # The differentiator draws straight lines between samples: (w dt)^2 / 12 = 2e-4 at 9 rad/s,
         # the same on both sides but for what is left of its start.
@@ -142,7 +142,7 @@ def test_grouping_of_samples_does_not_matter(truth, flight, step):
         estimators[1].update(measured.part(slice(k, k + round(step / DT))))
     whole, parts = (e.fit() for e in estimators)
     assert whole.seconds == parts.seconds > 25.0
-    # Sums in another order; the minimiser stops at a small fraction of a standard deviation.
+    # Sums in another order; the minimizer stops at a small fraction of a standard deviation.
     difference = np.abs(parts.rotation.theta - whole.rotation.theta)
     assert np.all(difference < 1e-3 * whole.rotation.std)
     assert parts.translation.kappa == pytest.approx(whole.translation.kappa, rel=1e-9)
@@ -327,7 +327,7 @@ def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method)
     assert np.isfinite(fit.theta).all()
     assert np.all(np.diag(fit.covariance) >= 0.0)
     assert whole.seconds == pytest.approx(30.0, abs=0.11)  # two ends may be lost
-    if method != "central-difference":  # which needs the neighbours of a sample
+    if method != "central-difference":  # which needs the neighbors of a sample
         parts = ArticleEstimator(truth.geometry, 0.05, method)
         for k in range(0, len(samples.gyro), 7):
             parts.update(samples.part(slice(k, k + 7)))

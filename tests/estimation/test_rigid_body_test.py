@@ -68,7 +68,7 @@ def test_what_is_small_or_unsure_is_not_held_against_it(share, std, contradicted
     assert found.contradicted == contradicted
 
 
-def coloured(seed=7, count=24, rows=50):
+def colored(seed=7, count=24, rows=50):
     """Inputs that hang together, and outputs whose noise changes slowly from batch to batch."""
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(count * rows, rb.N_SIGNALS))
@@ -80,7 +80,7 @@ def coloured(seed=7, count=24, rows=50):
 
 def test_share_and_deviation_are_those_of_a_regression():
     """Rows written out: residual on predicted torque, both freed of all other inputs."""
-    x, y, rows = coloured()
+    x, y, rows = colored()
     z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
     found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, rb.forward_matrix(THETA))
     Q = rb.forward_matrix(THETA)
@@ -102,7 +102,7 @@ def test_share_and_deviation_are_those_of_a_regression():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_share_of_next_to_nothing_is_not_told(axis, power, told):
     """Of an axis' squared acceleration, a hundred millionth is no gyroscopic torque."""
-    x, y, rows = coloured()
+    x, y, rows = colored()
     y[:, np.arange(3) != axis] *= 30.0  # it is the axis' own that counts
     Q = rb.forward_matrix(THETA)
     x[:, PRODUCTS] = 0.0

@@ -119,9 +119,9 @@ def test_a_step_of_up_to_three_deviations_is_taken_without_a_search(monkeypatch,
     # The deviations are the likelihood's, those of the fit are up to 1.2 times as wide.
     batches, counts, _ = moments_of(rows_per_batch=20, sigma=0.1)
     fit = fit_rotation(batches, counts, PLAIN, NONE)
-    searches, minimise = [], rotation.minimise
+    searches, minimize = [], rotation.minimize
     monkeypatch.setattr(
-        rotation, "minimise", lambda *args: searches.append(args) or minimise(*args)
+        rotation, "minimize", lambda *args: searches.append(args) or minimize(*args)
     )
     # Along the ridge, where a move of one unknown's deviations is as many of the likelihood's.
     unknowns = fit.warm_start.unknowns.copy()

@@ -11,7 +11,7 @@ from gcs_sysid.estimation.search import (
     MAX_ITERATIONS,
     Problem,
     first_guess,
-    minimise,
+    minimize,
     residual_maker,
     scales,
     scan,
@@ -197,14 +197,14 @@ def test_a_single_coordinate_is_cut_off_at_its_range():
 @CASES
 def test_the_minimum_is_where_the_gradient_vanishes(dynamics, at):
     problem, _, unknowns = problem_at(dynamics, at)
-    point, converged = minimise(problem, unknowns[None], MAX_ITERATIONS)
+    point, converged = minimize(problem, unknowns[None], MAX_ITERATIONS)
     assert converged.all()
     step = np.linalg.solve(point.hessian[0], point.gradient[0])
     assert step @ point.gradient[0] < 1e-4**2  # of a deviation
-    again, _ = minimise(problem, point.unknowns, 1)
+    again, _ = minimize(problem, point.unknowns, 1)
     assert again.cost[0] == pytest.approx(point.cost[0], abs=1e-12)
     start = np.append(1.5 * THETA, at)[None]
-    few, reached = minimise(problem, start, 3)
+    few, reached = minimize(problem, start, 3)
     assert not reached.any()
     assert point.cost[0] < few.cost[0] < problem.evaluate(start).cost[0]
 
@@ -212,7 +212,7 @@ def test_the_minimum_is_where_the_gradient_vanishes(dynamics, at):
 def test_a_prior_moves_the_minimum_to_where_both_balance():
     prior = prior_of({2: (160.0, 1.0)})
     problem, _, unknowns = problem_at(PLAIN, [0.0, 0.0, 1.0, 0.0, 0.0], prior)
-    point, converged = minimise(problem, unknowns[None], MAX_ITERATIONS)
+    point, converged = minimize(problem, unknowns[None], MAX_ITERATIONS)
     assert converged.all()
     total = point.gradient[0] + problem.prior_pull(point.unknowns[0])
     d = scales(point.hessian)[0]
@@ -275,7 +275,7 @@ def test_noise_that_is_told_is_undone():
     noise[:rotors, :rotors] = 0.02 * np.diag(np.diag(rows[:, :rotors].T @ rows[:, :rotors] / N))
     bank = (rows.T @ rows)[None]
     noisy = Problem(bank + N * noise, N, COMMANDS, None)
-    off, _ = minimise(noisy, np.append(THETA, at)[None], 40)
+    off, _ = minimize(noisy, np.append(THETA, at)[None], 40)
     told, found, pull = without_noise(noisy, off, noise[None])
     # What the noise adds to the gradient there, and nothing is left without it.
     raw = noisy.evaluate(found.unknowns)
@@ -343,7 +343,7 @@ def test_a_fit_without_any_noise_keeps_its_weights_finite():
     total = rows.T @ rows
     problem = Problem(total[None], N, PLAIN, None)
     guess = first_guess(total, N, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), None)
-    point, _ = minimise(problem, guess[None], MAX_ITERATIONS)
+    point, _ = minimize(problem, guess[None], MAX_ITERATIONS)
     assert np.isfinite(point.W).all()
     np.testing.assert_allclose(point.unknowns[0, : rb.N_THETA], THETA, rtol=1e-4)
 

@@ -1,4 +1,4 @@
-"""The sequential tests and what normalises them, number by number."""
+"""The sequential tests and what normalizes them, number by number."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Coverage of the corrected covariance on a linear problem with coloured noise."""
+"""Coverage of the corrected covariance on a linear problem with colored noise."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def coverage(rho):
 
 
 @pytest.mark.parametrize("rho", [0.8, 0.9])
-def test_intervals_are_true_with_coloured_noise(rho):
+def test_intervals_are_true_with_colored_noise(rho):
     plain, corrected = coverage(rho)
     # 800 intervals at 95 %: one standard deviation of the share is 0.8 %.
     assert 0.88 <= corrected <= 0.98
@@ -74,7 +74,7 @@ def test_the_factor_is_students():
     shares[::7, 2] = 1.0
     factor = student_factor(shares)
     np.testing.assert_allclose(factor, [6.483, 6.483, 2.042 / 1.960], rtol=1e-3)
-    # Neighbours' products scatter too: 256 / 41.5 = 6.17 degrees of freedom.
+    # Neighbors' products scatter too: 256 / 41.5 = 6.17 degrees of freedom.
     np.testing.assert_allclose(student_factor(np.ones((16, 1))), 2.43 / 1.96, rtol=5e-3)
     assert np.all(np.isfinite(student_factor(np.zeros((5, 2)))))
 
@@ -127,7 +127,7 @@ def test_the_first_look_is_as_wide_as_robbins_says():
     ("batches", "weights"),
     [(1, []), (2, []), (3, [0.5]), (8, [2 / 3, 1 / 3]), (27, [0.75, 0.5, 0.25])],
 )
-def test_neighbours_weigh_by_bartlett_up_to_the_cube_root(batches, weights):
+def test_neighbors_weigh_by_bartlett_up_to_the_cube_root(batches, weights):
     np.testing.assert_allclose(bartlett(batches), weights)
 
 
@@ -213,7 +213,7 @@ def normalized_errors(rho, shrunk, batches=57, runs=150, unknowns=12):
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
 def test_shrunk_scatter_makes_the_covariance_right(rho):
-    """Chi-square of 12, white noise or coloured; all scatter above 1 is too wide, or too narrow."""
+    """Chi-square of 12, white noise or colored; all scatter above 1 is too wide, or too narrow."""
     right = normalized_errors(rho, True)
     taken = normalized_errors(rho, False)
     # Standard deviation of a mean: 0.4 where noise is white.

@@ -74,7 +74,7 @@ def test_a_flight_too_short_to_be_divided_is_not_validated():
     assert judged(batches_of(THETA)[:5]) is None
 
 
-def test_one_leak_alone_does_not_tell_the_colour():
+def test_one_leak_alone_does_not_tell_the_color():
     found = run(THETA)
     assert np.isnan(found.whiteness).all()
     assert np.isnan(found.whiteness_p).all()
@@ -84,7 +84,7 @@ DT = 0.005
 RPM = 2.0 * np.pi / 60.0
 
 
-def colours(truth, flight, seeds, disturb):
+def colors(truth, flight, seeds, disturb):
     """(seeds, 3) whiteness and p-values of the window, with noise that `disturb` makes of white."""
     found = []
     for seed in range(seeds):
@@ -104,7 +104,7 @@ def colours(truth, flight, seeds, disturb):
 
 @pytest.mark.slow
 def test_white_gyro_noise_passes(truth, flight):
-    whiteness, p = colours(truth, flight, 24, lambda noise: noise)
+    whiteness, p = colors(truth, flight, 24, lambda noise: noise)
     np.testing.assert_allclose(whiteness.mean(axis=0), 1.0, atol=0.12)
     # 72 verdicts at 5 %: 3.6 expected; 11 or more by chance once in a thousand.
     assert (p < 0.05).sum() <= 10
@@ -114,7 +114,7 @@ def test_white_gyro_noise_passes(truth, flight):
 def test_an_oscillating_torque_is_flagged(truth, flight, hertz, low, high):
     """One that moves the vehicle at half the size of the gyro's noise."""
     swing = 0.01 * np.sin(2.0 * np.pi * hertz * DT * np.arange(len(flight.gyro)))[:, None]
-    whiteness, p = colours(truth, flight, 3, lambda noise: noise + swing)
+    whiteness, p = colors(truth, flight, 3, lambda noise: noise + swing)
     assert (p < 0.05).all()
     assert ((low < whiteness) & (whiteness < high)).all()
 
@@ -123,6 +123,6 @@ def test_low_frequency_gyro_noise_is_flagged(truth, flight):
     def lowpass(noise):
         return lfilter([0.22], [1.0, -np.exp(-5.0 * DT)], noise, axis=0)
 
-    whiteness, p = colours(truth, flight, 3, lowpass)
+    whiteness, p = colors(truth, flight, 3, lowpass)
     assert (p < 0.05).all()
     assert (whiteness > 2.0).all()

@@ -264,7 +264,7 @@ def test_where_the_window_takes_over():
 
 @pytest.mark.parametrize("b", [0.4, 0.9])
 def test_noise_of_an_averaged_gyro_is_whitened(b):
-    """Moving averages, means over the samples sent and interpolation make neighbours alike."""
+    """Moving averages, means over the samples sent and interpolation make neighbors alike."""
     rng = np.random.default_rng(8)
     n = 40_000
     own = rng.standard_normal(n + 2)
@@ -277,7 +277,7 @@ def test_noise_of_an_averaged_gyro_is_whitened(b):
     def correlations(w):
         return np.array([w[lag:] @ w[:-lag] for lag in (1, 2, 5)]) / (w @ w)
 
-    # The leak itself takes T / 0.3 s of neighbours away.
+    # The leak itself takes T / 0.3 s of neighbors away.
     assert np.abs(correlations(right)).max() < 4.0 / np.sqrt(n) + T / 0.3
     assert correlations(wrong)[0] == pytest.approx(b / (1.0 + b * b), abs=0.03)
     assert right.var() < 0.95 * wrong.var()

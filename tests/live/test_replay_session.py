@@ -84,7 +84,7 @@ def recorded(flight):
 
 
 @pytest.fixture(scope="module")
-def analysed(flight):
+def analyzed(flight):
     return analyze_log(flight.tlog, load_airframe("paper"))
 
 
@@ -128,13 +128,13 @@ def test_at_full_speed_it_ends_with_exactly_the_numbers_of_the_analysis(shared_l
     assert stage.playback.position == pytest.approx(stage.playback.duration, abs=0.01)
 
 
-def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analysed):
+def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analyzed):
     told = []
     session = ReplaySession(recorded, math.inf, stay=False, on_result=told.append)
     session.start()
     assert session.join(60.0)
     assert session.problem is None
-    assert session.final.dumps() == analysed.dumps()
+    assert session.final.dumps() == analyzed.dumps()
     assert session.latest().result is session.final
     assert session.latest().link.state is LinkState.ENDED
     assert 1 < len(told) < 60
@@ -154,15 +154,15 @@ def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
     assert 40 <= len(positions) <= 62
 
 
-def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analysed):
+def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analyzed):
     stage = Stage(recorded)
     stage.play(20.0)
     assert stage.snapshot.link.state is LinkState.REPLAY
     stage.session.change_speed(1)
     stage.play(10.0)
     assert stage.playback.ended
-    assert stage.snapshot.result.dumps() == analysed.dumps()
-    near(own(stage), analysed)
+    assert stage.snapshot.result.dumps() == analyzed.dumps()
+    near(own(stage), analyzed)
 
 
 def test_a_pause_stops_it_and_nothing_is_lost(recorded):
@@ -203,7 +203,7 @@ def test_a_seek_goes_there_by_all_that_lies_between(recorded):
     assert 31.5 < stage.playback.position <= 32.5
 
 
-def test_a_seek_back_forgets_what_came_later(recorded, analysed):
+def test_a_seek_back_forgets_what_came_later(recorded, analyzed):
     stage, other = Stage(recorded), Stage(recorded)
     stage.run_to_end()
     stage.session.change_speed(-2)
@@ -219,8 +219,8 @@ def test_a_seek_back_forgets_what_came_later(recorded, analysed):
     assert stage.snapshot.used_seconds == pytest.approx(other.snapshot.used_seconds)
     assert [e.text for e in stage.snapshot.events] == [e.text for e in other.snapshot.events]
     stage.run_to_end()
-    assert stage.snapshot.result.dumps() == analysed.dumps()
-    near(own(stage), analysed)
+    assert stage.snapshot.result.dumps() == analyzed.dumps()
+    near(own(stage), analyzed)
 
 
 def test_it_goes_back_from_a_state_it_kept(recorded):
@@ -298,13 +298,13 @@ def test_what_is_no_log_is_refused(tmp_path):
         survey(path, load_airframe("paper"))
 
 
-def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analysed):
+def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
     session = ReplaySession(recorded)
     session.start()
     session.seek(20.0)
     session.stop()
     assert session.problem is None
-    assert session.final.dumps() != analysed.dumps()
+    assert session.final.dumps() != analyzed.dumps()
     session.stop()
 
 

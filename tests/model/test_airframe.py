@@ -55,7 +55,7 @@ def test_builtin_airframes_load(name):
     x, y, spin = airframe.geometry
     assert airframe.name == name
     assert len(airframe.rotors) >= 4
-    # Symmetric about the centre, with as many rotors turning either way.
+    # Symmetric about the center, with as many rotors turning either way.
     np.testing.assert_allclose([x.sum(), y.sum(), spin.sum()], 0.0, atol=1e-12)
     assert airframe.arm == pytest.approx(np.hypot(x, y).mean())
 
@@ -244,7 +244,7 @@ def test_with_anchor_and_arm_want_positive_numbers(value):
         airframe.with_arm(value)
 
 
-def test_with_arm_refuses_lengths_that_are_not_metres():
+def test_with_arm_refuses_lengths_that_are_not_meters():
     with pytest.raises(InputError, match="at most 100 m, got 250"):
         load_airframe("paper").with_arm(250.0)
 

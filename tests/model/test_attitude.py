@@ -79,7 +79,7 @@ def test_euler_angles_at_the_pole_are_finite(pitch):
     assert attitude.to_euler(q)[1] == pytest.approx(pitch, abs=1e-7)
 
 
-def test_align_signs_keeps_rotations_and_joins_neighbours():
+def test_align_signs_keeps_rotations_and_joins_neighbors():
     rng = np.random.default_rng(9)
     smooth = attitude.from_rotation_vector(np.linspace(0, 6, 100)[:, None] * [0.6, 0.0, 0.8])
     flipped = smooth * rng.choice([-1.0, 1.0], (100, 1))

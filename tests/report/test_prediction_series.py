@@ -18,7 +18,7 @@ from gcs_sysid.session.chain import ChainOptions
 MADE = Provenance(("gcs-sysid",), {}, 0, "")
 
 
-def analysed(path, airframe):
+def analyzed(path, airframe):
     recorder = Recorder(len(airframe.rotors))
     result = analyze_log(Path(path), airframe, options=ChainOptions(), observer=recorder)
     data = gather(result, recorder, {}, airframe, MADE)
@@ -35,7 +35,7 @@ def analysed(path, airframe):
     ],
 )
 def test_agrees_with_the_validation(fly, flight):
-    data = analysed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
+    data = analyzed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
     r_squared, theil = agreement(data.prediction)
     for axis, name in enumerate(AXES):
         told = data.result["validation"]
@@ -59,7 +59,7 @@ def test_agrees_with_the_validation(fly, flight):
 )
 def test_agrees_on_recorded_flights(shared_logs, log, layout, arm, mass):
     airframe = load_airframe(layout).with_arm(arm).with_anchor("mass", mass)
-    data = analysed(shared_logs / log, airframe)
+    data = analyzed(shared_logs / log, airframe)
     told = data.result["validation"]["r_squared"]
     assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=5e-4)
 
@@ -68,7 +68,7 @@ def test_agrees_on_recorded_flights(shared_logs, log, layout, arm, mass):
 def test_after_a_change_the_segment_in_force_is_predicted(fly):
     flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100")
     log = fly(*flight, "--seed", "1", "--mass-step", "30:1.2").tlog
-    data = analysed(log, load_airframe("paper"))
+    data = analyzed(log, load_airframe("paper"))
     (segment,) = data.result["segments"]
     there = np.isfinite(data.prediction.predicted[:, 0])
     assert data.prediction.t[there].min() >= segment["end"]

@@ -39,7 +39,7 @@ def test_the_last_line_of_a_live_session_counts(tmp_path):
 
 def test_parameters_of_a_later_version_are_passed_over():
     later = RESULT.as_json()
-    later["parameters"]["colour"] = {"value": "red"}
+    later["parameters"]["color"] = {"value": "red"}
     assert parse_result(later, "r.json") == RESULT
 
 

@@ -2,7 +2,7 @@
 
 After a change that is meant: `UPDATE_GOLDEN=1 pytest tests/screen/test_golden.py`, then look at
 the difference. Text instead of Textual's SVG: no fonts from the network, and a reviewer sees what
-moved. Colours are checked apart, by their contrast.
+moved. Colors are checked apart, by their contrast.
 """
 
 import os
@@ -70,7 +70,7 @@ def named(size):
 
 
 async def check_both_themes(s, name):
-    """Against one file: a theme changes colours and not one letter."""
+    """Against one file: a theme changes colors and not one letter."""
     assert s.app.theme == "gcs-dark"
     check(name, s.text())
     s.app.theme = "gcs-light"

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 MEMS = ("--noise", "mems", "--rate", "250")
 
 
-def analysed(path, airframe, *, windows, mass=None, history=None):
+def analyzed(path, airframe, *, windows, mass=None, history=None):
     """The result, the chain, and the blocks of samples that it learnt from."""
     anchor = None if mass is None else ScaleReference("mass", mass)
     options = ChainOptions(history_interval=history)
@@ -110,8 +110,8 @@ FLIGHTS = {
 )
 def test_windows_give_what_parts_give(fly, name):
     flight = fly(*MEMS, *FLIGHTS[name], "--seed", "3")
-    result, _, grid = analysed(flight.tlog, "paper", windows=True)
-    other, _, same_grid = analysed(flight.tlog, "paper", windows=False)
+    result, _, grid = analyzed(flight.tlog, "paper", windows=True)
+    other, _, same_grid = analyzed(flight.tlog, "paper", windows=False)
     assert_same(result, other)
     assert_same_grid(grid, same_grid)
 
@@ -121,8 +121,8 @@ def test_windows_give_what_parts_give(fly, name):
 def test_windows_of_recorded_flights(shared_logs, name):
     airframe, mass = ("px4-quad-x", 1.5) if "ardupilot" in name else ("px4-sih", 1.0)
     path = shared_logs / name
-    result, _, grid = analysed(path, airframe, windows=True, mass=mass)
-    other, _, same_grid = analysed(path, airframe, windows=False, mass=mass)
+    result, _, grid = analyzed(path, airframe, windows=True, mass=mass)
+    other, _, same_grid = analyzed(path, airframe, windows=False, mass=mass)
     assert_same(result, other)
     assert_same_grid(grid, same_grid)
     assert len(grid) < 0.1 * len(same_grid)
@@ -140,8 +140,8 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
             if number == after:
                 writer.write(time_us, [reset_mark()])
             writer.write(time_us, [frame])
-    result, chain, _ = analysed(path, "paper", windows=True)
-    assert_same(result, analysed(path, "paper", windows=False)[0])
+    result, chain, _ = analyzed(path, "paper", windows=True)
+    assert_same(result, analyzed(path, "paper", windows=False)[0])
     seconds = 1e-6 * (frames[-1][0] - frames[after][0])
     assert 10.0 < chain.used_seconds < seconds < 20.0
 
@@ -150,7 +150,7 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
 def test_the_course_in_windows_is_that_of_parts(fly):
     flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
     histories = [
-        analysed(flight.tlog, "paper", windows=windows, history=0.1)[1].history
+        analyzed(flight.tlog, "paper", windows=windows, history=0.1)[1].history
         for windows in (True, False)
     ]
     now, before = histories

@@ -67,8 +67,8 @@ def test_every_motor_is_in_the_picture_where_it_is_on_the_vehicle(name, pen):
     lines = draw(rotors, pen).splitlines()
     assert len(lines) <= 15
     assert max(map(len, lines)) <= 50
-    row = next(i for i, line in enumerate(lines) if pen.centre in line)
-    column = lines[row].index(pen.centre)
+    row = next(i for i, line in enumerate(lines) if pen.center in line)
+    column = lines[row].index(pen.center)
     assert lines[0].index(pen.front) == column
     for number, rotor in enumerate(rotors, 1):
         label = f"{number}{pen.ccw if rotor.spin > 0 else pen.cw}"

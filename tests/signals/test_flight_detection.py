@@ -87,7 +87,7 @@ def test_size_of_blocks_does_not_matter(block):
 
 
 @pytest.mark.parametrize(("height", "flies"), [(0.29, False), (0.31, True)])
-def test_a_third_of_a_metre_above_the_ground_is_flight(height, flies):
+def test_a_third_of_a_meter_above_the_ground_is_flight(height, flies):
     heights = 12.0 + between(12.0, 20.0, height)
     found = flown(height=heights, armed=between(8.0, 25.0), speed=between(9.0, 24.0, 500.0))
     assert bool(len(found)) is flies

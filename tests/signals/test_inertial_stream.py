@@ -180,18 +180,18 @@ def test_the_lever_arm_is_subtracted_as_rigid_bodies_have_it():
 
 
 @pytest.fixture(scope="module")
-def off_centre(fly, tmp_path_factory):
+def off_center(fly, tmp_path_factory):
     """A flight without velocity of a vehicle with its IMU far off, and its airframe."""
     arm = (0.15, -0.10, -0.15)
     builtin = resources.files("gcs_sysid.model") / "airframes" / "paper.toml"
     vehicle = resources.files("sim_bridge") / "vehicles" / "paper.toml"
-    file = tmp_path_factory.mktemp("off-centre") / "off-centre.toml"
+    file = tmp_path_factory.mktemp("off-center") / "off-center.toml"
     imu = "".join(f"imu_{axis} = {value}\n" for axis, value in zip("xyz", arm, strict=True))
     file.write_text(f"{builtin.read_text()}\n[simulation]\n{vehicle.read_text()}{imu}")
     options = ("--airframe", str(file), "--mission", "all-axes", "--rate", "100", "--seed", "1")
     flight = fly(*options, "--noise", "mems")
     records = [r for r in flight.records() if r.stream is not Stream.VELOCITY]
-    # The file tells where the IMU is from the CG; the airframe counts from the centre.
+    # The file tells where the IMU is from the CG; the airframe counts from the center.
     cg = (flight.truth["cg_x"], flight.truth["cg_y"])
     given = replace(load_airframe(str(file)), imu_position=(arm[0] + cg[0], arm[1] + cg[1], arm[2]))
     given = given.with_prior("cg_x", cg[0], 0.01).with_prior("cg_y", cg[1], 0.01)
@@ -199,8 +199,8 @@ def off_centre(fly, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_given_lever_arm_frees_the_accelerometer_of_it(off_centre):
-    flight, records, given = off_centre
+def test_a_given_lever_arm_frees_the_accelerometer_of_it(off_center):
+    flight, records, given = off_center
     errors = {}
     for airframe in (given, replace(given, imu_position=None)):
         chain = Chain(airframe, END_ONLY)

@@ -68,7 +68,7 @@ def test_spikes_are_found_and_replaced(rate, size):
     cleaned, spikes = run(t, x, rate)
     assert np.mean(spikes[struck]) > (0.85 if rate == 20.0 else 0.94)
     assert np.count_nonzero(spikes & ~struck) <= 0.03 * np.count_nonzero(struck)
-    # A cubic through the neighbours: noise, and what 2.7 Hz does between 50 ms.
+    # A cubic through the neighbors: noise, and what 2.7 Hz does between 50 ms.
     assert np.nanmax(np.abs(cleaned - clean)[spikes]) < (0.5 if rate == 20.0 else 0.08)
 
 
@@ -142,7 +142,7 @@ def test_frozen_rows_repeat_all_columns():
 
 
 def test_spikes_are_judged_by_so_many_samples_around():
-    # Two readings, three more for what is usual, and a neighbour up to three away that is filled.
+    # Two readings, three more for what is usual, and a neighbor up to three away that is filled.
     assert AHEAD == 3 + 2 + 3
     assert BEHIND == AHEAD + 64
     assert JOLT == 25.0
@@ -202,7 +202,7 @@ def test_a_verdict_needs_a_past(known, judged):
     assert found[100 - start, 0] == judged
 
 
-def test_a_spike_is_filled_by_the_cubic_through_four_sound_neighbours():
+def test_a_spike_is_filled_by_the_cubic_through_four_sound_neighbors():
     t = times(140, 250.0, 0.2)
     motion = 1.0 + 2.0 * t - 30.0 * t**2 + 200.0 * t**3
     x = motion[:, None] + QUIET[:, None] * 1e-3
@@ -216,7 +216,7 @@ def test_a_spike_is_filled_by_the_cubic_through_four_sound_neighbours():
 
 
 @pytest.mark.parametrize(("step", "nodes"), [(0.022, [98, 99, 101, 102]), (0.025, [99, 101])])
-def test_neighbours_that_span_two_gaps_are_too_far_for_a_cubic(step, nodes):
+def test_neighbors_that_span_two_gaps_are_too_far_for_a_cubic(step, nodes):
     """Of gaps of 30 ms: steps of 26 ms on either side of the two make 60, those of 29 ms 66."""
     t = times(140, 250.0)
     t[99:] += step

@@ -17,7 +17,7 @@ from gcs_sysid.signals.rotor_units import (
     RotorSource,
     command_range,
     gyro_cutoff,
-    normalised,
+    normalized,
 )
 
 RATE = 100.0
@@ -297,10 +297,10 @@ def test_range_of_commands(source, given, autopilot, parameters, largest, expect
 
 
 def test_stopped_is_zero():
-    u = normalised(np.array([[900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0]]), Range(1000, 2000, ""))
+    u = normalized(np.array([[900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0]]), Range(1000, 2000, ""))
     np.testing.assert_array_equal(u, [[0.0, 0.0, 0.0, 0.0, 0.5, 1.0]])
     # Curves between samples pass a little below and above.
-    between = normalised(np.array([990.0, 2010.0]), Range(1000, 2000, ""))
+    between = normalized(np.array([990.0, 2010.0]), Range(1000, 2000, ""))
     np.testing.assert_allclose(between, [-0.01, 1.01])
 
 

@@ -249,8 +249,8 @@ def test_late_taps_are_those_of_each_delay_in_the_order_of_time():
     assert smoother.late_taps.shape == (3, 2 * (HALF + 2) + 1)
     # A stamp 30 ms late: the window waits as long for it, so that it answers sooner in its row.
     t = np.arange(smoother.late_taps.shape[1])
-    centres = smoother.late_taps @ t
-    np.testing.assert_allclose(centres, centres[1] - np.array(DELAYS) / DT, atol=1e-6)
+    centers = smoother.late_taps @ t
+    np.testing.assert_allclose(centers, centers[1] - np.array(DELAYS) / DT, atol=1e-6)
 
 
 def test_an_empty_block_gives_no_rows():

@@ -104,7 +104,7 @@ def test_interpolate_takes_samples_on_the_grid_as_they_are():
     np.testing.assert_array_equal(interpolate(t, v, t, gap=0.15), v)
     between = interpolate(t, v, np.array([0.5, -0.1, 1.1]), gap=0.15)
     assert np.isnan(between).all()
-    # Beside the gap the two neighbours alone: a straight line.
+    # Beside the gap the two neighbors alone: a straight line.
     beside = interpolate(t, v, np.array([0.15, 0.95]), gap=0.15)
     np.testing.assert_allclose(beside, [(v[1] + v[2]) / 2, (v[3] + v[4]) / 2], rtol=1e-12)
     assert np.isnan(interpolate(t[:1], v[:1], t, gap=1.0)).all()

@@ -206,7 +206,7 @@ def test_trim_is_an_equilibrium(paper_vehicle: Vehicle) -> None:
     dynamics = Dynamics(paper_vehicle)
     rates = dynamics.derivative(state.body, dynamics.wrench(state.speeds, state.speeds))
     np.testing.assert_allclose(rates, 0.0, atol=1e-12)
-    # CG 10 cm forward and 5 cm right of the centre: 0.4, 0.1, 0.3 and 0.2 of the weight.
+    # CG 10 cm forward and 5 cm right of the center: 0.4, 0.1, 0.3 and 0.2 of the weight.
     shares = np.array(hover_thrusts(paper_vehicle)) / (1.5 * GRAVITY)
     np.testing.assert_allclose(shares, [0.4, 0.1, 0.3, 0.2], atol=1e-12)
 

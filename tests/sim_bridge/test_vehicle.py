@@ -87,7 +87,7 @@ def test_the_truth_tells_where_an_imu_off_the_cg_is(paper_vehicle: Vehicle) -> N
 def test_layouts_are_balanced_and_regular(autopilot: str, frame: str, count: int) -> None:
     rotors = load_vehicle(f"{autopilot}-{frame}").rotors
     assert len(rotors) == count
-    # One after the other around the centre, every spin differs from its neighbour's.
+    # One after the other around the center, every spin differs from its neighbor's.
     around = sorted(rotors, key=lambda r: np.arctan2(r.y, r.x))
     spins = [r.spin for r in around]
     assert all(a == -b for a, b in zip(spins, [*spins[1:], spins[0]], strict=True))

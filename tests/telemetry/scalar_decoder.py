@@ -301,7 +301,7 @@ class ScalarDecoder:
 
     @property
     def _time_of_sending(self) -> float | None:
-        """Time for a message without a stamp: that of its neighbour, s.
+        """Time for a message without a stamp: that of its neighbor, s.
 
         ArduPilot sends all that is due in one step with the same time, SERVO_OUTPUT_RAW just
         before ESC_TELEMETRY and HIGHRES_IMU after it: the IMU's last stamp is a step old.

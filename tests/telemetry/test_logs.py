@@ -125,7 +125,7 @@ def test_mission_planner_writes_both_directions_out_of_order(tmp_path, sender, m
         if rng.random() < 0.2:
             ask = mavlink.MAVLink_request_data_stream_message(1, 1, 0, 4, 1)
             rows.append((wall - rng.uniform(0.0, 0.5), station.frame(ask)))
-    # Neighbours change places, but the first heartbeat.
+    # Neighbors change places, but the first heartbeat.
     order = sorted(range(len(rows)), key=lambda i: i + 2.5 * rng.random() * (i > 0))
     log = open_log(write(tmp_path / "mp.tlog", [rows[i] for i in order]))
     records = list(log.records())

@@ -70,7 +70,7 @@ def test_a_damaged_time_is_replaced_by_the_one_before(raws):
     assert counts.repaired_times == 2
 
 
-def test_a_damaged_first_or_last_time_is_seen_by_its_one_neighbour(raws):
+def test_a_damaged_first_or_last_time_is_seen_by_its_one_neighbor(raws):
     stamps = times(len(raws))
     stamps[0], stamps[-1] = stamps[0] ^ 1 << 60, 0
     found, _, counts = scan(as_log(raws, stamps))
@@ -119,7 +119,7 @@ def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
 def test_long_garbage_is_judged_alike_by_windows_of_any_size(raws, garbage, monkeypatch):
     monkeypatch.setattr(tlog_scan, "ALONE", 1000)
     stamps = times(30)
-    stamps[10] ^= 1 << 28  # the last before the garbage: damaged, if its neighbours are asked
+    stamps[10] ^= 1 << 28  # the last before the garbage: damaged, if its neighbors are asked
     data = as_log(raws[:11], stamps[:11]) + b"\x55" * garbage + as_log(raws[11:30], stamps[11:])
     data += bytes(3000)
     whole = scan(data)

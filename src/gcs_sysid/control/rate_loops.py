@@ -307,7 +307,7 @@ def px4_mixer(places: Array, ratios: Array) -> Array:
 
 
 def ardupilot_mixer(rotors: tuple[Rotor, ...]) -> Array:
-    """(n, 3) ArduPilot's factors (`AP_MotorsMatrix::normalise_rpy_factors`): 0.5 at most."""
+    """(n, 3) ArduPilot's factors (`AP_MotorsMatrix::normalize_rpy_factors`): 0.5 at most."""
     factors = np.array([[-r.y, r.x, float(r.spin)] for r in rotors])
     mixer: Array = 0.5 * factors / np.maximum(np.abs(factors).max(axis=0), 1e-9)
     return mixer

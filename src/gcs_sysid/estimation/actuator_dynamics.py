@@ -385,10 +385,10 @@ class ActuatorDynamics:
     @cached_property
     def middle(self) -> int:
         """The node nearest to no delay, and to the middle of lags and curves."""
-        centre = 0.5 * (self.low + self.high)
-        centre[DELAY] = 0.0
+        center = 0.5 * (self.low + self.high)
+        center[DELAY] = 0.0
         span = np.where(self.high > self.low, self.high - self.low, 1.0)
-        return int(np.argmin((((self.nodes - centre) / span) ** 2).sum(axis=1)))
+        return int(np.argmin((((self.nodes - center) / span) ** 2).sum(axis=1)))
 
     def maps(self, at: Array) -> Array:
         """(K, 1 + f, WIDTH, width) maps at (K, 3) coordinates.

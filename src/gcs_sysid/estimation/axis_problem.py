@@ -221,7 +221,7 @@ class AxisProblem(Problem):
         return Q, np.concatenate([G, J_inv[:, None] @ self.deviations.torques], axis=1)
 
 
-def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[AxisPoint, Mask]:
+def minimize_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[AxisPoint, Mask]:
     """Gauss-Newton with Levenberg-Marquardt damping; each step at the weights of its start.
 
     What falls is sum_a T_a (M_a - n N_a) T_a' / sigma_a^2 with sigma_a as it was before the step:

@@ -146,10 +146,10 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
     # Gyro noise that is stronger at low frequency is not offered: it would pass for any motion
     # that the model misses, which is process noise.
     best, best_score = AxisNoise(MIN_STD, None, 0.0, 0.0), np.inf
-    for colour, process, moment in product((0, 1, 2), (False, True), (False, True)):
-        spectrum = _Spectrum(one, cos, fixed, dt, colour, process, moment)
+    for color, process, moment in product((0, 1, 2), (False, True), (False, True)):
+        spectrum = _Spectrum(one, cos, fixed, dt, color, process, moment)
         values = spectrum.start(float(level))
-        misfit, values = _maximise(spectrum, power, values)
+        misfit, values = _maximize(spectrum, power, values)
         score = misfit + 0.5 * len(values) * np.log(len(power))
         if score < best_score:
             best, best_score = spectrum.noise(values), score
@@ -173,29 +173,29 @@ class _Spectrum:
     cos: Array
     fixed: Array
     dt: float
-    colour: int
+    color: int
     process: bool
     moment: bool = False
 
     @property
     def _process(self) -> int:
         """Place of the process noise's level."""
-        return 1 + self.colour
+        return 1 + self.color
 
     def start(self, level: float) -> Array:
         """A first guess."""
-        colours = ([], [np.log(5.0)], [np.log(5.0), 1.0])[self.colour]
+        colors = ([], [np.log(5.0)], [np.log(5.0), 1.0])[self.color]
         process = [level - 1.5] if self.process else []
         moment = [level - 1.0, 0.0] if self.moment else []
-        return np.array([level, *colours, *process, *moment])
+        return np.array([level, *colors, *process, *moment])
 
     def limits(self, values: Array) -> Array:
         """Unknowns kept where they mean something."""
         values = values.copy()
         values[0] = np.clip(values[0], np.log(MIN_STD), 5.0)
-        if self.colour >= 1:
+        if self.color >= 1:
             values[1] = np.clip(values[1], np.log(0.05), np.log(1.0 / self.dt))
-        if self.colour == 2:
+        if self.color == 2:
             values[2] = np.clip(values[2], -4.0, 8.0)
         if self.process:
             at = self._process
@@ -210,11 +210,11 @@ class _Spectrum:
         white = float(np.exp(values[0]))
         u = float(np.exp(values[self._process])) / self.dt if self.process else 0.0
         d = (float(np.exp(values[-2])) / self.dt, float(np.exp(values[-1]))) if self.moment else ()
-        if self.colour == 0:
+        if self.color == 0:
             return AxisNoise(white, None, 0.0, u, *d)
         corner = float(np.exp(values[1]))
         a = float(np.exp(-corner * self.dt))
-        c = 1.0 if self.colour == 1 else a + (1.0 - a) / (1.0 + float(np.exp(-values[2])))
+        c = 1.0 if self.color == 1 else a + (1.0 - a) / (1.0 + float(np.exp(-values[2])))
         return AxisNoise(white, corner, c, u, *d)
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
@@ -229,10 +229,10 @@ class _Spectrum:
             by_c = noise.white_std**2 * self.one * 2.0 * (c - self.cos) / below
             by_a = -gyro * 2.0 * (a - self.cos) / below
             share = (c - a) / (1.0 - a)
-            if self.colour == 2:
+            if self.color == 2:
                 by_a = by_a + (1.0 - share) * by_c
             slopes.append(by_a * -a * noise.corner * self.dt)
-            if self.colour == 2:
+            if self.color == 2:
                 slopes.append(by_c * (1.0 - a) * share * (1.0 - share))
         model = gyro + self.fixed
         if self.process:
@@ -251,7 +251,7 @@ class _Spectrum:
         return mean, np.stack([np.tensordot(_HANN, slope, 1) for slope in slopes], axis=1)
 
 
-def _maximise(spectrum: _Spectrum, power: Array, values: Array) -> tuple[float, Array]:
+def _maximize(spectrum: _Spectrum, power: Array, values: Array) -> tuple[float, Array]:
     """Fisher scoring with Levenberg-Marquardt damping; minus log likelihood and the unknowns."""
     damping = 1e-3
     values = spectrum.limits(values)
@@ -357,7 +357,7 @@ def make_whitener(
     white = np.array([axis.white_std for axis in noise]) ** 2
     pole = np.array([axis.pole(dt) for axis in noise])
     slow = np.array([axis.zero for axis in noise]) - pole
-    unmodelled = np.array([axis.process_std * dt for axis in noise]) ** 2
+    unmodeled = np.array([axis.process_std * dt for axis in noise]) ** 2
 
     # With w* = w + f dt e as the state, noise of the rotor speeds is white; it is then in the
     # measurement too.
@@ -366,7 +366,7 @@ def make_whitener(
     states = _N + 3 * bool(moment.any())
     R = np.diag(white) + (_NEXT * dt) ** 2 * known
     Q = np.zeros((states, states))
-    Q[_RATE, _RATE] = np.diag(unmodelled) + dt * dt * known
+    Q[_RATE, _RATE] = np.diag(unmodeled) + dt * dt * known
     Q[_SLOW, _SLOW] = np.diag(slow * slow * white)
     C = np.zeros((states, 3))
     C[_RATE] = _NEXT * dt * dt * known

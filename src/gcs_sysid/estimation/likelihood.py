@@ -10,7 +10,7 @@ Where the process noise is nothing this is the output-error method, otherwise fi
 levels and colors of the noises are what the record itself makes likeliest. First rates and
 gyro biases are states with priors, so that they are integrated out exactly.
 
-The likelihood is maximised by Gauss-Newton. The model is linearized about smoothed rates, not
+The likelihood is maximized by Gauss-Newton. The model is linearized about smoothed rates, not
 about the noisy gyro; residuals and sensitivities pass one whitening filter; their products are
 gradient and Fisher information.
 
@@ -37,10 +37,10 @@ from gcs_sysid.estimation.offline_record import (
     DELAY,
     MIN_RUN,
     N_UNKNOWNS,
-    Linearisation,
+    Linearization,
     OfflineRecord,
     Weighed,
-    linearise,
+    linearize,
     weigh,
 )
 from gcs_sysid.estimation.uncertainty import sandwich
@@ -128,7 +128,7 @@ class LikelihoodFit:
         return std
 
 
-def maximise_likelihood(
+def maximize_likelihood(
     samples: Samples,
     geometry: Array,
     dt: float,
@@ -202,7 +202,7 @@ def cramer_rao_bound(
     record = OfflineRecord(samples, geometry, dt, speed_std)
     if record.rows == 0:
         raise ValueError(f"no {MIN_RUN} samples without a gap")
-    point = linearise(record, theta, record.rates)
+    point = linearize(record, theta, record.rates)
     n = rb.N_THETA
     information = weigh(record, point, noise, record.speed_process(theta)).information[:n, :n]
     bound: Array = np.sqrt(np.diag(_inverse(information)))
@@ -226,7 +226,7 @@ def _search(
         off = unknowns - mean
         return weighed.squares + 0.5 * float(off @ weight @ off)
 
-    point = linearise(record, start, record.rates)
+    point = linearize(record, start, record.rates)
     noise = rough_noise(_defects(record, point), record.dt)
     known = record.speed_process(start)
     weighed: Weighed | None = None
@@ -251,7 +251,7 @@ def _search(
         short = 0.0 if not before or reweighted else wanted / before
         ahead = 1.0 / (1.0 - short) if 0.2 < short < 0.9 else 1.0
         before, reweighted = (0.0 if ahead > 1.0 else wanted), False
-        found: Linearisation | None = None
+        found: Linearization | None = None
         after: Weighed | None = None
         while found is None and damping < _MAX_DAMPING:
             step = -_inverse(information, damping) @ gradient
@@ -262,7 +262,7 @@ def _search(
             if rb.is_physical(point.theta + step[:DELAY]):
                 candidate = _moved(record, point, weighed, step)
                 if size < _SMALL**2:
-                    # The cost changes by less than its linearisation's error.
+                    # The cost changes by less than its linearization's error.
                     found = candidate
                     continue
                 after = weigh(record, candidate, noise, known)
@@ -310,14 +310,14 @@ def _alike(one: Noise, other: Noise) -> bool:
     return same and bool(np.all(np.abs(a - b) <= _ALIKE * np.maximum(np.abs(a), np.abs(b))))
 
 
-def _fit_noise(record: OfflineRecord, point: Linearisation) -> Noise:
+def _fit_noise(record: OfflineRecord, point: Linearization) -> Noise:
     known = np.diag(record.speed_process(point.theta))
     changes = np.concatenate([np.diff(rates, axis=0) for rates in point.rates]) / record.dt
     floor = MODEL_PRECISION * np.sqrt(np.mean(changes * changes, axis=0))
     return fit_noise(_defects(record, point), known, floor, record.dt)
 
 
-def _defects(record: OfflineRecord, point: Linearisation) -> list[Array]:
+def _defects(record: OfflineRecord, point: Linearization) -> list[Array]:
     """Of each run (n - 1, 3) increments of the gyro less those of the model, rad/s."""
     return [
         np.diff(gyro, axis=0) - (by.rates - rates[:-1])
@@ -326,8 +326,8 @@ def _defects(record: OfflineRecord, point: Linearisation) -> list[Array]:
 
 
 def _moved(
-    record: OfflineRecord, point: Linearisation, weighed: Weighed, step: Array
-) -> Linearisation:
+    record: OfflineRecord, point: Linearization, weighed: Weighed, step: Array
+) -> Linearization:
     """The point a step away, with the rates that are likeliest there; the record is aligned."""
     rates = []
     for whitener, gyro, w, by in zip(
@@ -336,12 +336,12 @@ def _moved(
         moved = by.by_theta @ step[:DELAY] + by.by_delay * step[DELAY]
         rates.append(w + whitener.smooth(gyro - w, by.rates - w[1:] + moved))
     record.align(record.delay + step[DELAY])
-    return linearise(record, point.theta + step[:DELAY], rates)
+    return linearize(record, point.theta + step[:DELAY], rates)
 
 
 def _conclude(
     record: OfflineRecord,
-    point: Linearisation,
+    point: Linearization,
     noise: Noise,
     weighed: Weighed,
     weight: Array,
@@ -357,9 +357,9 @@ def _conclude(
     whiteness = _ljung_box(autocorrelation, len(v))
     if np.any(whiteness < _WHITE):
         scores = _batch_scores(record, weighed) / level
-        coloured = sandwich(bread, scores)
-        missing = np.maximum(np.diag(covariance) - np.diag(coloured), 0.0)
-        covariance = coloured + np.diag(missing)
+        colored = sandwich(bread, scores)
+        missing = np.maximum(np.diag(covariance) - np.diag(colored), 0.0)
+        covariance = colored + np.diag(missing)
     x, y, z = (axis.scaled(float(np.sqrt(level))) for axis in noise)
     return LikelihoodFit(
         theta=point.theta,

@@ -15,7 +15,7 @@ from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
 from gcs_sysid.estimation.input_noise import with_sparse_readings
 from gcs_sysid.estimation.instruments import combined, fit_by_instruments
-from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood, most_passes
+from gcs_sysid.estimation.likelihood import LikelihoodFit, maximize_likelihood, most_passes
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
@@ -154,7 +154,7 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
     passes = most_passes(len(samples.gyro))
     if not passes:
         return f"{what} is beyond its budget: analyze a part of the flight (--start, --end)"
-    found = maximise_likelihood(
+    found = maximize_likelihood(
         samples,
         tracker.geometry,
         tracker.dt,

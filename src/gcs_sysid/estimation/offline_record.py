@@ -100,7 +100,7 @@ class OfflineRecord:
 
 
 @dataclass(frozen=True)
-class Linearisation:
+class Linearization:
     """Where the model is linearized."""
 
     theta: Array
@@ -108,12 +108,12 @@ class Linearisation:
     transitions: list[Transition]
 
 
-def linearise(record: OfflineRecord, theta: Array, rates: list[Array]) -> Linearisation:
+def linearize(record: OfflineRecord, theta: Array, rates: list[Array]) -> Linearization:
     """The model at (N_THETA,) theta about (n, 3) rates of each run, with the delay in force."""
     transitions = [
         propagator(theta, w) for propagator, w in zip(record.propagators, rates, strict=True)
     ]
-    return Linearisation(theta, rates, transitions)
+    return Linearization(theta, rates, transitions)
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Weighed:
     log_determinant: float
 
 
-def weigh(record: OfflineRecord, point: Linearisation, noise: Noise, known: Array) -> Weighed:
+def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Array) -> Weighed:
     """Weigh a linearized model.
 
     Args:
@@ -193,7 +193,7 @@ def weigh(record: OfflineRecord, point: Linearisation, noise: Noise, known: Arra
 
 
 def _speed_noise_terms(
-    record: OfflineRecord, point: Linearisation, whiteners: list[Whitener]
+    record: OfflineRecord, point: Linearization, whiteners: list[Whitener]
 ) -> tuple[Array, Array]:
     """What noise of the rotor speeds adds to gradient and information, by expectation.
 

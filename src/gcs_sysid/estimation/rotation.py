@@ -34,7 +34,7 @@ from gcs_sysid.estimation.search import (
     Point,
     Problem,
     first_guess,
-    minimise,
+    minimize,
     residual_maker,
     scales,
     scan,
@@ -233,7 +233,7 @@ def fit_rotation(
         earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
-        point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
+        point, converged = minimize(problem, unknowns, _WARM_ITERATIONS)
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.commands:
         for round_ in range(_ROUNDS + 1):
@@ -243,7 +243,7 @@ def fit_rotation(
             if converged.any() or round_ == _ROUNDS:
                 break
             # Curve and lag bend the valley: it takes many steps along.
-            point, converged = minimise(problem, point.unknowns, MAX_ITERATIONS)
+            point, converged = minimize(problem, point.unknowns, MAX_ITERATIONS)
     pull = None
     if basis.commands and noise.any():
         problem, point, pull = without_noise(problem, point, noise)
@@ -298,7 +298,7 @@ def follow_rotation(
         far = ~near
         alone = Problem(totals[far], rows[far], basis, prior)
         starts = np.repeat(unknowns, len(alone.rows), axis=0)
-        point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
+        point, converged = minimize(alone, starts, _FOLLOW_ITERATIONS)
         if noisy:
             alone, point, _ = without_noise(alone, point, noise[far])
         leaks = leaks[: len(converged)]

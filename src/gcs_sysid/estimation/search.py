@@ -254,7 +254,7 @@ def scan(problem: Problem, unknowns: Array) -> Array:
     there = np.concatenate(parts, axis=1).reshape(-1, WIDTH, WIDTH)
     rows = np.repeat(problem.rows, nodes)
     given = Problem(there, rows, PLAIN, problem.prior)
-    point, _ = minimise(given, every, _SCAN_ITERATIONS)
+    point, _ = minimize(given, every, _SCAN_ITERATIONS)
     cost = point.cost + problem.weak_cost(every) / rows
     starts = 1 if len(basis.free) == 1 else _STARTS
     best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
@@ -270,15 +270,15 @@ def search(problem: Problem, starts: Array) -> tuple[Point, Mask]:
     """The best minimum that (starts, leaks, N_UNKNOWNS) lead to, for each leak."""
     s, leaks, _ = starts.shape
     if s == 1:
-        return minimise(problem, starts[0], MAX_ITERATIONS)
+        return minimize(problem, starts[0], MAX_ITERATIONS)
     bank, rows = np.tile(problem.bank, (s, 1, 1)), np.tile(problem.rows, s)
     wide = Problem(bank, rows, problem.basis, problem.prior)
-    point, converged = minimise(wide, starts.reshape(s * leaks, -1), MAX_ITERATIONS)
+    point, converged = minimize(wide, starts.reshape(s * leaks, -1), MAX_ITERATIONS)
     best = np.argmin(point.cost.reshape(s, leaks), axis=0) * leaks + np.arange(leaks)
     return Point(*(values[best] for values in vars(point).values())), converged[best]
 
 
-def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask]:
+def minimize(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask]:
     """Levenberg-Marquardt on log det of the residual covariance (W concentrated out).
 
     Args:
@@ -287,7 +287,7 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
         limit: most iterations.
 
     Returns:
-        The minimisers, and (K,) whether each was reached.
+        The minimizers, and (K,) whether each was reached.
     """
     K = len(unknowns)
     point = problem.evaluate(unknowns)
@@ -297,7 +297,7 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
 def _descend(
     problem: Problem, point: Point, damping: Array, gain: Array, limit: int
 ) -> tuple[Point, Mask]:
-    """The steps of `minimise`, with (K,) damping and (K,) gain of the step before."""
+    """The steps of `minimize`, with (K,) damping and (K,) gain of the step before."""
     converged = np.zeros(len(damping), dtype=bool)
     eye = np.eye(problem.p)
     for taken in range(1, limit + 1):

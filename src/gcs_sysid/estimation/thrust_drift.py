@@ -48,7 +48,7 @@ class DriftTuning:
         noise: of an average, before the flight shows its own, and
         worth: how many averages that is worth.
         memory: averages over which the noise is estimated.
-        colour: by which neighboring averages that err alike widen the variance.
+        color: by which neighboring averages that err alike widen the variance.
         least_force: share of g below which the vehicle falls or tumbles, and is not watched.
         believed: standard deviations of D from which, and up to which, it begins to count.
     """
@@ -65,7 +65,7 @@ class DriftTuning:
     noise: float = 0.005
     worth: float = 2.0
     memory: float = 20.0
-    colour: float = 2.0
+    color: float = 2.0
     least_force: float = 0.3
     believed: tuple[float, float] = (3.0, 5.0)
 
@@ -256,11 +256,11 @@ class ThrustDrift:
         spread = self._covariance @ row
         # Of white noise of the accelerometer the average has so much left.
         rough = max(power / force**2 - 1.0, 0.0) / self._count
-        noise = t.colour * (self._noise + rough + (t.far * float(row[1])) ** 2)
+        noise = t.color * (self._noise + rough + (t.far * float(row[1])) ** 2)
         variance = float(row @ spread) + noise
         # Over its own variance an innovation has unit power; a jump also indicates more noise.
         self._worth = min(self._worth + 1.0, t.memory)
-        surplus = min(t.colour * innovation**2 / variance, _JUMP**2) - 1.0
+        surplus = min(t.color * innovation**2 / variance, _JUMP**2) - 1.0
         self._noise *= 1.0 + surplus / self._worth
         if innovation**2 > _JUMP**2 * variance:
             self._jumps += 1

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimise_axes
+from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimize_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -233,7 +233,7 @@ def follow_whitened(
     if not near.all():
         far = ~near
         alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far], deviations)
-        point, converged = minimise_axes(alone, unknowns[far], _FOLLOW)
+        point, converged = minimize_axes(alone, unknowns[far], _FOLLOW)
         better = WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
@@ -298,7 +298,7 @@ def shocks_in(
         unknowns = trial.unknowns[list(pick)[:1]]
     places = list(pick)
     problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
-    point, _ = minimise_axes(problem, unknowns, limit)
+    point, _ = minimize_axes(problem, unknowns, limit)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
     return shocks, Reference(point.unknowns[0], pick, age)
 
@@ -332,7 +332,7 @@ def _solved(
         # From what the first axis or the others found, whichever is nearer to all of it.
         starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
         cost = [float(np.log(p.variance).sum() + p.weak[0] / rows) for p in starts]
-        point, converged = minimise_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
+        point, converged = minimize_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
         found = point.unknowns[0]
         trial = _tried(total, rows, data, basis, prior, found, deviations=deviations)
         solved = _Solved(problem, point, bool(converged[0]), pick, trial)
@@ -358,7 +358,7 @@ def _tried(
     at = unknowns[0, COORDINATES]
     moments, noise = (basis.moments_at(m, at)[:, None] for m in (total, data.noise))
     problem = AxisProblem(moments, rows, PLAIN, prior, noise, deviations)
-    point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
+    point, _ = minimize_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
     for axis, own in enumerate(data.own):
@@ -461,7 +461,7 @@ def _scanned(
     starts = np.repeat(guess, len(nodes), axis=0)
     starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
     problem = AxisProblem(moments, rows, PLAIN, prior, noise)
-    point, _ = minimise_axes(problem, starts, _SCAN)
+    point, _ = minimize_axes(problem, starts, _SCAN)
     known_vehicle = np.median(point.unknowns, axis=0)
     alike = _alike(point, rows, noise[:, 0], known_vehicle)
     power = np.log(alike).reshape(len(some), len(nodes), _AXES)

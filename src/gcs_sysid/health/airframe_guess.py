@@ -112,9 +112,9 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
             return None
         rotors.append(Rotor(x, y, 1 if turn > 0.0 else -1))
     airframe = Airframe("CA_ROTOR", tuple(rotors))
-    metres = all(_REAL[0] < math.hypot(r.x, r.y) < _REAL[1] for r in rotors)
+    meters = all(_REAL[0] < math.hypot(r.x, r.y) < _REAL[1] for r in rotors)
     unit = all(abs(r.x) in (0.0, 1.0) and abs(r.y) in (0.0, 1.0) for r in rotors)
-    if metres and not unit:
+    if meters and not unit:
         return GuessedAirframe(airframe, "CA_ROTORn_* of the vehicle", 0.0, relative=True)
     return GuessedAirframe(
         airframe.with_arm(_USUAL_ARM),

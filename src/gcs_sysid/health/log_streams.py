@@ -11,7 +11,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import family
-from gcs_sysid.signals.rotor_units import Range, command_range, normalised
+from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 
 _LONGEST = 200_000.0
 """s of a log; what is stamped later is damaged."""
@@ -118,7 +118,7 @@ def streams_of(
                 refused[name] = "is in a unit that is not known: give [command] min and max"
                 continue
             raw = samples
-            samples = tuple((t, normalised(v, range_).clip(0.0, None)) for t, v in samples)
+            samples = tuple((t, normalized(v, range_).clip(0.0, None)) for t, v in samples)
             one = RotorStream(name, samples, one.rate, range_, raw)
         found.setdefault(stream, []).append(one)
     best = {

@@ -159,7 +159,7 @@ def residual(data: ReportData, figures: Figures) -> Markup | None:
     rows: list[list[Child]] = [
         ["Whiteness (1 is white)", *(_number(whiteness[axis], 2) for axis in AXES)],
         ["Probability by chance", *(_probability(p[axis]) for axis in AXES)],
-        ["In words", *(_colour(whiteness[axis], p[axis]) for axis in AXES)],
+        ["In words", *(_color(whiteness[axis], p[axis]) for axis in AXES)],
     ]
     gyroscopic = found.get("gyroscopic")
     if gyroscopic:
@@ -194,7 +194,7 @@ def _probability(p: float | None) -> str:
     return "< 0.001" if p < 0.001 else PAGE.fixed(p, 3)
 
 
-def _colour(whiteness: float | None, p: float | None) -> str:
+def _color(whiteness: float | None, p: float | None) -> str:
     if whiteness is None or p is None:
         return "undetermined"
     if p >= _DOUBT:

@@ -62,8 +62,8 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
         halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in entries.values()]
         subject = group if len(entries) == len(names) else names_text(list(entries))
         if REGISTRY[names[0]].unit == "m" and REGISTRY[names[0]].sign == "any":
-            millimetres = max(1e3 * max(half for half, _ in halves), 0.01)
-            length = PAGE.fixed(millimetres, decimals_for(millimetres))
+            millimeters = max(1e3 * max(half for half, _ in halves), 0.01)
+            length = PAGE.fixed(millimeters, decimals_for(millimeters))
             out.append(f"{subject} to within {length}{PAGE.space}mm")
         elif REGISTRY[names[0]].sign == "any":
             # Near zero a share of itself says nothing.

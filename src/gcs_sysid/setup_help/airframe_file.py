@@ -83,7 +83,7 @@ def airframe_text(answers: AirframeAnswers) -> str:
 
 
 def _in_meters(value: float) -> str:
-    """To a micrometre; adding zero makes 0 of -0."""
+    """To a micrometer; adding zero makes 0 of -0."""
     return repr(round(value, 6) + 0.0)
 
 

@@ -210,7 +210,7 @@ def check_terminal(
     columns, lines = size or shutil.get_terminal_size(_SMALLEST)
     encoding = encoding or sys.stdout.encoding or "ascii"
     term = environment.get("TERM", "")
-    words = [f"{columns}x{lines}", encoding.upper(), _colours(environment)]
+    words = [f"{columns}x{lines}", encoding.upper(), _colors(environment)]
     advice = []
     if columns < _SMALLEST[0] or lines < _SMALLEST[1]:
         advice.append("make the window larger: the screen needs 80 columns and 24 lines")
@@ -228,7 +228,7 @@ def _unicode_advice() -> str:
     return "lines and bars print as question marks; set: export LC_ALL=C.UTF-8"
 
 
-def _colours(environment: Mapping[str, str]) -> str:
+def _colors(environment: Mapping[str, str]) -> str:
     if environment.get("NO_COLOR"):
         return "no colors (NO_COLOR is set)"
     if environment.get("COLORTERM") in ("truecolor", "24bit") or environment.get("WT_SESSION"):

@@ -127,14 +127,14 @@ class Pen:
     ccw: str
     cw: str
     arm: str
-    centre: str
+    center: str
     front: str
 
 
-UNICODE = Pen(ccw="↺", cw="↻", arm="·", centre="┼", front="▲")
-ASCII = Pen(ccw=" ccw", cw=" cw", arm=".", centre="+", front="^")
+UNICODE = Pen(ccw="↺", cw="↻", arm="·", center="┼", front="▲")
+ASCII = Pen(ccw=" ccw", cw=" cw", arm=".", center="+", front="^")
 
-UNICODE_SIGNS = "".join((UNICODE.ccw, UNICODE.cw, UNICODE.arm, UNICODE.centre, UNICODE.front))
+UNICODE_SIGNS = "".join((UNICODE.ccw, UNICODE.cw, UNICODE.arm, UNICODE.center, UNICODE.front))
 """What a terminal must be able to show for `UNICODE`."""
 
 _HALF_HEIGHT, _HALF_WIDTH = 6, 18
@@ -154,19 +154,19 @@ def draw(rotors: tuple[Rotor, ...], pen: Pen) -> str:
     """
     reach_x = max(abs(r.x) for r in rotors)
     reach_y = max(abs(r.y) for r in rotors)
-    lines_per_metre = min(
+    lines_per_meter = min(
         _HALF_HEIGHT / max(reach_x, 1e-6), _HALF_WIDTH / _ASPECT / max(reach_y, 1e-6)
     )
-    height = max(1, round(reach_x * lines_per_metre))
-    width = round(reach_y * lines_per_metre * _ASPECT) + _MARGIN
+    height = max(1, round(reach_x * lines_per_meter))
+    width = round(reach_y * lines_per_meter * _ASPECT) + _MARGIN
     canvas = [[" "] * (2 * width + 1) for _ in range(2 * height + 1)]
     ends = [
-        (height - round(r.x * lines_per_metre), width + round(r.y * lines_per_metre * _ASPECT))
+        (height - round(r.x * lines_per_meter), width + round(r.y * lines_per_meter * _ASPECT))
         for r in rotors
     ]
     for row, column in ends:
         _line(canvas, (height, width), (row, column), pen.arm)
-    canvas[height][width] = pen.centre
+    canvas[height][width] = pen.center
     taken: set[int] = set()
     for number, (rotor, (row, column)) in enumerate(zip(rotors, ends, strict=True), 1):
         label = f"{number}{pen.ccw if rotor.spin > 0 else pen.cw}"

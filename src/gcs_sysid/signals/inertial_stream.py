@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.interpolation import FAR, interpolate, neighbours, usual_gap
+from gcs_sysid.signals.interpolation import FAR, interpolate, neighbors, usual_gap
 from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
 _REACH = 2
@@ -234,7 +234,7 @@ class InertialBuffer(StreamBuffer):
 
     @property
     def _among(self) -> int:
-        return int(neighbours(np.array(self.gap), np.array(self.step)))
+        return int(neighbors(np.array(self.gap), np.array(self.step)))
 
     @property
     def _ahead(self) -> int:

@@ -45,7 +45,7 @@ def usual_gap(interval: float) -> float:
     return float(usual_gaps(np.array([interval]))[0])
 
 
-def neighbours(gap: Array, interval: Array) -> Array:
+def neighbors(gap: Array, interval: Array) -> Array:
     """(n,) samples on each side that `interpolate` looks at, of streams with such gaps.
 
     Args:

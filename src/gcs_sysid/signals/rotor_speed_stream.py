@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.interpolation import interpolate, neighbours, usual_gaps
+from gcs_sysid.signals.interpolation import interpolate, neighbors, usual_gaps
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
@@ -166,7 +166,7 @@ class RotorBuffer(StreamBuffer):
     @property
     def _ahead(self) -> Array:
         """(ticks,) samples after one that it may rest on: what the cubic takes, and judges that."""
-        return neighbours(self.gaps, self.intervals) + _REACH
+        return neighbors(self.gaps, self.intervals) + _REACH
 
     def settled(self, newest: Array) -> Array:
         """(ticks,) s up to which later samples change nothing, (ticks,) `newest` s being now.
@@ -221,9 +221,9 @@ def wild_rows(t: Array, v: Array, gap: float) -> Mask:
         return wild
     middle = v[_REACH:-_REACH]
     near = np.sort(np.stack([v[:-4], v[1:-3], v[3:-1], v[4:]]), axis=0)
-    centre = 0.5 * (near[1] + near[2])
-    off = np.abs(middle - centre)
-    jumps = (off > _WILD * np.abs(centre)) & (off > _BESIDE * (near[3] - near[0]))
+    center = 0.5 * (near[1] + near[2])
+    off = np.abs(middle - center)
+    jumps = (off > _WILD * np.abs(center)) & (off > _BESIDE * (near[3] - near[0]))
     if jumps.any():
         apart = np.diff(t) > gap
         beside = apart[:-3] | apart[1:-2] | apart[2:-1] | apart[3:]

@@ -179,12 +179,12 @@ class RotorSource:
         A speed of 0 is missing: in flight no rotor stands still, but an ESC may not answer.
         """
         if self.range is not None:
-            return normalised(values, self.range)
+            return normalized(values, self.range)
         speeds: Array = np.where(values > 0.0, values * self.scale, np.nan)
         return speeds
 
 
-def normalised(outputs: Array, range_: Range) -> Array:
+def normalized(outputs: Array, range_: Range) -> Array:
     """Commands of 0 to 1; what is below the range (disarmed, failsafe) is stopped.
 
     Between samples a curve passes below 0 where motors stop and above 1 where they give all; to

@@ -16,7 +16,7 @@ from gcs_sysid.signals.interpolation import (
     SAME,
     STEP_SAMPLES,
     interpolate,
-    neighbours,
+    neighbors,
     usual_gaps,
     usual_intervals,
 )
@@ -198,7 +198,7 @@ class StreamBuffer:
         count, gaps = self._known, self.gaps
         if not len(t):
             return np.full(len(count), np.inf)
-        among = neighbours(gaps, self._intervals)
+        among = neighbors(gaps, self._intervals)
         until = t[np.maximum(count - among, 0)]
         for back in range(FAR - 1, 0, -1):
             here = (back < among) & (count > back)
@@ -226,7 +226,7 @@ class StreamBuffer:
             index = np.minimum(np.searchsorted(t, grid + SAME, side="right"), known) - 1
             return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
         gaps = self.gaps
-        among = neighbours(gaps, self._intervals)
+        among = neighbors(gaps, self._intervals)
         gaps, among = gaps[tick], among[tick]
         out = np.empty((len(grid), self.width))
         for part in _alike(t, gaps, among):

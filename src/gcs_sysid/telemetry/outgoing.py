@@ -1,7 +1,7 @@
 """The one place that decides what may be sent to a vehicle.
 
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
-requests for the rates of messages and groups of them, time synchronisation, and reading of
+requests for the rates of messages and groups of them, time synchronization, and reading of
 parameters. Nothing that moves, arms, configures or restarts a vehicle can pass, and each field of
 what passes is limited to useful values: a caller's slip is refused as well.
 """

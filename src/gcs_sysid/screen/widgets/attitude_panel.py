@@ -72,12 +72,12 @@ class AttitudePanel(Lines):
         roll, pitch, _ = view.snapshot.attitude
         rows = self.screen.size.height
         drawing = horizon(roll, pitch, 7 if rows >= 48 else 3 if 32 <= rows < 44 else 5)
-        colours = f"{_GROUND} on {_SKY}"
+        colors = f"{_GROUND} on {_SKY}"
         lines = []
         for line in drawing:
             left, wings, right = line.partition(WINGS)
             lines.append(
-                [("  ", ""), (left, colours), (wings, f"bold #ffffff on {_SKY}"), (right, colours)]
+                [("  ", ""), (left, colors), (wings, f"bold #ffffff on {_SKY}"), (right, colors)]
             )
         return lines
 

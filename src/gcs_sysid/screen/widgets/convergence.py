@@ -115,8 +115,8 @@ def shade(
         text_drawing.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
     )
     cell = (bounds[1] - bounds[0]) / lines
-    centres = bounds[1] - cell * (np.arange(lines)[:, None] + 0.5)
-    covered: NDArray[np.bool_] = (centres >= low - 0.5 * cell) & (centres <= high + 0.5 * cell)
+    centers = bounds[1] - cell * (np.arange(lines)[:, None] + 0.5)
+    covered: NDArray[np.bool_] = (centers >= low - 0.5 * cell) & (centers <= high + 0.5 * cell)
     return covered
 
 
