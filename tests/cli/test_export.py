@@ -125,7 +125,7 @@ CASES = {
         "6",
     ),
     "no folder": (["export", "a.json", "--to", "urdf", "-o", "no/x"], "no/x"),
-    "six for rotorpy": (["export", "hexa.json", "--to", "rotorpy", "-o", "x"], "RotorPy"),
+    "six for rotorpy": (["export", "hexa.json", "--to", "rotorpy", "-o", "x"], "rotorpy flies 4"),
     "one to compare": (["compare", "a.json"], "B.json"),
     "missing to compare": (["compare", "a.json", "no.json"], "no.json"),
     "other rotors": (["compare", "a.json", "hexa.json"], "4 rotors"),

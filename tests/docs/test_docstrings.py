@@ -20,7 +20,7 @@ MODULES = [
     "signals.differentiator",
     "signals.recursions",
     "signals.interpolation",
-    "signals.windows",
+    "signals.smoothers",
 ]
 
 

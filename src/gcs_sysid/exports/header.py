@@ -48,9 +48,8 @@ class Format:
             InputError: the vehicle has other than that many rotors.
         """
         if rotors is not None and len(vehicle.rotors) != rotors:
-            raise InputError(
-                f"{self.name}: it flies {rotors} rotors, this has {len(vehicle.rotors)}"
-            )
+            count = len(vehicle.rotors)
+            raise InputError(f"{self.name} flies {rotors} rotors, this vehicle has {count}")
         vehicle.need(self.name, self.needs)
         vehicle.check_inertia()
 
