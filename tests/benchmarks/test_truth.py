@@ -179,6 +179,7 @@ def test_slow_rotor_speeds_are_sent_slowly(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_the_short_form_tells_the_model_from_what_is_not(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -59,7 +59,7 @@ def test_the_search_finds_a_word_from_the_disk(site, browser):
 @pytest.mark.parametrize(
     ("width", "scheme"),
     [
-        (390, "light"),
+        pytest.param(390, "light", marks=pytest.mark.thorough),
         pytest.param(1280, "dark", marks=pytest.mark.thorough),
         pytest.param(390, "dark", marks=pytest.mark.thorough),
         pytest.param(1280, "light", marks=pytest.mark.thorough),

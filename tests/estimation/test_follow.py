@@ -83,6 +83,7 @@ def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     samples = measured(flight, commands=True)
     # In the first seconds the valley of lag, delay and curve is flat, and rounding leads astray

@@ -267,8 +267,8 @@ def emulated(autopilot):
     ("wire", "autopilot"),
     [
         (udp, "px4"),
-        (udp, "ardupilot"),
-        (tcp, "px4"),
+        pytest.param(udp, "ardupilot", marks=pytest.mark.thorough),
+        pytest.param(tcp, "px4", marks=pytest.mark.thorough),
         (serial, "ardupilot"),
         pytest.param(tcp, "ardupilot", marks=pytest.mark.thorough),
         pytest.param(serial, "px4", marks=pytest.mark.thorough),

@@ -116,8 +116,17 @@ def ended(vehicle):
 
 @needs_posix
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
-@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGKILL"])
+@pytest.mark.parametrize(
+    ("how", "kind"),
+    [
+        ("SIGINT", "px4"),
+        ("SIGTERM", "ardupilot"),
+        ("SIGKILL", "px4"),
+        pytest.param("SIGINT", "ardupilot", marks=pytest.mark.thorough),
+        pytest.param("SIGTERM", "px4", marks=pytest.mark.thorough),
+        pytest.param("SIGKILL", "ardupilot", marks=pytest.mark.thorough),
+    ],
+)
 def test_a_signal_ends_the_session_and_the_rates_are_what_they_were(how, kind, tmp_path):
     vehicle = Emulated(kind)
     with on_udp(vehicle, lambda _: False, lambda: None) as url:

@@ -111,7 +111,7 @@ def test_nothing_is_lost_while_the_input_is_undecided(both):
     ("trap", "kind", "why"),
     [
         ("rpm-zero", "command", "reads 0 in flight"),
-        ("rpm-command", "command", "under another name, not a measurement"),
+        pytest.param("rpm-command", "command", "under another name", marks=pytest.mark.thorough),
         ("rpm-repeats=0.03", "speed", ""),
         ("rpm-rad", "speed", "rad/s"),
     ],

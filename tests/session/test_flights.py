@@ -258,9 +258,8 @@ def test_a_short_second_flight_is_decided_at_its_end(paper_records, paper_result
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "step", [pytest.param((), marks=pytest.mark.thorough), ("--mass-step", "62:1.1")]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("step", [(), ("--mass-step", "62:1.1")])
 def test_emulated_flights_with_a_stay_between(fly, airframe, step):
     """Two outings with take-off and landing; the second, if so, with a tenth more mass."""
     sensor_faults = ("--trap", "ground=6", "--trap", "flights=2")

@@ -125,7 +125,10 @@ def test_parameters_are_no_samples():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "autopilot"),
-    [("px4-sih-default.ulg", "px4"), ("ardupilot-sitl.bin", "ardupilot")],
+    [
+        pytest.param("px4-sih-default.ulg", "px4", marks=pytest.mark.thorough),
+        ("ardupilot-sitl.bin", "ardupilot"),
+    ],
 )
 def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe, shared_logs):
     result = analyze_log(shared_logs / name, airframe)

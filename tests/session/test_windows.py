@@ -128,9 +128,9 @@ def test_windows_of_recorded_flights(shared_logs, name):
     assert len(grid) < 0.1 * len(same_grid)
 
 
-@pytest.mark.parametrize(
-    "after", [10017, *(pytest.param(n, marks=pytest.mark.thorough) for n in (10001, 10050))]
-)
+@pytest.mark.slow
+@pytest.mark.thorough
+@pytest.mark.parametrize("after", [10001, 10017, 10050])
 def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
     flight = fly(*MEMS, *FLIGHTS["sound"], "--seed", "3")
     frames = list(read_tlog(flight.tlog))
