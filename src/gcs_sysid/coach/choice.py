@@ -59,8 +59,9 @@ class Choice:
 
     def names_above(self, target: float) -> list[str]:
         """Of `names`, those not yet within the target share; all of them where every one is."""
-        wide = [name for name in self.names if (self.now.get(name) or math.inf) > target]
-        return wide or self.names
+        names = self.names
+        wide = [n for n in names if (before := self.now.get(n)) is None or before > target]
+        return wide or names
 
 
 def choose(

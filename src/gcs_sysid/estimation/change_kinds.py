@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gcs_sysid.intervals import Z95, interval95
 from gcs_sysid.model.parameters import INERTIA, grouped
 
 Kind = Literal["mass_change", "payload", "cg_shift", "inertia_change", "rotor_failure", "change"]
@@ -22,7 +23,6 @@ Disturbance = Literal["contact", "thrust", "climb", "airspeed", "force", "moment
 """Contact with the ground; thrust far from the usual; climb or descent; forward flight; a force or
 a moment, as of a gust."""
 
-_Z95 = 1.959964
 _SURE = 3.0
 """Standard deviations of a difference that names the kind."""
 
@@ -82,7 +82,7 @@ def describe(
             "before": old,
             "after": new,
             "difference": difference,
-            "ci95": [difference - _Z95 * std, difference + _Z95 * std],
+            "ci95": list(interval95(difference, std)),
         }
         if abs(difference) > max(_SURE * std, 0.01 * abs(old)):
             changed.add(name)
@@ -93,7 +93,7 @@ def describe(
     )
     event: dict[str, Any] = {"kind": kind, "parameters": parameters}
     if cause is not None and cause.kind == "rotor_failure":
-        half = _Z95 * cause.loss_std
+        half = Z95 * cause.loss_std
         event["kind"] = "rotor_failure"
         event["rotor"] = cause.rotor
         event["loss"] = {"value": cause.loss, "ci95": [cause.loss - half, cause.loss + half]}

@@ -29,9 +29,9 @@ def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[
     """About so many round numbers within a range, at least two, and how to write them."""
     rough = (high - low) / max(1, wanted)
     power = 10.0 ** math.floor(math.log10(rough))
-    steps = [m * power for m in (10.0, 5.0, 2.0, 1.0, 0.5)]
-    ticks: list[float] = []
-    for step in (s for s in steps if s <= next(s for s in reversed(steps) if s >= rough)):
+    steps = [m * power for m in (0.5, 1.0, 2.0, 5.0, 10.0)]
+    widest = next(i for i, step in enumerate(steps) if step >= rough)
+    for step in reversed(steps[: widest + 1]):
         first, last = math.ceil(low / step), math.floor(high / step)
         ticks = [n * step for n in range(first, last + 1)]
         if len(ticks) > 1:
