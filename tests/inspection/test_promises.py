@@ -21,12 +21,6 @@ _BY_HAND = {
     "quiver_00000087": ("ardupilot-quad-x", 0.75, 18.0),
 }
 _SUFFIXES = {".tlog", ".bin", ".ulg", ".BFL"}
-_UNPREDICTED = {"LOG00267_cmd.tlog", "LOG00267_cmd_floor1000.tlog"}
-"""Flights by commands in their own propeller wash: nothing that `inspect` sees tells them from
-flights by commands that are identified."""
-_PROPELLER_WASH = (
-    pytest.mark.xfail(raises=AssertionError, reason="commands in propeller wash", strict=True),
-)
 
 
 def airframe_for(log: Path) -> Airframe:
@@ -51,15 +45,13 @@ def airframe_for(log: Path) -> Airframe:
 @pytest.mark.skipif(not LOGS.is_dir(), reason="no ../shared/logs beside the project")
 @pytest.mark.parametrize(
     "log",
-    [
-        pytest.param(log, id=log.name, marks=_PROPELLER_WASH * (log.name in _UNPREDICTED))
-        for log in sorted(LOGS.rglob("*"))
-        if log.suffix in _SUFFIXES
-    ],
+    [log for log in sorted(LOGS.rglob("*")) if log.suffix in _SUFFIXES],
+    ids=lambda log: log.name,
 )
 def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
     airframe = airframe_for(log)
-    promised = inspect_log(log, airframe=airframe).obtainable
+    found = inspect_log(log, airframe=airframe)
+    promised, rotors = found.obtainable, found.rotor_input.chosen
     told = analyze_log(log, airframe)
     known = {n for n, p in told.parameters.items() if p.status in ("given", "identified", "zero")}
     scale = {"k_T", "T_max"} & set(told.parameters)
@@ -69,6 +61,10 @@ def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
         if promised == "everything" and "Izz" not in known:
             # Neither a simulator whose yaw is no rigid body's nor slow commands in yaw are seen.
             assert any("rigid body" in r or "share one scale" in r for r in told.reasons)
+    elif promised == "in part" and rotors is not None and rotors.kind == "command":
+        assert told.verdict != "identified"
+        assert told.parameters["T_max"].status == "weak"
+        assert health_of_log(log, Given(airframe)).available
     elif promised == "in part":
         assert told.verdict == "partial"
         assert scale & known
@@ -84,9 +80,10 @@ def test_rotors_that_explain_too_little_promise_rough_inertia(fly):
     flight = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
     found = inspect_log(fly(*flight).tlog)
     assert (found.verdict, found.obtainable) == ("yes", "everything")
-    rough = judged(replace(found, explained=0.8))
+    rough = judged(replace(found, explained_coupled=0.8))
     assert (rough.verdict, rough.obtainable) == ("partly", "in part")
     assert any("rotors explain 80 %" in finding.text for finding in rough.findings)
     chosen = replace(found.rotor_input.chosen, kind="command")
-    commands = replace(found, rotor_input=replace(found.rotor_input, chosen=chosen), explained=0.6)
-    assert judged(commands).obtainable == "everything"
+    commands = judged(replace(rough, rotor_input=replace(found.rotor_input, chosen=chosen)))
+    assert commands.obtainable == "in part"
+    assert any("inertia and T_max rough" in finding.text for finding in commands.findings)

@@ -66,7 +66,7 @@ _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
     "determined",
-    "in part": "scale, CG from hover; inertia as far as it was flown, perhaps rough",
+    "in part": "CG and scale from hover; inertia as far as it was flown, perhaps rough",
     "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
     "nothing": "nothing",
 }

@@ -57,6 +57,8 @@ class GuessedAirframe:
         shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
         explained: share of roll or pitch acceleration, the lesser, that their moments explain over
             tenths of a second; None where too little was flown.
+        explained_coupled: the same by all their moments and their lift at once, which allows for
+            products of inertia and a CG off the center, in whatever order the motors are.
         as_flown: where the motors are by the motion, in words, where that contradicts `airframe`.
     """
 
@@ -67,6 +69,7 @@ class GuessedAirframe:
     assumed: bool = False
     shown: bool = False
     explained: float | None = None
+    explained_coupled: float | None = None
     as_flown: str = ""
 
 
@@ -177,13 +180,15 @@ def layout_by_motion(
     airframe = guess.airframe
     streams = streams_of(blocks, airframe, autopilot, parameters)
     count = len(airframe.rotors)
-    motions = [_motion(streams, count, half) for half in TUNING.order_windows]
+    delays = (0.0,) if streams.speeds else TUNING.order_delays
+    motions = [_motion(streams, count, h, d) for h in TUNING.order_windows for d in delays]
     seen = [motion for motion in motions if motion is not None]
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
     shown = _least(own) >= TUNING.surely_explained
-    guess = replace(guess, explained=_least(own))
+    coupled = max(_coupled(airframe.geometry, *motion) for motion in seen)
+    guess = replace(guess, explained=_least(own), explained_coupled=coupled)
     first = _clearly_best(count, seen)
     if not guess.assumed:
         as_flown = "" if first is None else _contradiction(first, airframe, _least(own))
@@ -198,7 +203,8 @@ def layout_by_motion(
         return replace(guess, origin=origin, shown=True, explained=first.least), streams
     origin = f"{first.name} as the flight shows: motors {first.places}; {size}"
     found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
-    return found, streams
+    coupled = max(_coupled(layout.geometry, *motion) for motion in seen)
+    return replace(found, explained_coupled=coupled), streams
 
 
 @dataclass(frozen=True)
@@ -283,8 +289,17 @@ def _of_as_many_as_carry(
     return guess
 
 
-def _motion(streams: Streams, rotors: int, half: float) -> tuple[Array, Array] | None:
-    """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight; None where too little."""
+def _motion(
+    streams: Streams, rotors: int, half: float, delay: float = 0.0
+) -> tuple[Array, Array] | None:
+    """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight; None where too little.
+
+    Args:
+        streams: of the flight.
+        rotors: their number.
+        half: s, half width of the windows.
+        delay: s by which thrust lags behind the rotor stream.
+    """
     source = streams.speeds or streams.commands
     if source is None or Stream.IMU not in streams.tracks:
         return None
@@ -299,7 +314,7 @@ def _motion(streams: Streams, rotors: int, half: float) -> tuple[Array, Array] |
     t = np.arange(half, float(grid[-1]) - half, half)
     t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
     turning = windowed_means(times, imu[:, :3], t, half, slope=True)
-    thrust = _thrust(source, t, half)
+    thrust = _thrust(source, t - delay, half)
     there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
     if np.count_nonzero(there) < TUNING.fewest_for_order:
         return None
@@ -326,6 +341,22 @@ def _explained(geometry: Array, thrust: Array, turning: Array) -> list[float]:
         power = float(moment @ moment) * float(turned @ turned)
         out.append(float(np.copysign(both**2 / power, both)) if power > 0.0 else 0.0)
     return out
+
+
+def _coupled(geometry: Array, thrust: Array, turning: Array) -> float:
+    """Share of roll or pitch acceleration, the lesser, that all moments and the lift explain.
+
+    Zero where an axis turns against its own moment.
+    """
+    x, y, spin = geometry
+    moved = thrust - thrust.mean(axis=0)
+    columns = np.column_stack([moved @ np.column_stack([-y, x, spin]), moved.sum(axis=1)])
+    gains = np.linalg.lstsq(columns, turning, rcond=None)[0]
+    rest = ((turning - columns @ gains) ** 2).sum(axis=0)
+    power = (turning**2).sum(axis=0)
+    answered = (np.diag(gains) > 0.0) & (power > 0.0)
+    shares = 1.0 - np.divide(rest, power, out=np.ones(3), where=answered)
+    return float(shares[:2].min())
 
 
 def _layouts(count: int, thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:

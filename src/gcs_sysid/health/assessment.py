@@ -121,6 +121,7 @@ class HoverRecords:
             autopilot=autopilot,
             parameters=dict(log.parameters),
             explained=guess.explained,
+            explained_coupled=guess.explained_coupled,
         )
 
 
@@ -211,6 +212,7 @@ def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Hea
         autopilot=health.autopilot,
         parameters=health.parameters,
         explained=health.explained,
+        explained_coupled=health.explained_coupled,
     )
 
 

@@ -21,9 +21,11 @@ class Tuning:
             its own moment the wrong way, for the motor order to be wrong.
         order_windows: s, half widths of windows in which motion shows where the rotors are: short
             against gusts, and those that a motor's lag leaves something of.
+        order_delays: s by which thrust may lag behind commands: a lag, seen over tenths of a
+            second, is a delay.
         fewest_for_order: such windows.
         least_explained: share of roll and pitch acceleration that a layout must explain to be
-            taken. Right ones explained 0.14 (brushed motors by commands) to 0.99 of given logs,
+            taken. Right ones explained 0.48 to 0.99 of given logs,
             wrong orders at most a tenth of that, a frame turned by 45 degrees half.
         more_explained: times what any other layout explains.
         surely_explained: share from which on an airframe's rotors surely turn the vehicle.
@@ -130,6 +132,7 @@ class Tuning:
     lag_step: float = 0.02
     sure_of_order: float = 5.0
     order_windows: tuple[float, ...] = (0.05, 0.1, 0.2)
+    order_delays: tuple[float, ...] = (0.0, 0.02, 0.04, 0.06, 0.08)
     fewest_for_order: int = 60
     least_explained: float = 0.1
     more_explained: float = 1.5

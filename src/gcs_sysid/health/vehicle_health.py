@@ -118,6 +118,7 @@ class Health:
             too short to judge.
         watched: stretches of hover that were compared with the start of the flight for that.
         explained: as of `GuessedAirframe`.
+        explained_coupled: the same.
         load: for later flights.
         assumptions: behind the intervals, as text.
         advice: what to do.
@@ -151,6 +152,7 @@ class Health:
     weakened: Weakened | None = None
     watched: int = 0
     explained: float | None = None
+    explained_coupled: float | None = None
     load: Load | None = None
     idle: float | None = None
     arm_known: bool = True

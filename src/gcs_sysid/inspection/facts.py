@@ -152,6 +152,8 @@ class Inspection:
     explained: float | None = None
     """The smaller of the roll and pitch shares that the rotors' moments explain; None: too
     little was flown, or not looked for."""
+    explained_coupled: float | None = None
+    """The same with products of inertia and a CG off the center allowed for."""
     findings: tuple[Finding, ...] = ()
     obtainable: Obtainable = "nothing"
 

@@ -288,8 +288,18 @@ def inspect_log(
             log.take_events()
             if progress:
                 progress(log.share_read)
-    hover, explained = _hover(path, wanted, airframe)
-    found = replace(inspector.finish(str(path), log.kind), hover=hover, explained=explained)
+    found = inspector.finish(str(path), log.kind)
+    try:
+        health = health_of_log(path, Given(airframe), wanted)
+    except InputError:  # the rotors' positions are unknown
+        pass
+    else:
+        found = replace(
+            found,
+            hover=health.seconds,
+            explained=health.explained,
+            explained_coupled=health.explained_coupled,
+        )
     if progress:
         progress(1.0)
     return judged(found)
@@ -299,20 +309,6 @@ def judged(inspection: Inspection) -> Inspection:
     """With the findings that its facts lead to, and with how much is obtainable."""
     whole = replace(inspection, findings=findings_of(inspection))
     return replace(whole, obtainable=obtainable(whole))
-
-
-def _hover(
-    path: Path, wanted: tuple[int, int | None] | None, airframe: Airframe | None
-) -> tuple[float | None, float | None]:
-    """Seconds of hover that `health` uses, and the share of the motion that the rotors explain.
-
-    None where the rotors' positions are unknown.
-    """
-    try:
-        health = health_of_log(path, Given(airframe), wanted)
-    except InputError:
-        return None, None
-    return health.seconds, health.explained
 
 
 def inspect_link(

@@ -224,8 +224,9 @@ def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
     elif _is_rough(found):
         yield Finding(
             "limits",
-            f"the rotors explain {100.0 * found.explained:.0f} % of roll or pitch: what else moves "
-            "the vehicle (propeller wash, gusts, the ground) may leave the inertia rough",
+            f"the rotors explain {100.0 * (found.explained_coupled or 0.0):.0f} % of roll or "
+            "pitch: what else moves the vehicle (propeller wash, gusts, the ground) may leave the "
+            f"inertia{' and T_max' * _is_by_commands(found)} rough",
             "fly doublets from hover, in calm air, for half a minute",
         )
 
@@ -236,17 +237,18 @@ def _is_flown(found: Inspection) -> bool:
 
 
 def _is_rough(found: Inspection) -> bool:
-    """Whether much else than measured rotors turns the vehicle.
-
-    Neither commands, which motors lag behind, nor slow data show this.
-    """
-    chosen, share = found.rotor_input.chosen, found.explained
+    """Whether much else than the rotors turns the vehicle; slow data do not show this."""
+    chosen, share = found.rotor_input.chosen, found.explained_coupled
     imu = found.stream(Stream.IMU)
-    if chosen is None or chosen.kind == "command" or imu is None or share is None:
+    if chosen is None or imu is None or share is None:
         return False
     if min(chosen.rate or 0.0, imu.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
         return False
     return _is_flown(found) and share < LIMITS.explained_well
+
+
+def _is_by_commands(found: Inspection) -> bool:
+    return found.rotor_input.chosen is not None and found.rotor_input.chosen.kind == "command"
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:

@@ -410,7 +410,7 @@ def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> 
     if spread == 0.0:
         return False
     z = (u - u.mean()) / spread
-    fit = np.polynomial.Polynomial.fit(z, y, 3)
+    fit = np.polynomial.Polynomial.fit(z, y, min(3, len(np.unique(z)) - 1))
     slope = float(np.std(fit(z))) / spread
     rounding = math.hypot(_step(y), slope * _step(u)) / math.sqrt(12.0)
     changes = float(np.std(y))
