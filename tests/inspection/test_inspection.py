@@ -15,6 +15,7 @@ from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Chunk, Link
@@ -44,8 +45,12 @@ def texts(found, *levels):
 def watched(t, values=None):
     """A watch that has seen samples in flight."""
     watch = StreamWatch()
-    for i, now in enumerate(t):
-        if watch.add(now, (float(i),) if values is None else values[i]):
+    t = np.array(t)
+    values = np.arange(float(len(t)))[:, None] if values is None else np.array(values)
+    while len(t):
+        taken = watch.add(t, values)
+        t, values = t[taken:], values[taken:]
+        if watch.full:
             watch.take(flying=True)
     watch.take(flying=True)
     return watch
@@ -99,7 +104,7 @@ def test_rows_of_different_length_are_padded():
     watch = RotorWatch()
     stream = StreamWatch()
     for i, row in enumerate([(1.0, 2.0), (3.0, 4.0, 5.0)]):
-        stream.add(0.01 * i, row)
+        stream.add(np.array([0.01 * i]), np.array([row]))
     watch.take(stream.take(flying=True).values)
     assert [(r.low, r.high) for r in watch.rotors()] == [(1.0, 3.0), (2.0, 4.0), (5.0, 5.0)]
 
@@ -188,13 +193,15 @@ def flown(*speeds, vehicle_type):
     intake = Intake()
     intake.selector.chosen = Vehicle(1, 1, vehicle_type, 12)
     inspector = Inspector(intake)
+    records = []
     for i in range(1200):
         t = 1.0 + 0.01 * i
         if i % 50 == 0:
-            inspector.take(Record(Stream.IN_AIR, t, (1.0,)))
-        inspector.take(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
+            records.append(Record(Stream.IN_AIR, t, (1.0,)))
+        records.append(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
-        inspector.take(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
+        records.append(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
+    inspector.take(RecordBlock.of(records))
     return inspector.finish("made", "tlog")
 
 
@@ -282,12 +289,14 @@ def test_a_reboot_parts_the_flights_and_time_goes_on(inspect):
 
 def test_several_flights_and_the_ground_between():
     inspector = Inspector(Intake())
+    records = []
     for i in range(6000):
         t = 0.01 * i
         if i % 50 == 0:
-            inspector.take(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
+            records.append(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
         if not 3000 <= i < 3300:  # a gap on the ground is none in flight
-            inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
+            records.append(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
+    inspector.take(RecordBlock.of(records))
     found = inspector.finish("made", "tlog")
     assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
     assert found.stream(Stream.IMU).gaps == 0
@@ -356,15 +365,40 @@ def test_eight_rotors_are_one_source(inspect):
 # Flight without a word of the autopilot.
 
 
+def armed_and_turning(start=0.0):
+    """Records of 40 s, of which 25 s are flown; some of the speeds are of three rotors alone."""
+    records = []
+    for i in range(4000):
+        t = start + 0.01 * i
+        if i % 100 == 0:
+            records.append(Record(Stream.ARMED, t, (float(500 <= i < 3000),)))
+        records.append(Record(Stream.IMU, t, (0.1 * math.sin(i), 0.0, 0.0, 0.0, 0.0, -9.8)))
+        speed = 500.0 + i % 7 if 500 <= i < 3000 else 0.0
+        speeds = (speed, speed, speed, 0.0)[: 4 - (i % 5 == 4)]
+        records.append(Record(Stream.ROTOR_SPEED, t, speeds, 0, "ESC_STATUS"))
+    return records
+
+
+@pytest.mark.parametrize("size", [1, 97, 5000])
+def test_how_records_are_cut_into_blocks_changes_nothing(size):
+    records = [*armed_and_turning()[: 3000 if size == 1 else None], *armed_and_turning(2.0)]
+    records = records[:4000] if size == 1 else records
+
+    def found(step):
+        inspector = Inspector(Intake())
+        for first in range(0, len(records), step):
+            inspector.take(RecordBlock.of(records[first : first + step]))
+        return inspector.finish("made", "tlog")
+
+    whole = found(len(records))
+    assert whole.clock.reboots == 1
+    assert whole.flights
+    assert found(size) == whole
+
+
 def test_flight_by_armed_and_turning_rotors():
     inspector = Inspector(Intake())
-    for i in range(4000):
-        t = 0.01 * i
-        if i % 100 == 0:
-            inspector.take(Record(Stream.ARMED, t, (float(500 <= i < 3000),)))
-        inspector.take(Record(Stream.IMU, t, (0.0,) * 3 + (0.0, 0.0, -9.8)))
-        speed = 500.0 + i % 7 if 500 <= i < 3000 else 0.0
-        inspector.take(Record(Stream.ROTOR_SPEED, t, (speed, speed, speed, 0.0), 0, "ESC_STATUS"))
+    inspector.take(RecordBlock.of(armed_and_turning()))
     found = inspector.finish("made", "tlog")
     assert found.flight_told_by == "rotors"
     assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)

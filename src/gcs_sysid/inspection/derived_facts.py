@@ -1,12 +1,16 @@
 """When the vehicle flew, its rotor source, and assumptions without a given airframe."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import RotorInput, RotorSource
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.session.chain import WINDOW
+from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource as BelievedSource
@@ -17,8 +21,8 @@ from gcs_sysid.telemetry.vehicles import Vehicle
 SHORTEST_FLIGHT = 1.0
 """s; less is a jump of the autopilot's judgement."""
 MOST_FLIGHTS = 1000
-_AT_ONCE = 4096
-"""Records that are best taken together."""
+STATES = (Stream.IN_AIR, Stream.ARMED)
+"""What an autopilot says of itself."""
 
 
 class FlightWatch:
@@ -52,9 +56,8 @@ class FlightWatch:
         elif record.stream is Stream.ARMED:
             self._armed = record.values[0] > 0.5
         elif record.stream is Stream.ROTOR_SPEED and self._in_air is None:
-            # One dead ESC does not mean that all stand still.
-            turning = sum(1 for speed in record.values if speed > 0.0)
-            self._turning[record.source, record.offset] = 2 * turning >= len(record.values)
+            turning = bool(_most_turn(np.array([record.values]))[0])
+            self._turning[record.source, record.offset] = turning
         if self._in_air is not None:
             return self._in_air
         if self._turning:
@@ -77,6 +80,32 @@ class FlightWatch:
         self._turning.clear()
 
 
+def _most_turn(speeds: Array) -> Mask:
+    """(n,) whether half of the rotors turn: one dead ESC does not mean that all stand still."""
+    turning: Mask = 2 * np.count_nonzero(speeds > 0.0, axis=1) >= speeds.shape[1]
+    return turning
+
+
+def decisive(tracks: Iterable[Track], reboots: Array) -> Iterator[tuple[int, Record]]:
+    """(order, record) of those that may change whether the vehicle flies.
+
+    Args:
+        tracks: of a block.
+        reboots: (k,) rising orders, after which states have to be learned anew.
+    """
+    for track in tracks:
+        some = track
+        if track.stream is Stream.ROTOR_SPEED:
+            turning = _most_turn(track.values)
+            changes = np.append(True, turning[1:] != turning[:-1])
+            first = np.searchsorted(track.order, reboots)
+            changes[first[first < len(track.t)]] = True
+            some = track.part(changes)
+        elif track.stream not in STATES:
+            continue
+        yield from zip(some.order.tolist(), some.records(), strict=True)
+
+
 class RotorJudge:
     """Asks the chain's own selector, on the chain's own samples, which rotor stream to use.
 
@@ -91,25 +120,16 @@ class RotorJudge:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: BelievedSource | None = None
-        self._waiting: list[Record] = []
 
-    def take(self, record: Record) -> None:
-        """Take a record, of whatever stream."""
-        self._waiting.append(record)
-        if len(self._waiting) == _AT_ONCE:
-            self._take_waiting()
-
-    def _take_waiting(self) -> None:
-        block = RecordBlock.of(self._waiting)
-        self._waiting.clear()
-        for part in block.windows():
+    def take(self, block: RecordBlock) -> None:
+        """Take records, of whatever streams."""
+        for part in block.windows(WINDOW):
             for _, record_of in part.parameters:
                 self._rotor_selector.learn(record_of.source, record_of.values[0])
             self._note(self._sampler.take(part.tracks))
 
     def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
         """The source that identification uses at the end."""
-        self._take_waiting()
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector
         refused = rotor_selector.refused if believed is None else believed.refused or {}

@@ -1,18 +1,23 @@
 """From the records of a log or link to the facts about it."""
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.derived_facts import (
+    STATES,
     USUAL,
     FlightWatch,
     RotorJudge,
     assumed_airframe,
+    decisive,
     rotor_count,
 )
 from gcs_sysid.inspection.facts import (
@@ -29,9 +34,11 @@ from gcs_sysid.inspection.readiness import findings_of, obtainable
 from gcs_sysid.inspection.stream_watch import MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt
+from gcs_sysid.signals.columns import Key, RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.telemetry.clock import JUMP_BACK, WRAP_US
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
@@ -41,9 +48,8 @@ from gcs_sysid.telemetry.transceiver import Transceiver
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
 _POLL, _ASK_EVERY = 0.05, 0.2
-_RECORDS_AT_ONCE = 4096
-_STATES = (Stream.IN_AIR, Stream.ARMED)
-_UNWATCHED = (*_STATES, Stream.RATE_SETPOINT)
+_ROWS_AT_ONCE = 4096
+_UNWATCHED = (*STATES, Stream.RATE_SETPOINT)
 """Of which no rate is shown: nothing needs them."""
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
@@ -59,11 +65,44 @@ _MESSAGES: dict[Stream, tuple[str, ...]] = {
 }
 """Stream -> messages that it may come from; records do not say which."""
 
-Key = tuple[Stream, str, int]
+
+@dataclass
+class _Pending:
+    """A stream of a block, and how many of its samples a watch has."""
+
+    track: Track
+    done: int = 0
+
+
+def _pending(tracks: Iterable[Track]) -> list[_Pending]:
+    """The streams that are watched, in the order in which they begin."""
+    watched = by_key(track for track in tracks if track.stream not in _UNWATCHED)
+    return [
+        _Pending(track) for track in sorted(watched.values(), key=lambda track: int(track.order[0]))
+    ]
+
+
+def _set_back(t: Array, newest: float) -> list[int]:
+    """Rows of (n,) times in s at which the clock was set back, from the newest before on."""
+    found: list[int] = []
+    at = 0
+    while at < len(t):
+        some = t[at : at + _ROWS_AT_ONCE]
+        before = np.maximum.accumulate(np.append(newest, some))
+        back = np.flatnonzero(some < before[:-1] - JUMP_BACK)
+        if len(back):
+            at += int(back[0])
+            found.append(at)
+            newest = float(t[at])
+            at += 1
+        else:
+            newest = float(before[-1])
+            at += len(some)
+    return found
 
 
 class Inspector:
-    """Takes the records of one vehicle, in the order in which they came.
+    """Takes the records of one vehicle, block by block.
 
     Args:
         telemetry: of the log or link, beside its records.
@@ -85,34 +124,65 @@ class Inspector:
         self._began: float | None = None
         self._newest = 0.0
 
-    def take(self, record: Record, *, count: bool = True) -> None:
-        """Take a record; without `count` for what it says of flight alone."""
-        stream, t, values, offset, source = record
+    def take(self, block: RecordBlock, *, count: bool = True) -> None:
+        """Take records that follow each other; without `count` for what they say of flight alone.
+
+        How they are cut into blocks changes no number.
+        """
+        if not len(block):
+            return
         if self._judge is None:
             self._judge = self._new_judge()
-        self._judge.take(record)
-        if stream in (Stream.PARAMETER, Stream.VOLTAGE):
+        self._judge.take(block)
+        tracks = [track for track in block.tracks if track.stream is not Stream.VOLTAGE]
+        if not tracks:
             return
+        order = np.concatenate([track.order for track in tracks])
+        rows = np.argsort(order, kind="stable")
+        order, t = order[rows], np.concatenate([track.t for track in tracks])[rows]
         if self._began is None:
-            self._began = self._boot_began = self._newest = t
-        if t < self._newest - JUMP_BACK:
-            self._reboot(t)
-        elif t > self._newest:
-            self._newest = t
-            self.duration = t - self._began
-        if stream in _STATES or stream is Stream.ROTOR_SPEED:
-            flying = self._flight.take(record)
+            self._began = self._boot_began = self._newest = float(t[0])
+        reboots = _set_back(t, self._newest)
+        pending = _pending(tracks) if count else []
+        done = 0
+        # At a reboot what comes next counts only after it.
+        happened: list[tuple[int, int, int | Record]] = [
+            *((int(order[row]), 0, row) for row in reboots),
+            *((at, 1, record) for at, record in decisive(tracks, order[reboots])),
+        ]
+        for at, _, what in sorted(happened, key=lambda entry: entry[:2]):
+            if isinstance(what, int):
+                self._fill(pending, at)
+                self._pass(t[done:what])
+                self._reboot(float(t[what]))
+                done = what
+                continue
+            flying = self._flight.take(what)
             if flying is not self._flight.flying:
+                self._fill(pending, at)
                 self._look_at_all()
-                self._flight.turn(max(t - self._began, 0.0), flying=flying)
-        if stream in _UNWATCHED or not count:
-            return
-        key = stream, source, offset
-        watch = self._streams.get(key)
-        if watch is None:
-            watch = self._streams[key] = StreamWatch()
-        if watch.add(t, values):
-            self._look_at(key, watch)
+                self._flight.turn(max(what.t - self._began, 0.0), flying=flying)
+        self._fill(pending, int(order[-1]) + 1)
+        self._pass(t[done:])
+
+    def _pass(self, t: Array) -> None:
+        """Time goes on by records at (n,) s."""
+        assert self._began is not None
+        newest = float(t.max(initial=self._newest))
+        if newest > self._newest:
+            self._newest = newest
+            self.duration = newest - self._began
+
+    def _fill(self, pending: Iterable[_Pending], stop: int) -> None:
+        """Give the watches what came before an order."""
+        for each in pending:
+            track, end = each.track, int(np.searchsorted(each.track.order, stop))
+            while each.done < end:
+                watch = self._streams.setdefault(track.key, StreamWatch())
+                rows = slice(each.done, end)
+                each.done += watch.add(track.t[rows], track.values[rows])
+                if watch.full:
+                    self._look_at(track.key, watch)
 
     @property
     def _known_rotors(self) -> int | None:
@@ -282,15 +352,16 @@ def inspect_log(
     """
     log = open_log(path, wanted)
     inspector = Inspector(log, airframe)
-    for number, record in enumerate(log.records()):
-        inspector.take(record)
-        if number % _RECORDS_AT_ONCE == 0:
-            log.take_events()
-            if progress:
-                progress(log.share_read)
+    keeper = HoverRecords()
+    keeper.begin(log)
+    for block in log.blocks():
+        inspector.take(block)
+        keeper.take(block)
+        if progress:
+            progress(log.share_read)
     found = inspector.finish(str(path), log.kind)
     try:
-        health = health_of_log(path, Given(airframe), wanted)
+        health = keeper.health(str(path), Given(airframe))
     except InputError:  # the rotors' positions are unknown
         pass
     else:
@@ -363,8 +434,7 @@ def inspect_link(
             if heard is None and intake.vehicle is not None:
                 heard = now
             count = heard is not None and now - heard >= settling
-            for record in intake.frames(frames, now):
-                inspector.take(record, count=count)
+            inspector.take(intake.block(FrameBlock.of(frames, now)), count=count)
             station.follow(now, intake)
             passed = now - (began if heard is None else heard)
             if now - asked >= _ASK_EVERY:

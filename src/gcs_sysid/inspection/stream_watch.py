@@ -5,7 +5,6 @@ Samples are gathered in chunks and looked at as arrays, because a log has a mill
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 
 import numpy as np
 
@@ -78,17 +77,25 @@ class StreamWatch:
     def __init__(self) -> None:
         self.flight = Tally()
         self.ground = Tally()
-        self._t: list[float] = []
-        self._values: list[tuple[float, ...]] = []
+        self._t: list[Array] = []
+        self._values: list[Array] = []
+        self._room = CHUNK
         self._last: float | None = None
         self._last_values: Array | None = None
         self._usual = 0.0
 
-    def add(self, t: float, values: tuple[float, ...]) -> bool:
-        """Add a sample; whether there is enough to look at."""
-        self._t.append(t)
-        self._values.append(values)
-        return len(self._t) >= CHUNK
+    def add(self, t: Array, values: Array) -> int:
+        """Add (n,) s and (n, width) values until there are enough to look at; how many it took."""
+        taken = min(len(t), self._room)
+        self._t.append(t[:taken])
+        self._values.append(values[:taken])
+        self._room -= taken
+        return taken
+
+    @property
+    def full(self) -> bool:
+        """Whether there is enough to look at."""
+        return self._room == 0
 
     @property
     def usual_step(self) -> float:
@@ -104,9 +111,10 @@ class StreamWatch:
         """Look at what was gathered; the samples that came in rising time, if any."""
         if not self._t:
             return None
-        t, values = np.array(self._t), _table(self._values)
+        t, values = np.concatenate(self._t), _table(self._values)
         self._t.clear()
         self._values.clear()
+        self._room = CHUNK
         before = -np.inf if self._last is None else self._last
         newest = np.maximum.accumulate(np.concatenate(([before], t)))
         fresh = t > newest[:-1]
@@ -151,12 +159,17 @@ class StreamWatch:
         tally.repeats += int(same.sum())
 
 
-def _table(rows: Sequence[tuple[float, ...]]) -> Array:
-    """(n, width) of rows that may differ in length."""
-    width = len(rows[0])
-    if all(len(row) == width for row in rows):
-        return np.array(rows)
-    return np.array(list(zip_longest(*rows, fillvalue=np.nan))).T
+def _table(parts: Sequence[Array]) -> Array:
+    """(n, width) of tables that may differ in width."""
+    width = max(part.shape[1] for part in parts)
+    if all(part.shape[1] == width for part in parts):
+        return np.concatenate(parts)
+    return np.concatenate(
+        [
+            np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=np.nan)
+            for part in parts
+        ]
+    )
 
 
 class RotorWatch:

@@ -37,10 +37,15 @@ class ByteWindow:
     Args:
         raw: (n,) uint8. Behind the last first byte of a frame come as many as the longest frame
             may have, zeros where the session has ended.
+
+    Attributes:
+        crowded: whether more than every fourth byte may begin a frame.
     """
 
     def __init__(self, raw: Array) -> None:
         self.raw = raw
+        self.crowded = False
+        self._behind_tags: dict[int, Array] = {}
         self._end = len(raw) - 1
         last = raw < 0x80
         # Where the number behind the one begins that ends k-th, from 1 on.
@@ -65,7 +70,8 @@ class ByteWindow:
             n: how many numbers lie between.
         """
         found: Array = self._begins[self._rank[at] + n]
-        np.copyto(found, at, where=np.equal(n, 0))
+        if not isinstance(n, int) or n == 0:
+            np.copyto(found, at, where=np.equal(n, 0))
         if self._over is not None:
             at, n = np.broadcast_to(at, found.shape), np.broadcast_to(n, found.shape)
             unsafe = self._over[found] > self._over[at]
@@ -84,6 +90,23 @@ class ByteWindow:
             n[left] -= 1
             left = left[n[left] > 0]
         return at
+
+    def behind_tagged(self, at: Array, count: int) -> Array:
+        """(k,) positions behind tags at (k,) positions and those of `count` numbers they mark."""
+        if not self.crowded:
+            return self._behind_tagged(at, self.raw[at], count)
+        # Garbage, of which every byte may begin a frame: each tag is looked at once.
+        if count not in self._behind_tags:
+            every = np.arange(len(self.raw))
+            self._behind_tags[count] = self._behind_tagged(every, self.raw, count)
+        return self._behind_tags[count][at]
+
+    def _behind_tagged(self, at: Array, tag: Array, count: int) -> Array:
+        return self.within(self.nth(at + 1, _ONES[tag & ((1 << count) - 1)]))
+
+    def within(self, at: Array) -> Array:
+        """(k,) positions, none behind the last."""
+        return np.minimum(at, self._end)
 
     def numbers(self, at: Array) -> Array:
         """Unsigned numbers that begin at positions of any shape; 0 where one is too long."""
@@ -116,7 +139,7 @@ class _Part(Protocol):
     """Of the fields."""
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        """(k,) where what follows it begins, for parts that begin at (k,) positions."""
+        """(k,) where what follows it begins, in the window, for parts at (k,) positions."""
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         """(k, which) of its fields, counted from 0."""
@@ -169,7 +192,7 @@ class _TaggedNumbers:
         self.first, self.count = first, count
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return window.nth(at + 1, _ONES[window.raw[at] & ((1 << self.count) - 1)])
+        return window.behind_tagged(at, self.count)
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at].astype(np.int64)[:, None]
@@ -199,8 +222,7 @@ class _Packed:
         self._places, self._sizes, self._little = places, sizes, little
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        end: Array = at + self._sizes[window.raw[at]]
-        return end
+        return window.within(at + self._sizes[window.raw[at]])
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -233,8 +255,7 @@ class _Tag2:
         self._starts, self._bits = _VARIABLE if variable else _FIXED
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        end: Array = at + _TAG2_SIZES[window.raw[at]]
-        return end
+        return window.within(at + _TAG2_SIZES[window.raw[at]])
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -314,7 +335,7 @@ class Layout:
     def ends(self, window: ByteWindow, at: Array) -> Array:
         """(k,) positions behind frames whose first fields are at (k,) positions."""
         for part in self._parts:
-            at = np.minimum(part.behind(window, at), len(window.raw) - 1)
+            at = part.behind(window, at)
         return at
 
     def decode(self, window: ByteWindow, at: Array, columns: Array) -> Array:
@@ -334,7 +355,7 @@ class Layout:
             if stop == len(columns):
                 break
             done = stop
-            at = np.minimum(part.behind(window, at), len(window.raw) - 1)
+            at = part.behind(window, at)
         return out
 
 

@@ -23,6 +23,8 @@ RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
 
 _AT_ONCE = 2**19
 """Bytes searched together."""
+_CACHED = 2**14
+"""Frames that could be, whose ends are searched together: their arrays stay in the cache."""
 _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
@@ -36,6 +38,7 @@ _EVENTS = {
 """Event -> bytes, numbers of variable length, bytes."""
 _ADJUSTMENT, _FLOAT = 13, 0x80
 _EVENT_SHAPES = np.array([_EVENTS.get(event, (0, 0, 0)) for event in range(256)])
+_IS_USED = np.isin(np.arange(256), [RESUME, DISARM])
 _IS_MARKER = np.isin(np.arange(256), list(MARKERS))
 
 
@@ -49,7 +52,7 @@ class Frames:
         slow: S frames.
         gps: G frames.
         home: H frames.
-        events: (k, 4) order, event, and its first two numbers.
+        events: (k, 4) order, event, and its first two numbers; pauses and motor stops.
         counts: letter -> frames found, damaged ones not counted.
         damaged: frames that no other follows.
         lost: main frames that are whole, but what they build on is not, or their time cannot be.
@@ -108,49 +111,53 @@ def read_frames(
     columns[I] = columns[P] = _columns(header, wanted)
     room = _MOST_VALUES * (stop - header.data) + _FREE_VALUES
     values = {k: [np.empty((0, len(of)), np.int64)] for k, of in columns.items()}
-    found: list[_Found] = []
-    events = [np.empty((0, 3), np.int64)]
+    orders = {k: [np.empty(0, np.int64)] for k in layouts}
+    breaks, events = [np.empty(0, np.int64)], [np.empty((0, 4), np.int64)]
+    counts = dict.fromkeys(MARKERS, 0)
+    passed = damaged = told = 0
+    end = stop
     for window, start, frames in _windows(data, header.data, stop, layouts):
-        found.append(frames)
         for letter, layout in layouts.items():
-            at = frames.at[frames.whole & (frames.letters == letter)] - start
-            room -= len(at) * len(columns[letter])
+            rows = np.flatnonzero(frames.whole & (frames.letters == letter))
+            room -= len(rows) * len(columns[letter])
             if room < 0:
                 raise InputError("its frames claim more values than their bytes can hold")
-            values[letter].append(layout.decode(window, at + 1, columns[letter]))
-        at = frames.at[frames.whole & (frames.letters == E)] - start
-        numbers = [window.numbers(window.nth(at + 2, n)) for n in (0, 1)]
-        events.append(np.column_stack([window.raw[at + 1].astype(np.int64), *numbers]))
-    every = _Found(*(np.concatenate([getattr(f, part) for f in found]) for part in _PARTS))
-    order = {k: np.flatnonzero(every.whole & (every.letters == k)) for k in MARKERS}
+            at = frames.at[rows] - start + 1
+            values[letter].append(layout.decode(window, at, columns[letter]))
+            orders[letter].append(passed + rows)
+            counts[letter] += len(rows)
+        rows = np.flatnonzero(frames.whole & (frames.letters == E))
+        counts[E] += len(rows)
+        events.append(_events(window, frames.at[rows] - start, passed + rows))
+        breaks.append(passed + np.flatnonzero(frames.gap | ~frames.whole))
+        passed += len(frames.at)
+        damaged += int(np.count_nonzero(~frames.whole))
+        told += int((frames.ends - frames.at)[frames.whole].sum())
+        if frames.over[-1:].any():
+            end = int(frames.ends[-1])
     written = {
         letter: Table(
             tuple(layout.definition.names[i] for i in columns[letter]),
-            order[letter],
+            np.concatenate(orders[letter]),
             np.concatenate(values[letter]),
         )
         for letter, layout in layouts.items()
     }
-    all_events = np.column_stack([order[E], np.concatenate(events)])
-    resumed = all_events[all_events[:, 1] == RESUME][:, [0, 2, 3]]
-    broken = ~every.whole | every.gap
-    broken[resumed[:, 0]] = True
-    main, time_us = main_frames(header, written[I], written[P], broken, resumed)
+    used_events = np.concatenate(events)
+    resumed = used_events[used_events[:, 1] == RESUME][:, [0, 2, 3]]
+    lost_at = np.union1d(np.concatenate(breaks), resumed[:, 0])
+    main, time_us = main_frames(header, written[I], written[P], lost_at, resumed)
     slow, gps, home = (
         fixed_frames(header, chr(k), written.get(k), main, time_us, written.get(H))
         for k in (S, G, H)
     )
-    end = every.ends[-1] if every.over[-1:].any() else stop
     return Frames(
-        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=all_events,
-        counts={chr(k): len(places) for k, places in order.items()},
-        damaged=int((~every.whole).sum()),
-        lost=len(order[I]) + len(order[P]) - len(time_us),
-        garbage_bytes=int(end - header.data - (every.ends - every.at)[every.whole].sum()),
+        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=used_events,
+        counts={chr(k): count for k, count in counts.items()},
+        damaged=damaged,
+        lost=counts[I] + counts[P] - len(time_us),
+        garbage_bytes=end - header.data - told,
     )  # fmt: skip
-
-
-_PARTS = ("at", "ends", "letters", "whole", "gap", "over")
 
 
 def _columns(header: Header, wanted: Sequence[str] | None) -> Array:
@@ -195,30 +202,81 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
     """
     raw = window.raw
     known = np.isin(np.arange(256), [*layouts, E])
-    begin = np.flatnonzero(known[raw[: min(_AT_ONCE, stop)]])
+    may_begin = known[raw[: min(_AT_ONCE, stop)]]
+    begin = np.flatnonzero(may_begin)
+    window.crowded = 4 * len(begin) > len(raw)
+    parts = [_ends(window, begin[:0], stop, layouts)] + [
+        _ends(window, begin[i : i + _CACHED], stop, layouts) for i in range(0, len(begin), _CACHED)
+    ]
+    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
+    begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
+    np.cumsum(may_begin, out=begun[1:])
+    leads_to = begun[np.minimum(ends[whole], len(may_begin))]
+    leads_to[over[whole]] = len(begin)
+    rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
+    found = _Found(begin[rows], ends[rows], raw[begin[rows]], whole[rows], whole[rows], over[rows])
+    behind = raw[np.minimum(found.ends, len(raw) - 1)]
+    return replace(found, gap=found.whole & (found.ends < stop) & ~known[behind])
+
+
+def _ends(
+    window: ByteWindow, begin: Array, stop: int, layouts: dict[int, Layout]
+) -> tuple[Array, Mask, Mask]:
+    """Where frames end that begin at (k,) positions, which are whole, and which end the log."""
+    raw = window.raw
     letters = raw[begin]
     ends = begin + 1
-    longest = np.full(len(begin), _LONGEST_EVENT)
+    longest = np.full(256, _LONGEST_EVENT)
     over = np.zeros(len(begin), bool)
     for letter, layout in layouts.items():
-        mine = letters == letter
-        ends[mine] = layout.ends(window, begin[mine] + 1)
-        longest[mine] = layout.longest
-    mine = letters == E
-    ends[mine], over[mine] = _event_ends(window, begin[mine] + 1)
-    next_letter = raw[np.minimum(ends, len(raw) - 1)]
-    whole = (ends <= stop) & (ends - begin - 1 <= longest)
-    whole &= (ends == stop) | _IS_MARKER[next_letter] | over
-    follows = np.where(whole, np.searchsorted(begin, ends), np.arange(1, len(begin) + 1))
-    follows[over & whole] = len(begin)
-    chain = []
-    i, count, steps = int(np.searchsorted(begin, at)), len(begin), follows.tolist()
-    while i < count:
-        chain.append(i)
-        i = steps[i]
-    rows = np.array(chain, np.int64)
-    gap = whole & (ends < stop) & ~known[next_letter]
-    return _Found(begin[rows], ends[rows], letters[rows], whole[rows], gap[rows], over[rows])
+        longest[letter] = layout.longest
+        if len(mine := np.flatnonzero(letters == letter)):
+            ends[mine] = layout.ends(window, ends[mine])
+    if len(mine := np.flatnonzero(letters == E)):
+        ends[mine], over[mine] = _event_ends(window, ends[mine])
+    whole = (ends <= stop) & (ends - begin - 1 <= longest[letters])
+    whole &= (ends == stop) | _IS_MARKER[raw[np.minimum(ends, len(raw) - 1)]] | over
+    return ends, whole, over
+
+
+def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
+    """The rows met on the way from the first one to the end.
+
+    Args:
+        first: row to begin with.
+        jumps: (n,) whether a row leads further than to the next one.
+        leads_to: where those that do lead.
+    """
+    number = np.zeros(len(jumps) + 1, np.intp)  # jumps before each row
+    np.cumsum(jumps, out=number[1:])
+    count = len(leads_to)
+    one = np.append(number[leads_to], count)
+    two = one[one]
+    four = two[two]
+    # Eight jumps at a time, read in place: in garbage there are as many jumps as bytes.
+    eight = four[four].data
+    met: list[int] = []
+    take, jump = met.append, int(number[first])
+    while jump < count:
+        take(jump)
+        jump = eight[jump]
+    taken = np.array(met, np.intp)
+    for hop in (four, two, one):
+        taken = np.column_stack([taken, hop[taken]]).ravel()
+    taken = taken[taken < count]
+    begins = np.append(first, leads_to[taken])
+    lengths = np.append(np.flatnonzero(jumps)[taken] + 1, len(jumps)) - begins
+    rows: Array = np.repeat(begins - np.cumsum(lengths) + lengths, lengths)
+    rows += np.arange(len(rows))
+    return rows
+
+
+def _events(window: ByteWindow, at: Array, order: Array) -> Array:
+    """(k, 4) as in `Frames`, those used of the events at (n,) positions, and with (n,) order."""
+    event = window.raw[at + 1]
+    used = np.flatnonzero(_IS_USED[event])
+    numbers = [window.numbers(window.nth(at[used] + 2, n)) for n in (0, 1)]
+    return np.column_stack([order[used], event[used].astype(np.int64), *numbers])
 
 
 def _event_ends(window: ByteWindow, at: Array) -> tuple[Array, Mask]:

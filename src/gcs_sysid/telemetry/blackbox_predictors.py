@@ -53,7 +53,7 @@ class Table:
 
 
 def main_frames(
-    header: Header, keys: Table, deltas: Table, broken: Mask, resumed: Array
+    header: Header, keys: Table, deltas: Table, breaks: Array, resumed: Array
 ) -> tuple[Table, Array]:
     """The I and P frames that can be computed and believed, and (n,) us of each.
 
@@ -61,7 +61,7 @@ def main_frames(
         header: of the session.
         keys: the I frames as written.
         deltas: the P frames as written, with the same columns.
-        broken: (all frames,) where P frames lose what they build on.
+        breaks: (k,) rising places where P frames lose what they build on.
         resumed: (k, 3) order, loop and us of events that mark a pause.
     """
     order = np.concatenate([keys.order, deltas.order])
@@ -69,7 +69,6 @@ def main_frames(
     order, is_key = order[sorting], sorting < len(keys.order)
     rows = np.arange(len(order))
     key = np.maximum.accumulate(np.where(is_key, rows, -1))
-    breaks = np.flatnonzero(broken)
     since = np.searchsorted(breaks, order) - np.searchsorted(breaks, order[key])
     sound = is_key | ((key >= 0) & (since == 0) & (rows - key <= _LONGEST_CHAIN))
     values = np.empty((len(order), len(keys.names)), np.int64, order="F")  # added up by columns

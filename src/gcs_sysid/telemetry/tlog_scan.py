@@ -12,12 +12,14 @@ all frames in the chain are taken together.
 - Else the chain is broken, and goes on with the next good frame.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.telemetry.checksums import checksums, rows_of
+from gcs_sysid.telemetry.checksums import RunningChecksum, checksums, rows_of
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, FrameBlock
 from gcs_sysid.telemetry.frames import (
     CHECKSUM,
@@ -46,8 +48,14 @@ FAR_STEP = 86_400_000_000
 """us. The same where there is only one neighbor."""
 _TRIED = 4096
 """Bytes of a piece hunted through one by one, before all its good frames are found together."""
-_AT_ONCE = 2**19
-"""Candidates judged together."""
+_CROWD = 8
+"""Bytes for each candidate, at most, from which on their checksums are taken from those of the
+whole piece."""
+_CACHED = 2**14
+"""Candidates looked at together: their arrays stay in the cache."""
+_HEADERS = np.array([HEADER_1, HEADER_2])
+_FIXED = _HEADERS + CHECKSUM
+"""Bytes of a frame of version 1 and 2 beside its payload and signature."""
 ALONE = 2**20
 """Bytes of garbage after which no neighbor is waited for, however long it goes on."""
 
@@ -224,6 +232,30 @@ class _Headers:
         return part
 
 
+def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Array]) -> Mask:
+    """(n,) whether frames at given positions are of known types, with the right checksum.
+
+    Args:
+        data: in which they lie.
+        at: (n,) their magic bytes.
+        check: `checksums` of positions, lengths and extra bytes.
+    """
+    second = data[at] == MAGIC_2
+    message_id = data[at + 5].astype(np.int32)
+    newer = at[second]
+    message_id[second] = data[newer + 7] | data[newer + 8].astype(np.int32) << 8
+    message_id[second] |= data[newer + 9].astype(np.int32) << 16
+    extra = _EXTRA[np.minimum(message_id, _IDS - 1)]
+    right = np.zeros(len(at), bool)
+    known = np.flatnonzero(extra >= 0)
+    at = at[known].astype(np.intp)
+    length = data[at + 1] + _HEADERS[second[known].view(np.uint8)]
+    said = data[at + length] | data[at + length + 1].astype(np.uint16) << 8
+    extra = extra[known].astype(np.uint8)
+    right[known] = said == check(at + 1, length - 1, extra)
+    return right
+
+
 class _Chain:
     """The frames in a piece of a file.
 
@@ -237,20 +269,27 @@ class _Chain:
         self._content = content
         self._data = data
         self._limit = limit
-        magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
-        at = np.flatnonzero(magic[: len(content)])
-        second = data[at] == MAGIC_2
-        flags = data[at + 2]
-        stop = at + data[at + 1] + np.where(second, HEADER_2 + CHECKSUM, HEADER_1 + CHECKSUM)
-        stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
-        fits = (stop <= len(content)) & (~second | (flags <= FLAG_SIGNED))
-        self._whole = at[fits]  # where whole frames could begin, by their headers alone
-        follows = stop[fits] + STAMP
-        linked = magic[follows]
-        self._linked = self._whole[linked]  # after which another record's magic byte stands
-        self._follows = follows[linked]  # and where it stands
+        self._magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
+        at = np.flatnonzero(self._magic[: len(content)])
+        parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
+        columns = (np.concatenate(some) for some in zip(*parts, strict=True))
+        # Where whole frames could begin, by their headers alone; those of them after which another
+        # record's magic byte stands; and where it stands.
+        self._whole, self._linked, self._follows = columns
         self._tried = 0
         self._good: Array | None = None
+
+    def _led_to(self, at: Array) -> tuple[Array, Array, Array]:
+        """Which of some magic bytes begin a whole frame, which of them lead to another, where."""
+        data = self._data
+        flags = data[at + 2]
+        second = data[at] == MAGIC_2
+        stop = at + data[at + 1] + _FIXED[second.view(np.uint8)]
+        stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
+        fits = np.flatnonzero((stop <= len(self._content)) & ~(second & (flags > FLAG_SIGNED)))
+        whole, follows = at[fits].astype(np.int32), stop[fits] + STAMP
+        linked = np.flatnonzero(self._magic[follows])
+        return whole, whole[linked], follows[linked].astype(np.int32)
 
     def good(self) -> Array:
         """(n,) where a frame with a right checksum begins, inside of others too."""
@@ -260,11 +299,12 @@ class _Chain:
 
     def _are_good(self, at: Array) -> Mask:
         """(n,) whether the checksum of each candidate is right."""
-        parts = [
-            _Headers(self._data, at[first : first + _AT_ONCE]).validity == OK
-            for first in range(0, len(at), _AT_ONCE)
-        ]
-        return np.concatenate([np.empty(0, bool), *parts])
+        data = self._data
+        if _CROWD * len(at) < len(data):
+            return _are_right(data, at, partial(checksums, data))
+        check = RunningChecksum(data).of
+        pieces = (at[i : i + _CACHED] for i in range(0, len(at), _CACHED))
+        return np.concatenate([_are_right(data, piece, check) for piece in pieces])
 
     def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
         """Where the frames begin, and what they say.
@@ -296,25 +336,27 @@ class _Chain:
         # Runs of candidates that lead to each other, and where the last of each leads.
         ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))
         last = np.flatnonzero(ends)
-        index_of = np.full(len(self._data), -1, np.int32)
-        index_of[linked] = np.arange(len(linked))
-        target = index_of[follows[last]]
-        run_of = np.cumsum(ends) - ends
+        places = np.full(len(self._data), -1, np.int32)
+        for first in range(0, len(linked), _CACHED):
+            some = linked[first : first + _CACHED]
+            places[some] = np.arange(first, first + len(some))
+        runs = np.zeros(len(linked) + 1, np.int32)  # that end before each candidate
+        np.cumsum(ends, out=runs[1:])
         # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
-        targets, runs_of_targets = target.data, run_of[target].data
-        lasts, leads_to = last.data, follows[last].data
+        index_of, run_of, lasts, leads_to = places.data, runs.data, last.data, follows.data
         begins: list[int] = []  # in `linked`, or ~position of a frame that is not of it
         stops: list[int] = []
         record: int | None = 0
         while record is not None and record <= self._limit:
-            first = -1 if hunting else int(index_of[record + STAMP])
+            first = -1 if hunting else index_of[record + STAMP]
             if first >= 0:
-                run = int(run_of[first])
                 while first >= 0:
+                    end = lasts[run_of[first]]
                     begins.append(first)
-                    stops.append(lasts[run] + 1)
-                    record = leads_to[run] - STAMP
-                    first, run = targets[run], runs_of_targets[run]
+                    stops.append(end + 1)
+                    following = leads_to[end]
+                    first = index_of[following]
+                record = following - STAMP
             else:
                 position, record = self._next(record, hunting=hunting)
                 if record is not None:
