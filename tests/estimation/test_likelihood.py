@@ -9,7 +9,11 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
-from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximize_likelihood
+from gcs_sysid.estimation.likelihood import (
+    NoInformationError,
+    cramer_rao_bound,
+    maximize_likelihood,
+)
 from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.propagation import SPLINE_END
@@ -226,6 +230,13 @@ def test_nothing_to_fit(truth, slow, start):
     noise = AxisNoise(0.02, None, 0.0, 0.0)
     with pytest.raises(ValueError, match="without a gap"):
         cramer_rao_bound(samples.part(slice(20)), truth.geometry, dt, start, (noise, noise, noise))
+
+
+def test_noise_of_speeds_beyond_the_motion_leaves_no_information(truth, slow, start):
+    """Its expectation, taken from the information, was more than the whole: a traceback."""
+    samples, dt = slow
+    with pytest.raises(NoInformationError, match="outweighs the motion"):
+        maximize_likelihood(samples.part(slice(400)), truth.geometry, dt, start, speed_std=200.0)
 
 
 def test_why_there_is_no_offline_estimate_is_said(truth):

@@ -352,6 +352,9 @@ def make_whitener(
         by_rate: (n - 1, 3, 3) of `propagation.Transition`.
         rate_std: (3,) rad/s, prior of the first rate around the nominal one.
         dt: s between samples.
+
+    Raises:
+        numpy.linalg.LinAlgError: covariances overflow.
     """
     n = len(by_rate) + 1
     white = np.array([axis.white_std for axis in noise]) ** 2

@@ -128,6 +128,10 @@ class LikelihoodFit:
         return std
 
 
+class NoInformationError(ArithmeticError):
+    """A flight has none on some unknown."""
+
+
 def maximize_likelihood(
     samples: Samples,
     geometry: Array,
@@ -159,6 +163,7 @@ def maximize_likelihood(
         than twice the unknowns.
 
     Raises:
+        NoInformationError: on some unknown, as noise of the rotor speeds outweighs the motion.
         ValueError: `start` is no rigid body's inertia.
     """
     if not rb.is_physical(start):
@@ -244,6 +249,8 @@ def _search(
         cost = cost_of(weighed, unknowns)
         gradient = weighed.gradient + weight @ (unknowns - mean)
         information = weighed.information + weight
+        if not (np.diag(information) > 0.0).all():
+            raise NoInformationError("noise of the rotor speeds outweighs the motion")
         scatter = weighed.scatter + weight
         # Fast changes of the speeds, noise among them, make more of the delay's information than
         # there is: steps fall short by one share, which two of them show (Aitken).
@@ -265,9 +272,10 @@ def _search(
                     # The cost changes by less than its linearization's error.
                     found = candidate
                     continue
-                after = weigh(record, candidate, noise, known)
+                after = _weigh_far(record, candidate, noise, known)
                 pulled = float(weighed.excess @ step)
-                if cost_of(after, unknowns + step) < cost + pulled + _SMALL**2:
+                most = cost + pulled + _SMALL**2
+                if after is not None and cost_of(after, unknowns + step) < most:
                     found = candidate
                     continue
                 record.align(unknowns[DELAY])
@@ -292,6 +300,16 @@ def _search(
         _conclude(record, point, noise, weighed, weight, converged), passes=iteration + 1
     )
     return done
+
+
+def _weigh_far(
+    record: OfflineRecord, point: Linearization, noise: Noise, known: Array
+) -> Weighed | None:
+    """A step's end weighed; None so far off that the filter's covariances overflow."""
+    try:
+        return weigh(record, point, noise, known)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _alike(one: Noise, other: Noise) -> bool:

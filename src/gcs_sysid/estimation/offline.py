@@ -15,7 +15,12 @@ from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
 from gcs_sysid.estimation.input_noise import with_sparse_readings
 from gcs_sysid.estimation.instruments import combined, fit_by_instruments
-from gcs_sysid.estimation.likelihood import LikelihoodFit, maximize_likelihood, most_passes
+from gcs_sysid.estimation.likelihood import (
+    LikelihoodFit,
+    NoInformationError,
+    maximize_likelihood,
+    most_passes,
+)
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
@@ -154,17 +159,20 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
     passes = most_passes(len(samples.gyro))
     if not passes:
         return f"{what} is beyond its budget: analyze a part of the flight (--start, --end)"
-    found = maximize_likelihood(
-        samples,
-        tracker.geometry,
-        tracker.dt,
-        rotation.theta,
-        speed_std=tracker.estimator.speed_std,
-        prior=_on_theta(tracker.estimator.prior),
-        delay=rotation.delay,
-        torque=rotation.deviating.torque(rotation.deviations),
-        progress=lambda done: on_progress(f"{what}, at most {passes} passes", done),
-    )
+    try:
+        found = maximize_likelihood(
+            samples,
+            tracker.geometry,
+            tracker.dt,
+            rotation.theta,
+            speed_std=tracker.estimator.speed_std,
+            prior=_on_theta(tracker.estimator.prior),
+            delay=rotation.delay,
+            torque=rotation.deviating.torque(rotation.deviations),
+            progress=lambda done: on_progress(f"{what}, at most {passes} passes", done),
+        )
+    except NoInformationError as error:
+        return f"no {what}: {error}"
     if found is None:
         return "no gap-free stretch of flight is long enough"
     if not found.converged:

@@ -154,6 +154,9 @@ def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Arra
         noise: of the axes.
         known: (3, 3) covariance of what noise of the speeds does. Held while theta is searched
             for: the gradient is that of the squares at fixed weights.
+
+    Raises:
+        numpy.linalg.LinAlgError: covariances overflow.
     """
     rate_std = initial_std(noise, known, record.dt)
     whiteners, residuals, sensitivities = [], [], []
