@@ -232,6 +232,14 @@ class _Headers:
         return part
 
 
+def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
+    """Gives the bytes so many behind (n,) rising positions; where those are all bytes, in place."""
+    n, first = len(at), int(at[0]) if len(at) else 0
+    if n and int(at[-1]) - first == n - 1:
+        return lambda offset: data[first + offset : first + offset + n]
+    return lambda offset: data[at + offset]
+
+
 def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Array]) -> Mask:
     """(n,) whether frames at given positions are of known types, with the right checksum.
 
@@ -240,19 +248,19 @@ def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Ar
         at: (n,) their magic bytes.
         check: `checksums` of positions, lengths and extra bytes.
     """
-    second = data[at] == MAGIC_2
-    message_id = data[at + 5].astype(np.int32)
-    newer = at[second]
-    message_id[second] = data[newer + 7] | data[newer + 8].astype(np.int32) << 8
-    message_id[second] |= data[newer + 9].astype(np.int32) << 16
-    extra = _EXTRA[np.minimum(message_id, _IDS - 1)]
-    right = np.zeros(len(at), bool)
-    known = np.flatnonzero(extra >= 0)
-    at = at[known].astype(np.intp)
-    length = data[at + 1] + _HEADERS[second[known].view(np.uint8)]
-    said = data[at + length] | data[at + length + 1].astype(np.uint16) << 8
-    extra = extra[known].astype(np.uint8)
-    right[known] = said == check(at + 1, length - 1, extra)
+    behind = _bytes_behind(data, at)
+    second = behind(0) == MAGIC_2
+    extra = _EXTRA[behind(5)]
+    newer = np.flatnonzero(second)
+    if len(newer):
+        low, middle, high = (data[at[newer] + i].astype(np.int32) for i in (7, 8, 9))
+        extra[newer] = _EXTRA[np.minimum(low | middle << 8 | high << 16, _IDS - 1)]
+    right = extra >= 0
+    known = np.flatnonzero(right)
+    length = (behind(1) + _HEADERS[second.view(np.uint8)])[known]
+    at, extra = at[known].astype(np.intp), extra[known].astype(np.uint8)
+    words = np.ndarray((len(data) - 1,), "<u2", data, strides=(1,))  # from every byte on
+    right[known] = words[at + length] == check(at + 1, length - 1, extra)
     return right
 
 
@@ -281,10 +289,10 @@ class _Chain:
 
     def _led_to(self, at: Array) -> tuple[Array, Array, Array]:
         """Which of some magic bytes begin a whole frame, which of them lead to another, where."""
-        data = self._data
-        flags = data[at + 2]
-        second = data[at] == MAGIC_2
-        stop = at + data[at + 1] + _FIXED[second.view(np.uint8)]
+        behind = _bytes_behind(self._data, at)
+        flags = behind(2)
+        second = behind(0) == MAGIC_2
+        stop = at + behind(1) + _FIXED[second.view(np.uint8)]
         stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
         fits = np.flatnonzero((stop <= len(self._content)) & ~(second & (flags > FLAG_SIGNED)))
         whole, follows = at[fits].astype(np.int32), stop[fits] + STAMP
