@@ -16,6 +16,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.result import Result
@@ -88,7 +89,7 @@ def table(result: Result, truth: dict[str, float]) -> list[str]:
         found = values.get(name)
         if found is None or found.value is None or not found.std or name not in truth:
             continue
-        true, half = truth[name], 1.96 * found.std
+        true, half = truth[name], Z95 * found.std
         unit, scale = (" %", 100.0 / abs(true)) if true else ("", 1.0)
         error = found.value - true
         holds = "yes" if abs(error) <= half else "no"

@@ -24,6 +24,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt, welch
 
 from benchmarks.recorded import airframe_of, thinned, truth_of
 from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
@@ -160,7 +161,7 @@ def main() -> None:
                 for name, found in {**result.parameters, **result.timing}.items():
                     if name in SHOWN and name in truth and found.value and found.std:
                         share = 1e4 if name in PRODUCTS else 100.0 / truth[name]
-                        told = share * (found.value - truth[name]), 1.96 * share * found.std
+                        told = share * (found.value - truth[name]), Z95 * share * found.std
                         errors.setdefault(name, []).append(told)
         print(f"{log.name}: rotors by {whole.rotor_input}, {options.thinnings} thinnings")
         columns = "".join(f"{column:>8}" for column in ("mean", "rms", "worst", "+-95 %", "hold"))

@@ -33,6 +33,7 @@ from benchmarks.truth.vehicles import draw
 from benchmarks.unchanged import airframe_for, logs_in
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
@@ -69,7 +70,7 @@ def row(name: str, twin: TwinFlight) -> str:
     rates = each["rates"]
     return (
         f"{name:<26}{twin.result.verdict:<11}{rates.count:5}   {inside}{rates.r_squared:9.3f}"
-        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.basic:9.3f}{rates.guess:9.3f}"
+        f"{rates.rms:9.4f}{rates.band / Z95:9.4f}{rates.basic:9.3f}{rates.guess:9.3f}"
     )
 
 

@@ -27,11 +27,12 @@ from benchmarks.accuracy.flights import (
     fly_late,
     measure,
 )
-from benchmarks.accuracy.statistics import Z95, settled
+from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.intervals import Z95
 from gcs_sysid.signals.complementary import ComplementaryFilter
 
 SIGMA = 0.02

@@ -7,11 +7,10 @@ import numpy as np
 
 from benchmarks.accuracy.article import NAMES
 from gcs_sysid.arrays import Array
+from gcs_sysid.intervals import Z95
 
 Data = dict[str, dict[str, Any]]
 """Outcomes of the cases that were run, by name; what JSON holds."""
-Z95 = 1.959964
-"""Half of a 95 % interval, in standard deviations."""
 MEDIAN = 0.674490
 """Median size of a normal error, in standard deviations."""
 

@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reliability.watched import resident
+from gcs_sysid.intervals import Z95
 from gcs_sysid.live.live_session import LiveOptions, LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
@@ -150,7 +151,7 @@ def wrong_numbers(result: Result, truth: dict[str, Any]) -> tuple[float | None, 
         if estimate is None or estimate.value is None or estimate.std is None:
             continue
         share = 100.0 / abs(truth[name])
-        error, half = share * abs(estimate.value - truth[name]), 1.96 * share * estimate.std
+        error, half = share * abs(estimate.value - truth[name]), Z95 * share * estimate.std
         worst = max(worst or 0.0, error)
         if result.verdict != "refused" and error > max(WRONG, WIDTHS * half):
             lines.append(f"{name} is wrong by {error:.1f} % and says {half:.1f} %")

@@ -32,6 +32,7 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.status import RULES
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.samples import Samples
@@ -44,7 +45,6 @@ SPEED_STD = 0.5
 """rad/s of a telemetered rotor speed."""
 FORCE_STD = 0.05
 """m/s^2 of a sample of the accelerometer."""
-NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -280,15 +280,15 @@ class Judged:
         """Bias, rms and coverage in % of some parameters taken together."""
         columns = [rb.THETA.index(name) for name in names]
         error, std = self.error[:, columns], self.std[:, columns]
-        inside = np.abs(error) <= NORMAL_95 * std
+        inside = np.abs(error) <= Z95 * std
         return (
             f"{100 * error.mean():7.2f} {100 * np.sqrt((error**2).mean()):7.2f}"
-            f" {100 * inside.mean():5.0f} {100 * NORMAL_95 * np.median(std):6.2f}"
+            f" {100 * inside.mean():5.0f} {100 * Z95 * np.median(std):6.2f}"
         )
 
     def claims(self) -> str:
         """% of Ixx and Iyy that are `identified`, and of these intervals that hold."""
-        held = np.abs(self.error[:, :2]) <= NORMAL_95 * self.std[:, :2]
+        held = np.abs(self.error[:, :2]) <= Z95 * self.std[:, :2]
         some = f"{100 * held[self.claimed].mean():4.0f}" if self.claimed.any() else "   -"
         return f"{100 * self.claimed.mean():5.0f} {some}"
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
 from gcs_sysid.twin.carried_disturbance import NOTHING_CARRIED, choose_carried
@@ -344,7 +345,7 @@ def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
     return Accuracy(
         rms=float(_rms(end[there])),
         band=float(_rms(band[there])),
-        band_parameters=1.96 * float(_rms(np.concatenate(own)[there])),
+        band_parameters=Z95 * float(_rms(np.concatenate(own)[there])),
         inside=float((np.abs(end[there]) <= band[there]).mean()),
         r_squared=_r_squared(end[there], measured[there]),
         guess=float(_rms(np.concatenate(guesses)[there])),
