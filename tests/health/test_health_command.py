@@ -12,6 +12,7 @@ from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.pools import LocalPool
+from gcs_sysid.health import assessment
 from gcs_sysid.health.assessment import HoverRecords, health_of_log
 from gcs_sysid.health.health_file import read_baseline
 from gcs_sysid.health.health_trend import trend_text
@@ -235,6 +236,15 @@ def test_a_span_of_the_log_is_kept_to(flight):
     whole = health_of_log(flight.tlog, Given(airframe))
     part = health_of_log(flight.tlog, Given(airframe), span=(10.0, 25.0))
     assert part.seconds < 16.0 < whole.seconds
+
+
+@pytest.mark.slow
+def test_of_a_log_of_many_hours_the_beginning_is_judged_and_said(flight, monkeypatch):
+    airframe = load_airframe("paper")
+    monkeypatch.setattr(assessment, "TUNING", replace(assessment.TUNING, most_samples=500))
+    part = health_of_log(flight.tlog, Given(airframe))
+    assert 10.0 < part.seconds < 20.0  # 500 samples at 25 Hz
+    assert part.assumptions[-1] == "hover of the log's first 500 IMU samples"
 
 
 def one_line(capsys):

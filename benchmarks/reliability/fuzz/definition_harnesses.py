@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from random import Random
+from zlib import crc32
 
 from benchmarks.reliability.fuzz.file_harnesses import check_recording
 from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
@@ -26,6 +27,8 @@ SECONDS, SECONDS_PER_MB = 0.5, 0.5
 BYTES, BYTES_PER_BYTE = 64e6, 60.0
 """Memory that a log may take beyond the most that was ever taken before."""
 _LARGEST_FLOOD = 100_000
+_FLOODS = 16
+"""Inputs for each that may flood."""
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
 _csv, _mapping = Scratch(".csv"), Scratch(".toml")
@@ -59,12 +62,23 @@ def _pick(take: Bytes, choices: Sequence[str]) -> str:
     return choices[take.byte() % len(choices)]
 
 
-def _flood(take: Bytes, piece: bytes) -> bytes:
-    """A piece once, seldom very often: floods cost a hundred times what a definition does."""
+class _Choices(Bytes):
+    """An input as choices in a grammar; some inputs may flood.
+
+    A flood costs as much as a hundred definitions: in all inputs, they would be nearly all that
+    is read.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self.times = (1, 2, 50, *((2000, _LARGEST_FLOOD) if crc32(data) % _FLOODS == 0 else ()))
+
+
+def _flood(take: _Choices, piece: bytes) -> bytes:
+    """A piece once, seldom very often."""
     drawn = take.byte()
-    times = (1, 2, 50, 2000, _LARGEST_FLOOD)[
-        (drawn > 180) + (drawn > 220) + (drawn > 248) + (drawn > 252)
-    ]
+    chosen = (drawn > 180) + (drawn > 220) + (drawn > 248) + (drawn > 252)
+    times = take.times[min(chosen, len(take.times) - 1)]
     return piece * max(1, min(times, _LARGEST_FLOOD // max(len(piece), 1)))
 
 
@@ -85,7 +99,7 @@ _ULOG_NAMES = (
 
 def ulg_of(data: bytes) -> bytes:
     """The .ulg that an input stands for."""
-    take = Bytes(data)
+    take = _Choices(data)
     log = b"ULog\x01\x12\x35\x01" + take.take(3) + bytes(5)
 
     def entry(kind: bytes, content: bytes) -> bytes:
@@ -131,7 +145,7 @@ _LETTERS = "aBbhHiIqQfdgnNZMcCeELx?"
 
 def bin_of(data: bytes) -> bytes:
     """The .bin that an input stands for."""
-    take = Bytes(data)
+    take = _Choices(data)
     log = b"\xa3\x95\x80" + struct.pack(
         "<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"
     )
@@ -183,7 +197,7 @@ _SET_TO = (
 
 def bbl_of(data: bytes) -> bytes:
     """The .bbl that an input stands for."""
-    take = Bytes(data)
+    take = _Choices(data)
     log = MAGIC + b"\n"
     while take:
         kind = take.byte() % 8

@@ -69,19 +69,33 @@ def health_of_log(
 
 
 class HoverRecords:
-    """Keeps of a log what hovering needs, while an analysis or anyone else reads it."""
+    """Keeps of a log what hovering needs, while an analysis or anyone else reads it.
+
+    So that memory is bounded, that is up to `most_samples` of the IMU.
+    """
 
     def __init__(self) -> None:
         self._log: Telemetry | None = None
         self._blocks: list[RecordBlock] = []
+        self._room = TUNING.most_samples
 
     def begin(self, log: Telemetry) -> None:
         """A reading of the log, or link, begins; one before it does not count."""
         self._log, self._blocks = log, []
+        self._room = TUNING.most_samples
 
     def take(self, block: RecordBlock) -> None:
         """The next block of records."""
-        self._blocks.append(RecordBlock(block.tracks, events=block.events))
+        if self._room < 0:
+            return
+        tracks = block.tracks
+        taken = block.imu_samples
+        if taken > self._room:
+            orders = [track.order for track in tracks if track.stream is Stream.IMU]
+            stop = int(np.sort(np.concatenate(orders))[self._room])
+            tracks = tuple(part for track in tracks if len((part := track.between(0, stop)).t))
+        self._room -= taken
+        self._blocks.append(RecordBlock(tracks, events=block.events))
 
     def health(
         self, source: str, given: Given, span: tuple[float, float] = (0.0, math.inf)
@@ -114,6 +128,9 @@ class HoverRecords:
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
         health = health_of(streams, guess, given, log.parameters, span)
+        if self._room < 0:
+            kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
+            health = replace(health, assumptions=(*health.assumptions, kept))
         return replace(
             health,
             source=source,

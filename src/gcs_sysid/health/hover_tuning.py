@@ -8,6 +8,8 @@ class Tuning:
     """Of the averages over hover and of what is concluded from them.
 
     Attributes:
+        most_samples: of the IMU that are kept of a log, over an hour at 250 Hz: judging them
+            takes 1 kB of memory each, and more hours of hover say no more.
         half_window: s, half the width of the triangular weights. Motor lags (50 ms) are short
             against it, gusts and battery are long.
         samples_a_half: of the slowest stream in half a window, at least.
@@ -122,6 +124,7 @@ class Tuning:
         position_std: m over meter of arm, each rotor's place in the airframe file.
     """
 
+    most_samples: int = 1_000_000
     half_window: float = 0.5
     samples_a_half: float = 2.5
     longest_gap: float = 1.0

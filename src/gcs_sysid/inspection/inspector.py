@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.derived_facts import (
-    STATES,
     USUAL,
     FlightWatch,
     RotorJudge,
@@ -31,13 +30,20 @@ from gcs_sysid.inspection.facts import (
     that_matter,
 )
 from gcs_sysid.inspection.readiness import findings_of, obtainable
-from gcs_sysid.inspection.stream_watch import MotionWatch, RotorWatch, StreamWatch
+from gcs_sysid.inspection.stream_watch import (
+    MotionWatch,
+    Pending,
+    RotorWatch,
+    StreamWatch,
+    pending,
+    set_back,
+)
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt
-from gcs_sysid.signals.columns import Key, RecordBlock, Track, by_key
+from gcs_sysid.signals.columns import Key, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
-from gcs_sysid.telemetry.clock import JUMP_BACK, WRAP_US
+from gcs_sysid.telemetry.clock import WRAP_US
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
@@ -48,9 +54,6 @@ from gcs_sysid.telemetry.transceiver import Transceiver
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
 _POLL, _ASK_EVERY = 0.05, 0.2
-_ROWS_AT_ONCE = 4096
-_UNWATCHED = (*STATES, Stream.RATE_SETPOINT)
-"""Of which no rate is shown: nothing needs them."""
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
     Stream.IMU: ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "sensor_combined", "IMU"),
@@ -64,41 +67,6 @@ _MESSAGES: dict[Stream, tuple[str, ...]] = {
     ),
 }
 """Stream -> messages that it may come from; records do not say which."""
-
-
-@dataclass
-class _Pending:
-    """A stream of a block, and how many of its samples a watch has."""
-
-    track: Track
-    done: int = 0
-
-
-def _pending(tracks: Iterable[Track]) -> list[_Pending]:
-    """The streams that are watched, in the order in which they begin."""
-    watched = by_key(track for track in tracks if track.stream not in _UNWATCHED)
-    return [
-        _Pending(track) for track in sorted(watched.values(), key=lambda track: int(track.order[0]))
-    ]
-
-
-def _set_back(t: Array, newest: float) -> list[int]:
-    """Rows of (n,) times in s at which the clock was set back, from the newest before on."""
-    found: list[int] = []
-    at = 0
-    while at < len(t):
-        some = t[at : at + _ROWS_AT_ONCE]
-        before = np.maximum.accumulate(np.append(newest, some))
-        back = np.flatnonzero(some < before[:-1] - JUMP_BACK)
-        if len(back):
-            at += int(back[0])
-            found.append(at)
-            newest = float(t[at])
-            at += 1
-        else:
-            newest = float(before[-1])
-            at += len(some)
-    return found
 
 
 class Inspector:
@@ -142,8 +110,8 @@ class Inspector:
         order, t = order[rows], np.concatenate([track.t for track in tracks])[rows]
         if self._began is None:
             self._began = self._boot_began = self._newest = float(t[0])
-        reboots = _set_back(t, self._newest)
-        pending = _pending(tracks) if count else []
+        reboots = set_back(t, self._newest)
+        waiting = pending(tracks) if count else []
         done = 0
         # At a reboot what comes next counts only after it.
         happened: list[tuple[int, int, int | Record]] = [
@@ -152,17 +120,17 @@ class Inspector:
         ]
         for at, _, what in sorted(happened, key=lambda entry: entry[:2]):
             if isinstance(what, int):
-                self._fill(pending, at)
+                self._fill(waiting, at)
                 self._pass(t[done:what])
                 self._reboot(float(t[what]))
                 done = what
                 continue
             flying = self._flight.take(what)
             if flying is not self._flight.flying:
-                self._fill(pending, at)
+                self._fill(waiting, at)
                 self._look_at_all()
                 self._flight.turn(max(what.t - self._began, 0.0), flying=flying)
-        self._fill(pending, int(order[-1]) + 1)
+        self._fill(waiting, int(order[-1]) + 1)
         self._pass(t[done:])
 
     def _pass(self, t: Array) -> None:
@@ -173,9 +141,9 @@ class Inspector:
             self._newest = newest
             self.duration = newest - self._began
 
-    def _fill(self, pending: Iterable[_Pending], stop: int) -> None:
+    def _fill(self, waiting: Iterable[Pending], stop: int) -> None:
         """Give the watches what came before an order."""
-        for each in pending:
+        for each in waiting:
             track, end = each.track, int(np.searchsorted(each.track.order, stop))
             while each.done < end:
                 watch = self._streams.setdefault(track.key, StreamWatch())

@@ -3,13 +3,16 @@
 Samples are gathered in chunks and looked at as arrays, because a log has a million of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import AxisMotion, RotorFacts
+from gcs_sysid.signals.columns import Track, by_key
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.clock import JUMP_BACK
 from gcs_sysid.telemetry.monitor import GAP
 
 CHUNK = 4096
@@ -17,9 +20,46 @@ CHUNK = 4096
 SKIPPED_FROM = 1.7
 """Usual steps from which a step has skipped samples: ArduPilot's 250 Hz are steps of 2.5 and
 5 ms, 1.25 times the usual 4 ms."""
+UNWATCHED = (Stream.IN_AIR, Stream.ARMED, Stream.RATE_SETPOINT)
+"""Of which no rate is shown: nothing needs them."""
 BIN = 0.1
 """s over which the gyro is averaged for the motion of an axis."""
 _SAMPLES_PER_BIN = 4
+
+
+@dataclass
+class Pending:
+    """A stream of a block, and how many of its samples a watch has."""
+
+    track: Track
+    done: int = 0
+
+
+def pending(tracks: Iterable[Track]) -> list[Pending]:
+    """The streams that are watched, in the order in which they begin."""
+    watched = by_key(track for track in tracks if track.stream not in UNWATCHED)
+    return [
+        Pending(track) for track in sorted(watched.values(), key=lambda track: int(track.order[0]))
+    ]
+
+
+def set_back(t: Array, newest: float) -> list[int]:
+    """Rows of (n,) times in s at which the clock was set back, from the newest before on."""
+    found: list[int] = []
+    at = 0
+    while at < len(t):
+        some = t[at : at + CHUNK]
+        before = np.maximum.accumulate(np.append(newest, some))
+        back = np.flatnonzero(some < before[:-1] - JUMP_BACK)
+        if len(back):
+            at += int(back[0])
+            found.append(at)
+            newest = float(t[at])
+            at += 1
+        else:
+            newest = float(before[-1])
+            at += len(some)
+    return found
 
 
 @dataclass(frozen=True)

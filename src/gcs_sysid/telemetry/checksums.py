@@ -147,16 +147,16 @@ def _running_states(data: Array) -> Array:
     padded = np.zeros(rows * _COLUMNS, np.uint8)
     padded[: len(data)] = data
     columns = padded.reshape(rows, _COLUMNS).T.astype(np.uint16, order="C")
-    states = np.zeros((_COLUMNS + 1, rows), np.uint16)  # each row of the buffer from 0
-    for column, byte in enumerate(columns):
-        states[column + 1] = _after(states[column], byte)
+    end = np.zeros(rows, np.uint16)  # of each row of the buffer, begun with 0
+    for column in range(0, _COLUMNS, 2):
+        end = _WORD.take(end ^ columns[column] ^ columns[column + 1] << 8)
     low, high = (table.tolist() for table in _ADVANCE[_COLUMNS])
     starts = [0]
-    for end in states[-1, :-1].tolist():  # S_end = end ^ A^columns S_start
-        starts.append(end ^ low[starts[-1] & 0xFF] ^ high[starts[-1] >> 8])
-    start = np.array(starts, np.uint16)
-    start_low, start_high = start & 0xFF, start >> 8
-    for column in range(_COLUMNS):
-        states[column] ^= _ADVANCE[column, 0, start_low] ^ _ADVANCE[column, 1, start_high]
+    for state in end[:-1].tolist():  # S_end = end ^ A^columns S_start
+        starts.append(state ^ low[starts[-1] & 0xFF] ^ high[starts[-1] >> 8])
+    states = np.empty((_COLUMNS + 1, rows), np.uint16)
+    states[0] = starts
+    for column, byte in enumerate(columns):
+        states[column + 1] = _after(states[column], byte)
     made: Array = states[:-1].T.reshape(-1)[: len(data) + 1]
     return made

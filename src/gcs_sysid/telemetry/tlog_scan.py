@@ -53,9 +53,6 @@ _CROWD = 8
 whole piece."""
 _CACHED = 2**14
 """Candidates looked at together: their arrays stay in the cache."""
-_HEADERS = np.array([HEADER_1, HEADER_2])
-_FIXED = _HEADERS + CHECKSUM
-"""Bytes of a frame of version 1 and 2 beside its payload and signature."""
 ALONE = 2**20
 """Bytes of garbage after which no neighbor is waited for, however long it goes on."""
 
@@ -232,6 +229,14 @@ class _Headers:
         return part
 
 
+def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
+    """Gives the bytes so many behind (n,) rising positions; where those are all bytes, in place."""
+    n, first = len(at), int(at[0]) if len(at) else 0
+    if n and int(at[-1]) - first == n - 1:
+        return lambda offset: data[first + offset : first + offset + n]
+    return lambda offset: data[at + offset]
+
+
 def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Array]) -> Mask:
     """(n,) whether frames at given positions are of known types, with the right checksum.
 
@@ -240,19 +245,19 @@ def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Ar
         at: (n,) their magic bytes.
         check: `checksums` of positions, lengths and extra bytes.
     """
-    second = data[at] == MAGIC_2
-    message_id = data[at + 5].astype(np.int32)
-    newer = at[second]
-    message_id[second] = data[newer + 7] | data[newer + 8].astype(np.int32) << 8
-    message_id[second] |= data[newer + 9].astype(np.int32) << 16
-    extra = _EXTRA[np.minimum(message_id, _IDS - 1)]
-    right = np.zeros(len(at), bool)
-    known = np.flatnonzero(extra >= 0)
-    at = at[known].astype(np.intp)
-    length = data[at + 1] + _HEADERS[second[known].view(np.uint8)]
-    said = data[at + length] | data[at + length + 1].astype(np.uint16) << 8
-    extra = extra[known].astype(np.uint8)
-    right[known] = said == check(at + 1, length - 1, extra)
+    behind = _bytes_behind(data, at)
+    second = behind(0) == MAGIC_2
+    extra = _EXTRA[behind(5)]
+    newer = np.flatnonzero(second)
+    if len(newer):
+        low, middle, high = (data[at[newer] + i].astype(np.int32) for i in (7, 8, 9))
+        extra[newer] = _EXTRA[np.minimum(low | middle << 8 | high << 16, _IDS - 1)]
+    right = extra >= 0
+    known = slice(None) if right.all() else np.flatnonzero(right)
+    length = (behind(1) + np.where(second, HEADER_2, HEADER_1))[known]
+    at, extra = at[known].astype(np.intp), extra[known].astype(np.uint8)
+    words = np.ndarray((len(data) - 1,), "<u2", data, strides=(1,))  # from every byte on
+    right[known] = words[at + length] == check(at + 1, length - 1, extra)
     return right
 
 
@@ -272,24 +277,21 @@ class _Chain:
         self._magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
         at = np.flatnonzero(self._magic[: len(content)])
         parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
-        columns = (np.concatenate(some) for some in zip(*parts, strict=True))
-        # Where whole frames could begin, by their headers alone; those of them after which another
-        # record's magic byte stands; and where it stands.
-        self._whole, self._linked, self._follows = columns
+        # Where whole frames could begin, by their headers alone, and where the record after each
+        # has its magic byte.
+        self._whole, self._follows = (np.concatenate(some) for some in zip(*parts, strict=True))
         self._tried = 0
         self._good: Array | None = None
 
-    def _led_to(self, at: Array) -> tuple[Array, Array, Array]:
-        """Which of some magic bytes begin a whole frame, which of them lead to another, where."""
-        data = self._data
-        flags = data[at + 2]
-        second = data[at] == MAGIC_2
-        stop = at + data[at + 1] + _FIXED[second.view(np.uint8)]
+    def _led_to(self, at: Array) -> tuple[Array, Array]:
+        """Which of some magic bytes may begin a whole frame, and where the next one's would be."""
+        behind = _bytes_behind(self._data, at)
+        flags = behind(2)
+        second = behind(0) == MAGIC_2
+        stop = at + behind(1) + np.where(second, HEADER_2 + CHECKSUM, HEADER_1 + CHECKSUM)
         stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
         fits = np.flatnonzero((stop <= len(self._content)) & ~(second & (flags > FLAG_SIGNED)))
-        whole, follows = at[fits].astype(np.int32), stop[fits] + STAMP
-        linked = np.flatnonzero(self._magic[follows])
-        return whole, whole[linked], follows[linked].astype(np.int32)
+        return at[fits].astype(np.int32), (stop[fits] + STAMP).astype(np.int32)
 
     def good(self) -> Array:
         """(n,) where a frame with a right checksum begins, inside of others too."""
@@ -332,7 +334,17 @@ class _Chain:
 
     def _by_length(self, *, hunting: bool) -> Array:
         """The chain by frame lengths, checksums aside."""
-        linked, follows = self._linked, self._follows
+        begins: list[int] = []  # in `linked`, or ~position of a frame that is not of it
+        stops: list[int] = []
+        record: int | None = 0
+        if hunting and self._limit >= 0:
+            position, record = self._next(0, hunting=True)
+            if record is None:
+                return np.empty(0, np.intp)
+            begins.append(~position)
+            stops.append(-position)
+        leading = np.flatnonzero(self._magic[self._follows])  # to another record's magic byte
+        linked, follows = self._whole[leading], self._follows[leading]
         # Runs of candidates that lead to each other, and where the last of each leads.
         ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))
         last = np.flatnonzero(ends)
@@ -344,11 +356,8 @@ class _Chain:
         np.cumsum(ends, out=runs[1:])
         # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
         index_of, run_of, lasts, leads_to = places.data, runs.data, last.data, follows.data
-        begins: list[int] = []  # in `linked`, or ~position of a frame that is not of it
-        stops: list[int] = []
-        record: int | None = 0
         while record is not None and record <= self._limit:
-            first = -1 if hunting else index_of[record + STAMP]
+            first = index_of[record + STAMP]
             if first >= 0:
                 while first >= 0:
                     end = lasts[run_of[first]]
@@ -358,11 +367,10 @@ class _Chain:
                     first = index_of[following]
                 record = following - STAMP
             else:
-                position, record = self._next(record, hunting=hunting)
+                position, record = self._next(record, hunting=False)
                 if record is not None:
                     begins.append(~position)
                     stops.append(-position)
-            hunting = False
         begin, stop = np.array(begins, np.intp), np.array(stops, np.intp)
         count = stop - begin
         index = np.repeat(begin - np.cumsum(count) + count, count) + np.arange(count.sum())
