@@ -390,7 +390,11 @@ class Tracker:
                 return
             self._pass(alarm, found, now)
         if self._estimator.seconds >= watch.arm_at:
-            watch.arm(self.fit(quick=True, series="watch"), self._estimator.seconds)
+            fit = self.fit(quick=True, series="watch")
+            watch.arm(fit, self._estimator.seconds)
+            early = watch.early(fit)
+            if early is not None:
+                self._change(*early, now)
 
     def _leave_undecided(self) -> None:
         """What may be a change and is no longer to be decided is left out."""
