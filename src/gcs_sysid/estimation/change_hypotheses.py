@@ -213,7 +213,8 @@ class _Trial:
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
         probability = (mass.likelihood + moved.likelihood) / whole
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability)
+        spread = ratio * ratio * std
+        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability, mass_std=spread)
         holds = (
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)

@@ -6,7 +6,7 @@ looked at again later, on thrust alone: with kappa such that the mean residual i
 lag and thrust curve as far as the fit by then knows them. No single curve explains that two levels
 of command carry the same weight.
 
-Where a step of all the stretch is likeliest is found on means over a quarter of a second; it is
+Where a step of all the stretch is likeliest is found on means over 0.15 s; it is
 then judged as any alarm (`change_hypotheses`), among the noise that the whole stretch shows beside
 the step.
 """
@@ -25,11 +25,13 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.signals.samples import Samples
 
-LEAST_BEFORE = 2.0
-"""s of flight before a step that are needed: less is take-off."""
-_FRAME = 0.25
+_FRAME = 0.15
 """s, length of the means in which a step is looked for."""
-_COARSE = replace(TUNING, frame=_FRAME, before=1e6, search=1e6)
+_SHARP = 0.5
+"""s around it in which its onset is found to a sample."""
+LEAST_BEFORE = 10.0 * _FRAME
+"""s of flight before a step that are needed: less is take-off."""
+_WHOLE = replace(TUNING, frame=_FRAME, before=1e6)
 
 
 def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
@@ -74,49 +76,83 @@ def early_change(
     Returns:
         The step as an alarm, with times in s since t[0]; None where the stretch is too short.
     """
-    matrix = np.full((4, N_X), np.nan)
-    matrix[0] = 0.0
-    matrix[0, TOTAL] = -1.0
-    reference = Reference(geometry, matrix, 0.0, actuator)
-    y, x, _ = reference.rows(samples, dt)
-    there = np.isfinite(y[:, 0]) & (x[:, TOTAL] > 0.0)
-    if not there.any():
+    reference = _of_thrust(t, samples, dt, geometry, actuator, float(t[-1]))
+    if reference is None:
         return None
-    matrix[0, TOTAL] = float(np.sum(y[there, 0]) / np.sum(x[there, TOTAL]))
-    if not reference.kappa > 0.0:
-        return None
-    window = Window(t, samples, dt, reference, float(t[-1]) + dt, _COARSE)
+    window = Window(t, samples, dt, reference, float(t[-1]) + dt, _WHOLE)
     first, last = t[0] + LEAST_BEFORE, min(until, t[-1] - TUNING.ages[0])
     times = np.array([window.time_of(i) for i in range(len(window.e))])
     places = np.flatnonzero((times >= first) & (times <= last))
-    if len(window.e) < 2.0 * LEAST_BEFORE / _FRAME or not len(places):
+    if not len(places):
         return None
     nothing = History(np.full(4, np.nan), np.empty((0, 4)), window.step)
-    at, share, sigmas = likeliest_step(window, reference, nothing, places.tolist(), _COARSE)
-    onset = window.time_of(at)
+    at, share, sigmas = likeliest_step(window, reference, nothing, places.tolist(), _WHOLE)
+    onset = _sharp(t, samples, dt, reference, window.time_of(at))
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
-    if not seen:
+    # Thrust over mass by the flight before, as of any other reference.
+    before = _of_thrust(t, samples, dt, geometry, actuator, onset)
+    if before is None or not seen:
         return None
+    look, history = seen[-1], _beside(window, before, at)
     near = slice(
         int(np.searchsorted(t, onset - TUNING.before - 2.0 * TUNING.frame)),
         int(np.searchsorted(t, onset + TUNING.ages[-1], side="right")),
     )
-    history = _beside(window, reference, at)
-    found = judge(t[near], samples.part(near), dt, reference, history, onset, seen[-1])
+    found = judge(t[near], samples.part(near), dt, before, history, onset, look)
+    if found.verdict == "changed":
+        # A gust lasts for seconds, a change for all that was flown since.
+        whole = judge(t, samples, dt, before, history, found.onset, look, tuning=_WHOLE)
+        share_of_it, of_all = (1.0 - 1.0 / c.mass_ratio for c in (found.cause, whole.cause))
+        stays = abs(of_all - share_of_it) < TUNING.agree * abs(share_of_it)
+        if whole.verdict != "changed" or not stays:
+            found = replace(found, verdict="disturbance")
     size = share * float(np.mean(reference.kappa * window.x[at:, TOTAL]))
     change = Change(float(t[-1] - t[0]), onset - float(t[0]), "thrust", size, sigmas, "slow")
     return change, found
 
 
+def _of_thrust(
+    t: Array, samples: Samples, dt: float, geometry: Array, actuator: Actuator | None, until: float
+) -> Reference | None:
+    """A reference of thrust alone whose mean residual is zero until some time; None: no thrust."""
+    matrix = np.full((4, N_X), np.nan)
+    matrix[0] = 0.0
+    y, x, _ = Reference(geometry, matrix, 0.0, actuator).rows(samples, dt)
+    there = np.isfinite(y[:, 0]) & (x[:, TOTAL] > 0.0) & (t[1 : 1 + len(y)] < until)
+    total = float(np.sum(x[there, TOTAL]))
+    kappa = -float(np.sum(y[there, 0])) / total if total > 0.0 else 0.0
+    matrix[0, TOTAL] = -kappa
+    return Reference(geometry, matrix, 0.0, actuator) if kappa > 0.0 else None
+
+
+def _sharp(t: Array, samples: Samples, dt: float, reference: Reference, onset: float) -> float:
+    """The onset to a sample: where two means leave least of the residuals around it.
+
+    A mean across the step would count as noise.
+    """
+    y, x, _ = reference.rows(samples, dt)
+    times = t[1 : 1 + len(y)]
+    e = y[:, 0] + reference.kappa * x[:, TOTAL]
+    near = np.isfinite(e) & (np.abs(times - onset) < _SHARP)
+    times, e = times[near], e[near]
+    n = np.arange(1, len(e))
+    if not len(n):
+        return onset
+    sums = np.cumsum(e)[:-1]
+    gain = sums**2 / n + (e.sum() - sums) ** 2 / (len(e) - n)
+    return float(times[1 + int(np.argmax(gain))])
+
+
 def _beside(window: Window, reference: Reference, at: int) -> History:
     """What thrust's residuals did beside a step: their level before, and how they wandered."""
-    e = window.e[:, 0]
+    e = window.y[:, 0] + reference.kappa * window.x[:, TOTAL]
     later = np.arange(len(e)) >= at
-    thrust = reference.kappa * window.x[:, TOTAL]
     air = np.nan_to_num(window.air)
-    columns = np.column_stack([~later, later, thrust, air[:, 2], np.sum(air[:, :2] ** 2, axis=1)])
+    # Not of thrust: where it carries a vehicle in gusts, all that these do is in proportion to it.
+    columns = np.column_stack([~later, later, air[:, 2], np.sum(air[:, :2] ** 2, axis=1)])
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
     fit = np.linalg.lstsq(columns, e, rcond=1e-6)[0]
     left, level = np.full((len(e), 4), np.nan), np.full(4, np.nan)
     left[:, 0], level[0] = e - columns @ fit, np.median(e[~later])
+    left[max(at - 2, 0) : at + 2] = np.nan  # means across the step
     return History(level, left, window.step)
