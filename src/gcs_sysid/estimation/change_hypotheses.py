@@ -401,11 +401,15 @@ class _Trial:
         """Where a free step is likeliest to begin; without places, near the alarm."""
         window = self._window
         reach = round(self._tuning.search / window.step)
-        places = places or [
-            i
-            for i in range(4, len(window.e) - 4)
-            if abs(window.index[i]) <= reach or i == window.at
-        ] or [min(window.at, len(window.e) - 1)]
+        places = (
+            places
+            or [
+                i
+                for i in range(4, len(window.e) - 4)
+                if abs(window.index[i]) <= reach or i == window.at
+            ]
+            or [min(window.at, len(window.e) - 1)]
+        )
         gains = [self._fit(self._free(self._since(i))).likelihood for i in places]
         return places[int(np.argmax(gains))]
 
