@@ -1,8 +1,8 @@
 """Changes in the first seconds of flight, before a reference fit could watch for any.
 
-With commands it takes 5 to 20 s until lag and thrust curve are known well enough for a reference,
-and with any input 3 s more until the noise of its residuals is. Of those seconds the flight is
-looked at again later, on thrust alone: with kappa such that the mean residual is zero, and with
+With commands it takes up to 20 s until lag and thrust curve are known well enough for a reference,
+and with any input 3 s more until the noise of its residuals is. Those seconds are looked at
+afterwards, on thrust alone: with kappa such that residuals before the step have no mean, and with
 lag and thrust curve as far as the fit by then knows them. No single curve explains that two levels
 of command carry the same weight.
 
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, LagOf
 from gcs_sysid.estimation.change_detection import Change
 from gcs_sysid.estimation.change_hypotheses import Judgement, judge, likeliest_step
 from gcs_sysid.estimation.change_reference import N_X, TOTAL, Actuator, Reference
@@ -44,7 +44,7 @@ def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
     mean, std = COORDINATE_MEAN.copy(), COORDINATE_STD.copy()
     if len(curves) == 1:
         mean[CURVE], std[CURVE] = curves[0], 0.0
-    lag_of = "command"
+    lag_of: LagOf = "command"
     if fit is not None and not (fit.warm_start is not None and fit.warm_start.stuck):
         known = fit.coordinates_std < std
         mean = np.where(known, fit.coordinates, mean)
@@ -74,7 +74,8 @@ def early_change(
         until: s, session time from which a detector watched.
 
     Returns:
-        The step as an alarm, with times in s since t[0]; None where the stretch is too short.
+        The step as an alarm, with times in s since t[0]; None where the stretch is too short,
+        or the step in what was watched.
     """
     reference = _of_thrust(t, samples, dt, geometry, actuator, float(t[-1]))
     if reference is None:
@@ -91,7 +92,7 @@ def early_change(
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
     # Thrust over mass by the flight before, as of any other reference.
     before = _of_thrust(t, samples, dt, geometry, actuator, onset)
-    if before is None or not seen:
+    if before is None or not seen or onset > until:
         return None
     look, history = seen[-1], _beside(window, before, at)
     near = slice(

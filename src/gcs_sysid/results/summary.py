@@ -162,13 +162,14 @@ def next_anchor(
     origin = f"the flight before {until:.1f} s"
     if anchor.kind == kind:
         return ScaleReference(kind, anchor.value, anchor.std, origin, given=anchor.given)
-    known = thrust.value and thrust.std is not None
-    share = thrust.std / thrust.value if known else math.inf
+    share = math.inf
+    if thrust.value and thrust.std is not None:
+        share = thrust.std / thrust.value
     if anchor.kind == "mass" and mass_ratio is not None and mass_ratio[1] < share * mass_ratio[0]:
         ratio, std = mass_ratio
         mass, spread = anchor.value * ratio, math.hypot(anchor.value * std, anchor.std * ratio)
         return ScaleReference("mass", mass, spread, origin, given=anchor.given)
-    if not known:
+    if thrust.value is None or thrust.std is None:
         return anchor
     return ScaleReference(kind, thrust.value, thrust.std, origin, given=anchor.given)
 
