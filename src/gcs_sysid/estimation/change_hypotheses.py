@@ -17,7 +17,7 @@ ground it does not, and carries the vehicle, which it does not where one fell. E
 disturbance.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -111,6 +111,28 @@ def judge(
     return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
 
 
+def likeliest_step(
+    window: Window,
+    reference: Reference,
+    history: History,
+    places: Sequence[int],
+    tuning: HypothesisTuning,
+) -> tuple[int, float, float]:
+    """Where a step of a window is likeliest, the share of thrust over mass that is gone by it, and
+    that in standard deviations.
+
+    Args:
+        window: of the means.
+        reference: of its residuals.
+        history: of the flight before it.
+        places: indices of means with which it may begin.
+        tuning: settings.
+    """
+    trial = _Trial(window, reference, history, tuning, places)
+    fit = trial.mass()
+    return trial.at, float(fit.value[0]), float(fit.value[0] / max(fit.std[0], 1e-12))
+
+
 class _Trial:
     """The hypotheses on one window.
 
@@ -124,6 +146,7 @@ class _Trial:
         reference: Reference,
         history: History,
         tuning: HypothesisTuning,
+        places: Sequence[int] = (),
     ) -> None:
         self._window, self._reference, self._tuning = window, reference, tuning
         self._watched = reference.watched
@@ -139,7 +162,7 @@ class _Trial:
             noise += 1e-9 * np.trace(noise) / len(noise) * np.eye(len(noise))
             self._roots[c] = np.linalg.cholesky(noise)
         self._scale = np.ones(4)
-        self.at = self._likeliest()
+        self.at = self._likeliest(places)
         self._scale = self._inflation()
 
     # ---- what is said of the step ------------------------------------------------------------
@@ -153,7 +176,7 @@ class _Trial:
         """
         window, tuning = self._window, self._tuning
         free = self._fit(self._free(self._since(self.at)))
-        mass = self._fit({0: self._mass(self._since(self.at))}) if self._watched[0] else _NOTHING
+        mass = self.mass()
         moved = self._fit(self._balance(self._since(self.at)))
         losses = [
             self._fit(self._rotor(i, self._since(self.at))) for i in range(window.squares.shape[1])
@@ -190,7 +213,8 @@ class _Trial:
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
         probability = (mass.likelihood + moved.likelihood) / whole
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability)
+        spread = ratio * ratio * std
+        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability, mass_std=spread)
         holds = (
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
@@ -207,11 +231,15 @@ class _Trial:
             and cause.explained > self._tuning.explained
         )
 
+    def mass(self) -> "_Fit":
+        """Of the share of thrust over mass that is gone since the step."""
+        return self._fit({0: self._mass(self._since(self.at))}) if self._watched[0] else _NOTHING
+
     def may_be_mass(self) -> bool:
         """Whether a mass explains it, or would if the vehicle had not been far from hover."""
         if not self._watched[0]:
             return False
-        fit = self._fit({0: self._mass(self._since(self.at))})
+        fit = self.mass()
         share = float(fit.value[0])
         return abs(share) > _SURE * fit.std[0] and self._is_aloft(share)
 
@@ -219,7 +247,7 @@ class _Trial:
         """Whether nothing is left of the step."""
         if not self._watched[0]:
             return True
-        fit = self._fit({0: self._mass(self._since(self.at))})
+        fit = self.mass()
         return bool(abs(fit.value[0]) < _SURE * fit.std[0])
 
     def disturbance(self, cause: Cause, *, force: bool) -> Cause:
@@ -369,15 +397,19 @@ class _Trial:
         value = covariance @ right
         return _Fit(value, covariance, 0.5 * float(right @ value))
 
-    def _likeliest(self) -> int:
-        """Where a free step is likeliest to begin."""
+    def _likeliest(self, places: Sequence[int]) -> int:
+        """Where a free step is likeliest to begin; without places, near the alarm."""
         window = self._window
         reach = round(self._tuning.search / window.step)
-        places = [
-            i
-            for i in range(4, len(window.e) - 4)
-            if abs(window.index[i]) <= reach or i == window.at
-        ] or [min(window.at, len(window.e) - 1)]
+        places = (
+            places
+            or [
+                i
+                for i in range(4, len(window.e) - 4)
+                if abs(window.index[i]) <= reach or i == window.at
+            ]
+            or [min(window.at, len(window.e) - 1)]
+        )
         gains = [self._fit(self._free(self._since(i))).likelihood for i in places]
         return places[int(np.argmax(gains))]
 

@@ -40,6 +40,7 @@ class Cause:
         cg_shift: m, forward and right, at the inertia before.
         explained: likelihood over that of any force and moment.
         disturbance: of "passing", what passed.
+        mass_std: of the mass ratio.
     """
 
     kind: CauseKind
@@ -50,6 +51,7 @@ class Cause:
     cg_shift: tuple[float, float]
     explained: float
     disturbance: Disturbance | None = None
+    mass_std: float = 0.0
 
 
 def describe(

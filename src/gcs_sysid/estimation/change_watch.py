@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from gcs_sysid.estimation.change_detection import Change, ChangeDetector, Change
 from gcs_sysid.estimation.change_hypotheses import Judgement, judge
 from gcs_sysid.estimation.change_reference import Reference
 from gcs_sysid.estimation.change_window import TUNING, Frames
+from gcs_sysid.estimation.early_change import actuator_of, early_change
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.estimation.tuning import Tuning
@@ -23,6 +24,9 @@ _MOST_ALARMS = 8
 """Looked at together."""
 _BLURRED = 0.1
 """s after a change's onset that are left out where the onset is known to no more."""
+_EARLY, _EARLY_GROWTH, _EARLY_END = 8.0, 1.45, 40.0
+"""s of flight at which its unwatched beginning is first looked at, growth until it is again, and
+from when on it is not: by then every flight with input on all axes has a reference."""
 _ARM: dict[RotorInput, tuple[float, float]] = {"speed": (1.0, 1.2), "command": (5.0, 1.5)}
 """s between new references of the detector, and growth of the record, whichever is later."""
 
@@ -65,7 +69,8 @@ class ChangeWatch:
     """
 
     def __init__(self, geometry: Array, dt: float, changes: ChangeTuning, tuning: Tuning) -> None:
-        self._dt, self._changes, self._input = dt, changes, tuning.rotor_input
+        self._dt, self._changes, self._tuning = dt, changes, tuning
+        self._geometry = geometry
         self._detector = ChangeDetector(
             geometry,
             dt,
@@ -76,6 +81,9 @@ class ChangeWatch:
         self._alarms: list[Alarm] = []
         self._recent: deque[tuple[Array, Samples]] = deque()
         self._frames = Frames()
+        self._early_at = _EARLY
+        self._watched: float | None = None
+        """s, session time from which the detector tests thrust; None: not yet."""
         self.arm_at = 0.0
         """s of flight from which a better reference is wanted."""
 
@@ -97,6 +105,7 @@ class ChangeWatch:
         self._recent.clear()
         self._detector.disarm()
         self.arm_at = 0.0
+        self._early_at, self._watched = _EARLY, None
 
     def take(self, t: Array, samples: Samples, *, tentative: bool = False) -> bool:
         """Take n samples at (n,) session times.
@@ -116,10 +125,10 @@ class ChangeWatch:
             return False
         self._frames.add(self._detector.frames)
         self._detector.frames = []
+        most = len(t) if self._is_early else round(_REMEMBERED / self._dt)
         # Longer blocks come without an alarm: their end is enough.
-        most = round(_REMEMBERED / self._dt)
         self._recent.append((t[-most:], samples.part(slice(-most, None))))
-        while self._recent[0][0][-1] < t[-1] - _REMEMBERED:
+        while not self._is_early and self._recent[0][0][-1] < t[-1] - _REMEMBERED:
             self._recent.popleft()
         for change in found:
             self._suspect(change, float(t[-1]))
@@ -136,9 +145,43 @@ class ChangeWatch:
 
     def arm(self, fit: Fit, seconds: float) -> None:
         """Watch with a better reference, of so many s of flight."""
-        pause, growth = _ARM[self._input]
+        pause, growth = _ARM[self._tuning.rotor_input]
         self.arm_at = max(seconds + pause, growth * seconds)
         self._detector.arm(fit)
+        if self._watched is None and self._detector.reference.watched[0] and self._recent:
+            self._watched = float(self._recent[-1][0][-1]) + self._changes.warm_up
+
+    @property
+    def _is_early(self) -> bool:
+        """Whether the beginning of the flight is still to be looked at."""
+        return self._early_at < _EARLY_END
+
+    def early(self, fit: Fit) -> tuple[Alarm, Judgement] | None:
+        """A change before the detector could see it, looked for now and then in the beginning.
+
+        Args:
+            fit: of the flight so far.
+        """
+        if not self._is_early or not self._recent or self._alarms:
+            return None
+        start, now = float(self._recent[0][0][0]), float(self._recent[-1][0][-1])
+        if now - start < self._early_at:
+            return None
+        self._early_at = _EARLY_GROWTH * (now - start)
+        commands = self._tuning.rotor_input == "command"
+        actuator = actuator_of(fit.rotation, self._tuning.curves) if commands else None
+        t, samples = self._remembered()
+        until = now if self._watched is None else self._watched
+        found = early_change(t, samples, self._dt, self._geometry, actuator, until)
+        if found is None or found[1].verdict != "changed":
+            return None
+        change, judgement = found
+        change = replace(
+            change,
+            onset=change.onset + start,
+            detected=change.detected + start,
+        )
+        return Alarm(change, change.onset, change.detected, self._detector.reference), judgement
 
     def decided(self, now: float) -> Iterator[tuple[Alarm, Judgement]]:
         """The alarms on which it is decided by now."""
@@ -166,16 +209,18 @@ class ChangeWatch:
         time += 0.5 * self._dt  # of a sample at that very time, rounding must not decide
         return [part.part(t > time) for t, part in self._recent if t[-1] > time]
 
+    def _remembered(self) -> tuple[Array, Samples]:
+        parts = self._recent
+        return np.concatenate([t for t, _ in parts]), _joined([samples for _, samples in parts])
+
     def _judged(self, alarm: Alarm, look: int, now: float, *, decide: bool = True) -> Judgement:
         history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
-        t = np.concatenate([part[0] for part in self._recent])
-        samples = _joined([part[1] for part in self._recent])
+        t, samples = self._remembered()
         first = alarm.onset - TUNING.before - 2.0 * TUNING.frame - 0.5 * self._dt
         start = int(np.searchsorted(t, first))
-        part = samples.part(slice(start, None))
         return judge(
             t[start:],
-            part,
+            samples.part(slice(start, None)),
             self._dt,
             alarm.reference,
             history,

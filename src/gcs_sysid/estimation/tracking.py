@@ -81,11 +81,14 @@ class Segment:
         start: s, session time.
         end: s, the change's onset.
         fit: of all of it.
+        mass_ratio: mass since over mass in it, as the jump of thrust shows, with its standard
+            deviation; None after a landing.
     """
 
     start: float
     end: float
     fit: Fit
+    mass_ratio: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -390,7 +393,11 @@ class Tracker:
                 return
             self._pass(alarm, found, now)
         if self._estimator.seconds >= watch.arm_at:
-            watch.arm(self.fit(quick=True, series="watch"), self._estimator.seconds)
+            fit = self.fit(quick=True, series="watch")
+            watch.arm(fit, self._estimator.seconds)
+            early = watch.early(fit)
+            if early is not None:
+                self._change(*early, now)
 
     def _leave_undecided(self) -> None:
         """What may be a change and is no longer to be decided is left out."""
@@ -428,7 +435,8 @@ class Tracker:
             self._add(event)
             return
         event = replace(event, segment=len(self.segments))
-        self.segments.append(Segment(self.start, onset, before))
+        ratio = found.cause.mass_ratio, found.cause.mass_std
+        self.segments.append(Segment(self.start, onset, before, ratio))
         fresh = self._fresh(landed=False)
         fresh.prior = _after_change(before, self.geometry)
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)

@@ -141,20 +141,34 @@ def scale_of(anchor: ScaleReference) -> Scale:
 
 
 def next_anchor(
-    anchor: ScaleReference, values: Mapping[str, Value], until: float
+    anchor: ScaleReference,
+    values: Mapping[str, Value],
+    until: float,
+    mass_ratio: tuple[float, float] | None = None,
 ) -> ScaleReference:
     """The anchor after a change of the body: the rotors are the same, so their thrust stays.
+
+    Where the flight before was too short to determine thrust as well as the change determines the
+    ratio of masses, the mass before times that ratio.
 
     Args:
         anchor: in force before.
         values: parameters before, with k_T (rotor speeds) or T_max (commands).
         until: s, session time of the change.
+        mass_ratio: mass after over mass before, and its standard deviation; None: not known.
     """
     kind = THRUST_OF["speed" if "k_T" in values else "command"]
     thrust = values[kind]
     origin = f"the flight before {until:.1f} s"
     if anchor.kind == kind:
         return ScaleReference(kind, anchor.value, anchor.std, origin, given=anchor.given)
+    share = math.inf
+    if thrust.value and thrust.std is not None:
+        share = thrust.std / thrust.value
+    if anchor.kind == "mass" and mass_ratio is not None and mass_ratio[1] < share * mass_ratio[0]:
+        ratio, std = mass_ratio
+        mass, spread = anchor.value * ratio, math.hypot(anchor.value * std, anchor.std * ratio)
+        return ScaleReference("mass", mass, spread, origin, given=anchor.given)
     if thrust.value is None or thrust.std is None:
         return anchor
     return ScaleReference(kind, thrust.value, thrust.std, origin, given=anchor.given)

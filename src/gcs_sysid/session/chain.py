@@ -485,4 +485,4 @@ class Chain:
         """Find the anchor of what follows a segment."""
         anchor = self.anchors[-1]
         before = self.values(segment.fit, anchor)
-        self.anchors.append(summary.next_anchor(anchor, before, segment.end))
+        self.anchors.append(summary.next_anchor(anchor, before, segment.end, segment.mass_ratio))

@@ -1,0 +1,147 @@
+"""Changes before a detector could watch: found afterwards, on thrust alone."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.change_detection import ChangeTuning
+from gcs_sysid.estimation.early_change import LEAST_BEFORE, actuator_of, early_change
+from gcs_sysid.estimation.status import Value
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tuning import tuning_for_commands
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.summary import next_anchor
+from gcs_sysid.signals.samples import Samples
+from sim_bridge.doublets import ALL_MISSIONS
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.simulation import mass_step
+from sim_bridge.vehicle_files import load_vehicle
+
+RATE, END = 100, 11.0
+DT = 1.0 / RATE
+VEHICLE = load_vehicle("paper")
+GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T
+UNKNOWN = actuator_of(None, (-0.2, 1.2))
+"""Commands of which nothing is known yet."""
+
+
+@cache
+def flown(at, factor, seed=1):
+    changes = (mass_step(at, factor),) if at else ()
+    clean = fly_ensemble(VEHICLE, ALL_MISSIONS["doublets"], RATE, END, changes=changes, seed=seed)
+    return clean.with_noise("mems", 0.0, [seed])
+
+
+def found(flight, rotor_input, until=END, samples_until=END):
+    samples = Samples(
+        gyro=flight.gyro[0],
+        rates=flight.gyro[0],
+        speeds=(flight.commands if rotor_input == "command" else flight.speeds)[0],
+        attitude=flight.quaternion[0],
+        force=flight.specific_force[0],
+        velocity=flight.velocity[0],
+    ).part(slice(0, round(samples_until / DT)))
+    actuator = UNKNOWN if rotor_input == "command" else None
+    t = flight.t[: len(samples.gyro)]
+    return early_change(t, samples, DT, GEOMETRY, actuator, until)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+@pytest.mark.parametrize(
+    ("at", "factor"), [(2.0, 1.2), pytest.param(5.0, 0.85, marks=pytest.mark.thorough)]
+)
+def test_an_early_mass_step_is_found_and_weighed(rotor_input, at, factor):
+    change, judgement = found(flown(at, factor), rotor_input)
+    assert judgement.verdict == "changed"
+    assert judgement.onset == pytest.approx(at, abs=0.06)
+    cause = judgement.cause
+    assert cause.mass_std < 0.02
+    # Measured: 0.1 to 0.6 %, one standard deviation 0.3 to 0.5 %.
+    assert abs(cause.mass_ratio - factor) < max(3.0 * cause.mass_std, 0.01)
+    assert np.sign(change.size) == np.sign(factor - 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+def test_nothing_is_found_where_nothing_changed(rotor_input):
+    _, judgement = found(flown(None, 1.0), rotor_input)
+    assert judgement.verdict != "changed"
+
+
+@pytest.mark.slow
+def test_what_a_detector_watched_is_left_to_it():
+    assert found(flown(2.0, 1.2), "speed", until=1.8) is None
+
+
+@pytest.mark.slow
+def test_a_step_with_too_little_flight_around_it_is_not_judged():
+    assert found(flown(2.0, 1.2), "speed", samples_until=LEAST_BEFORE + 0.5) is None
+
+
+@pytest.mark.slow
+def test_rotors_that_stand_still_have_no_thrust():
+    flight = flown(None, 1.0)
+    still = np.zeros_like(flight.speeds[0])
+    samples = Samples(
+        flight.gyro[0], flight.gyro[0], still, flight.quaternion[0], flight.specific_force[0],
+        flight.velocity[0],
+    )  # fmt: skip
+    assert early_change(flight.t, samples, DT, GEOMETRY, None, END) is None
+
+
+@pytest.mark.slow
+@pytest.mark.thorough
+def test_a_flight_with_an_early_step_is_two_segments_however_it_comes():
+    flights = [follow_blocks(n) for n in (25, 700)]
+    for tracker in flights:
+        (event,), (segment,) = tracker.events, tracker.segments
+        assert event.onset == segment.end == pytest.approx(4.0, abs=0.05)
+        ratio, std = segment.mass_ratio
+        assert abs(ratio - 1.2) < max(3.0 * std, 0.01)
+    one, other = flights
+    assert one.events[0].decided == other.events[0].decided
+    kappa = other.fit().translation.kappa
+    assert one.fit().translation.kappa == pytest.approx(kappa, rel=1e-9)
+
+
+def follow_blocks(size):
+    mission = ALL_MISSIONS["doublets"]
+    clean = fly_ensemble(VEHICLE, mission, 250, 14.0, changes=(mass_step(4.0, 1.2),))
+    flight = clean.with_noise("mems", 0.0, [1])
+    samples = Samples(
+        gyro=flight.gyro[0],
+        rates=flight.gyro[0],
+        speeds=flight.commands[0],
+        attitude=flight.quaternion[0],
+        force=flight.specific_force[0],
+        velocity=flight.velocity[0],
+    )
+    tracker = Tracker(GEOMETRY, 0.004, tuning_for_commands(0.004), ChangeTuning())
+    for k in range(0, len(flight.t), size):
+        part = slice(k, k + size)
+        tracker.update(flight.t[part], samples.part(part))
+    return tracker
+
+
+@pytest.mark.parametrize(
+    ("thrust", "kind", "value", "std"),
+    [
+        (Value(None, None, "unobservable"), "mass", 1.8, 0.03),  # nothing but the jump tells
+        (Value(8.0, 1.6, "weak"), "mass", 1.8, 0.03),  # 20 %: the jump tells more
+        (Value(8.0, 0.04, "identified"), "T_max", 8.0, 0.04),  # 0.5 %: thrust does
+    ],
+)
+def test_the_scale_after_a_change_is_by_what_is_known_best(thrust, kind, value, std):
+    after = next_anchor(ScaleReference("mass", 1.5), {"T_max": thrust}, 4.0, (1.2, 0.02))
+    assert (after.kind, after.value, after.std) == (kind, pytest.approx(value), pytest.approx(std))
+    assert after.origin == "the flight before 4.0 s"
+
+
+def test_without_a_jump_that_tells_the_scale_is_that_of_thrust():
+    anchor, unknown = ScaleReference("mass", 1.5), {"T_max": Value(None, None, "unobservable")}
+    assert next_anchor(anchor, unknown, 4.0) is anchor
+    given = ScaleReference("T_max", 8.0)
+    after = next_anchor(given, {"T_max": Value(8.0, 0.0, "given")}, 4.0, (1.2, 0.02))
+    assert (after.kind, after.value, after.std) == ("T_max", 8.0, 0.0)
