@@ -24,8 +24,8 @@ from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
-from gcs_sysid.results.summary import before_data
-from gcs_sysid.results.words import WAITING, shown
+from gcs_sysid.results.summary import before_data, contradicted
+from gcs_sysid.results.words import WAITING, WRONG_AIRFRAME, shown
 from gcs_sysid.telemetry.tlog_writer import NOT_RECORDING, unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -331,7 +331,7 @@ def status_line(snapshot: Snapshot) -> str:
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
     refused = snapshot.result.verdict == "refused"
-    words.append(WAITING.meaning if refused and before_data(snapshot) else snapshot.result.verdict)
+    words.append(_standing(snapshot))
     for name in CORE_OF[snapshot.result.rotor_input]:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
@@ -341,6 +341,14 @@ def status_line(snapshot: Snapshot) -> str:
     if refused and reasons:
         words.append(f"({reasons[0]})")
     return "  ".join(words)
+
+
+def _standing(snapshot: Snapshot) -> str:
+    """The verdict, or what stands in its place before there are data."""
+    if contradicted(snapshot.result):
+        return WRONG_AIRFRAME
+    waiting = snapshot.result.verdict == "refused" and before_data(snapshot)
+    return WAITING.meaning if waiting else snapshot.result.verdict
 
 
 def spare_what_stays() -> None:
