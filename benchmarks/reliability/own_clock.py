@@ -106,7 +106,9 @@ def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession]
     clock, times = OwnClock(), watched.Times()
     watched.watch(times)
     link = PlayedLink(recording, clock, times)
-    options = LiveOptions(rate=1000, refit_interval=0.5, predict=False, coach=CoachOptions())
+    options = LiveOptions(
+        rate=1000, refit_interval=0.5, predict=False, coach=CoachOptions(), apart=True
+    )
     results = JsonLines(str(folder / "result.jsonl"), force=True)
     session = live.LiveSession(
         link, load_airframe("paper"), options, folder / "own.tlog", on_result=results.write
