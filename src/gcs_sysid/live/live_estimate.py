@@ -78,7 +78,7 @@ class LiveEstimate:
         return self.pipeline.chain
 
     def learn(self, batch: Batch, garbage_bytes: int) -> None:
-        """Learn from frames, or count them at least.
+        """Take frames to learn from by `work`, or count them at least.
 
         Args:
             batch: as it is recorded.
@@ -88,9 +88,26 @@ class LiveEstimate:
         try:
             if self.duty is Duty.IDENTIFY:
                 self.pipeline.intake.garbage_bytes = garbage_bytes
-                self.pipeline.take(batch.frames, wall)
+                self.pipeline.gather(batch.frames, wall)
             elif self.duty is Duty.WATCH:
                 self.pipeline.intake.frames(batch.frames, wall)
+        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+            self.retreat(defect)
+
+    @property
+    def is_working(self) -> bool:
+        """Whether there is something for `work` to do."""
+        return self.duty is Duty.IDENTIFY and self.pipeline.is_working
+
+    def work(self, *, off: bool = False) -> None:
+        """Do the next piece of what has been learned, or all there is."""
+        if self.duty is not Duty.IDENTIFY:
+            return
+        try:
+            if off:
+                self.pipeline.work_off()
+            else:
+                self.pipeline.step()
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self.retreat(defect)
 
