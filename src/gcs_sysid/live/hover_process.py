@@ -26,7 +26,7 @@ _COMMAND = [sys.executable, "-P", "-m", "gcs_sysid.live.hover_process"]
 _MOST_WAITING = 256 * 2**20
 """Bytes for a process that does not take them, before it is given up: a minute of them is 12 MB at
 1 kHz."""
-_LAST_WITHIN = 10.0
+_LAST_WITHIN = 3.0
 """s that the last answer may take."""
 
 
