@@ -211,7 +211,8 @@ def test_a_wrong_airframe_is_the_headline_before_take_off(width, large):
     assert "motor order" in " ".join(lines)
     assert len(lines) == (HEIGHT if large and width > 60 else 1)
     texts = [text for options, _ in blocks(View(snapshot, {}, "Ixx", {}))[0] for text in options]
-    assert "WRONG AIRFRAME" in texts and "ON GROUND" not in texts
+    assert "WRONG AIRFRAME" in texts
+    assert "ON GROUND" not in texts
 
 
 def test_names_that_do_not_fit_are_counted():
