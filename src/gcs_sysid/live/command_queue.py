@@ -28,7 +28,7 @@ class CommandQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody asks for anything."""
+        """Whether it holds no commands."""
         return self._waiting.empty()
 
     def grant(self, note: Callable[[str], None]) -> Exception | None:

@@ -181,7 +181,7 @@ class HoverProcess:
 
 
 class _Known:
-    """What the link knows beside the records, as far as it was told."""
+    """What the link knows beside the records, by the latest question."""
 
     vehicle: Vehicle | None = None
 

@@ -2,7 +2,7 @@
 
 The vehicle is asked for its intervals before anything is changed. Where it does not answer, the
 rates that arrived until then count. While others run, the vehicle is asked again now and then: an
-interval that is no longer what this session's request made of it was set by somebody else, and is
+interval that is no longer what this session's request made of it was set by another station, and is
 what will be put back. What was found is kept in a small file for each vehicle and
 link while the session lasts: a session that is killed with everything else leaves it behind, and
 the next one puts back what it finds there. There is no clock in here: the caller says what time
@@ -33,7 +33,7 @@ OBSERVED_FOR = 3.0
 SILENT_FOR = 0.7
 """s after which a vehicle that neither answers nor sends any of the streams is not waited for."""
 CHECKED_EVERY = 5.0
-"""s between questions whether somebody else has set an interval."""
+"""s between questions whether another station has set an interval."""
 SETTLED = 1.0
 """s after a request in which it has taken effect; s that an answer is waited for."""
 SAME = 0.02
@@ -147,7 +147,7 @@ class StreamRestoration:
         arriving: Mapping[str, float],
         intervals: Mapping[int, tuple[int, int]],
     ) -> list[str]:
-        """Streams whose interval somebody else has set since the last request for them.
+        """Streams whose interval another station has set since the last request for them.
 
         `own` is that interval from now on. Asks the vehicle where that is due; call it, with the
         arguments of `tick`, once all is known.
@@ -181,7 +181,7 @@ class StreamRestoration:
 
     def looked(self, now: float, name: str, intervals: Mapping[int, tuple[int, int]]) -> bool:
         """Whether a stream that has become slow may be asked for again: first the vehicle is asked
-        whether somebody else has set it, which the request would undo.
+        whether another station has set it, which the request would undo.
         """
         if name not in self._answered or self._vehicle is None:
             return True
