@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import signal
 import sys
 import threading
@@ -404,7 +405,9 @@ def read_key(path: Path) -> bytes:
 
 
 def _end_with_stdin() -> None:
-    sys.stdin.buffer.read()
+    # Not through the buffer: its lock, held at exit, aborts the interpreter.
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
     signal.raise_signal(signal.SIGTERM)
 
 

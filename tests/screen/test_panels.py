@@ -7,14 +7,17 @@ import pytest
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
 from gcs_sysid.screen import text_drawing
+from gcs_sysid.screen.pilot_view import blocks
 from gcs_sysid.screen.text_drawing import HEIGHT, big
-from gcs_sysid.screen.verdict_summary import headline, named, shares, standing_of
+from gcs_sysid.screen.verdict_summary import headline, level_of, named, shares, standing_of
+from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
 from gcs_sysid.screen.widgets.coach_panel import advice_lines, gain_text
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
+from gcs_sysid.screen.widgets.verdict import verdict_lines
 
 from . import fake
 
@@ -190,6 +193,26 @@ def test_the_verdict_in_a_word():
     refused = replace(snapshot, result=replace(fake.result(), verdict="refused"))
     assert headline(refused) == "NOT YET"
     assert headline(replace(refused, link=fake.link(LinkState.ENDED))) == "NO ANSWER"
+
+
+@pytest.mark.parametrize("width", [60, 80, 118, 160])
+@pytest.mark.parametrize("large", [False, True])
+def test_a_wrong_airframe_is_the_headline_before_take_off(width, large):
+    why = "wrong airframe mine: motor order: motor 1 is rear left, on the vehicle front right"
+    result = replace(fake.result(), verdict="refused", reasons=(why, "too little flight"))
+    snapshot = replace(fake.snapshot(), result=result, used_seconds=0.0, flying=False)
+    snapshot = replace(snapshot, advice=None)
+    assert headline(snapshot) == "WRONG AIRFRAME"
+    assert level_of(snapshot) == "refused"
+    lines = [
+        "".join(text for text, _ in line) for line in verdict_lines(snapshot, width, large=large)
+    ]
+    assert max(map(len, lines)) <= width
+    assert "motor order" in " ".join(lines)
+    assert len(lines) == (HEIGHT if large and width > 60 else 1)
+    texts = [text for options, _ in blocks(View(snapshot, {}, "Ixx", {}))[0] for text in options]
+    assert "WRONG AIRFRAME" in texts
+    assert "ON GROUND" not in texts
 
 
 def test_names_that_do_not_fit_are_counted():

@@ -344,6 +344,13 @@ def test_reboot_before_the_grid_has_begun():
     assert np.isfinite(run.values(IMU)).all()
 
 
+def test_a_clock_that_is_set_after_two_samples_makes_no_points_in_between():
+    """GPS sets Unix time when it finds it: years after the first stamps."""
+    run = Run([*stream(Stream.IMU, 250.0, 0.0, 0.008), *usual(start=3e7, end=3e7 + 2.0)])
+    assert run.t[0] >= 3e7
+    assert len(run.t) > 400
+
+
 @pytest.mark.parametrize(("first", "second"), [(250.0, 100.0), (100.0, 250.0), (50.0, 20.0)])
 def test_grid_follows_a_change_of_rate_before_flight(first, second):
     records = [*stream(Stream.IMU, first, end=4.0), *stream(Stream.IMU, second, 4.0, 12.0)]

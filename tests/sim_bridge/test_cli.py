@@ -1,5 +1,7 @@
 """The command line: what it refuses, and how."""
 
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -120,6 +122,20 @@ def test_a_flight_to_a_file_prints_nothing(
     path = tmp_path / "f.tlog"
     assert run(f"--tlog {path} --duration 0.5 --speed=max", capsys) == (0, "", "")
     assert path.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["over", pytest.param("closed", marks=pytest.mark.thorough)])
+def test_it_ends_cleanly_whether_standard_input_closes_or_not(end: str, tmp_path: Path) -> None:
+    seconds = {"over": "0.1", "closed": "600"}[end]
+    words = [f"--tlog={tmp_path / 'f.tlog'}", f"--duration={seconds}", "--speed=1"]
+    command = [sys.executable, "-m", "sim_bridge", *words, "--until-stdin-closes"]
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as program:  # type: ignore[call-overload]
+        if end == "closed":
+            program.stdin.close()
+        assert program.wait(60.0) == 0
+        assert program.stderr.read() == b""
 
 
 def test_an_existing_file_is_replaced_by_force_alone(

@@ -24,8 +24,8 @@ from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
-from gcs_sysid.results.summary import before_data
-from gcs_sysid.results.words import WAITING, shown
+from gcs_sysid.results.summary import before_data, contradicted
+from gcs_sysid.results.words import WAITING, WRONG_AIRFRAME, shown
 from gcs_sysid.telemetry.tlog_writer import NOT_RECORDING, unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -71,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
                 coach=coach_options(options),
                 state_folder=state_folder(),
                 predict=is_watched(options) and not options.web,
+                apart=True,
             ),
             record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,
@@ -331,7 +332,7 @@ def status_line(snapshot: Snapshot) -> str:
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
     refused = snapshot.result.verdict == "refused"
-    words.append(WAITING.meaning if refused and before_data(snapshot) else snapshot.result.verdict)
+    words.append(_standing(snapshot))
     for name in CORE_OF[snapshot.result.rotor_input]:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
@@ -341,6 +342,14 @@ def status_line(snapshot: Snapshot) -> str:
     if refused and reasons:
         words.append(f"({reasons[0]})")
     return "  ".join(words)
+
+
+def _standing(snapshot: Snapshot) -> str:
+    """The verdict, or what stands in its place before there are data."""
+    if contradicted(snapshot.result):
+        return WRONG_AIRFRAME
+    waiting = snapshot.result.verdict == "refused" and before_data(snapshot)
+    return WAITING.meaning if waiting else snapshot.result.verdict
 
 
 def spare_what_stays() -> None:

@@ -26,6 +26,11 @@ class CommandQueue:
         except queue.Full:
             raise InputError("the session is busy: try again") from None
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether it holds no commands."""
+        return self._waiting.empty()
+
     def grant(self, note: Callable[[str], None]) -> Exception | None:
         """Carry out the requests. One that fails is reported, and the session continues.
 
@@ -36,7 +41,7 @@ class CommandQueue:
             The first defect, if one was met.
         """
         first: Exception | None = None
-        while not self._waiting.empty():
+        while not self.is_empty:
             try:
                 self._waiting.get()()
             except (GcsSysidError, OSError) as error:

@@ -17,9 +17,9 @@ from gcs_sysid.estimation.uncertainty import watched_factor
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
-from gcs_sysid.results.result import Estimate, Scale
+from gcs_sysid.results.result import Estimate, Result, Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.results.words import disturbance_text
+from gcs_sysid.results.words import WRONG_AIRFRAME, disturbance_text
 
 _AXES = ("roll", "pitch", "yaw")
 MIN_SECONDS = 3.0
@@ -40,6 +40,13 @@ _WORDS = {
 def before_data(snapshot: Snapshot) -> bool:
     """Whether there is too little flight for any estimate, and more may come."""
     return snapshot.used_seconds < MIN_SECONDS and snapshot.link.state is not LinkState.ENDED
+
+
+def contradicted(result: Result) -> str:
+    """Why an airframe is wrong, where the vehicle itself says so and nothing is identified."""
+    first = result.reasons[0] if result.reasons else ""
+    is_wrong = result.verdict == "refused" and first.startswith(WRONG_AIRFRAME)
+    return first if is_wrong else ""
 
 
 def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:

@@ -48,6 +48,8 @@ STATUS: dict[Status, Word] = {
     ),
     "unobservable": Word("✗", "not observable from this flight"),
 }
+WRONG_AIRFRAME = "wrong airframe"
+"""Begins each reason that the vehicle's own parameters contradict the airframe."""
 WAITING = Word("○", "waiting")
 """Of every parameter before there are data."""
 VERDICT: dict[Verdict, Word] = {

@@ -9,6 +9,7 @@ from textual.screen import Screen
 from textual.widgets import Footer
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.summary import contradicted
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.call_outs import seconds_left
 from gcs_sysid.screen.text_drawing import big, height_of
@@ -52,6 +53,8 @@ def blocks(view: View) -> tuple[list[Block], float | None]:
         out += [([order.upper()], "bold") for order in advice.axes or (advice.manoeuvre,)]
         out.append(([f"{seconds_left(advice):.0f} S LEFT"], "$text-primary"))
         share = advice.progress
+    elif contradicted(snapshot.result):
+        out.append(([headline(snapshot), short_headline(snapshot)], "$text-error"))
     elif not snapshot.flying and state is not LinkState.ENDED:
         out.append((["ON GROUND"], "bold"))
     else:

@@ -13,7 +13,7 @@ from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result, Verdict
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.results.summary import before_data
+from gcs_sysid.results.summary import before_data, contradicted
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
@@ -71,6 +71,8 @@ def standing_of(snapshot: Snapshot) -> Standing:
     )
 
 
+_SHORT = {"ABOVE TARGET": "WIDE", words.WRONG_AIRFRAME.upper(): "AIRFRAME"}
+"""Headlines where there is little room."""
 Level = Verdict | Literal["waiting"]
 """What sign and color of the headline go by."""
 
@@ -81,6 +83,8 @@ def headline(snapshot: Snapshot) -> str:
         return "WAITING"
     if snapshot.advice is not None and snapshot.advice.enough:
         return "ENOUGH"
+    if contradicted(snapshot.result):
+        return words.WRONG_AIRFRAME.upper()
     if level_of(snapshot) == "waiting":
         return "WAITING"
     if snapshot.result.verdict == "refused":
@@ -93,11 +97,13 @@ def headline(snapshot: Snapshot) -> str:
 def short_headline(snapshot: Snapshot) -> str:
     """The headline where there is little room."""
     text = headline(snapshot)
-    return "WIDE" if text == "ABOVE TARGET" else text
+    return _SHORT.get(text, text)
 
 
 def level_of(snapshot: Snapshot) -> Level:
     """The verdict, but `partial` above the target, and `waiting` before there are data."""
+    if contradicted(snapshot.result):
+        return "refused"
     if snapshot.result.verdict == "refused" and before_data(snapshot):
         return "waiting"
     enough = snapshot.advice is not None and snapshot.advice.enough

@@ -20,6 +20,7 @@ from gcs_sysid.model.airframe import (
     is_evenly_canted,
     load_airframe,
 )
+from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -261,7 +262,7 @@ def differences(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]
         return ()
     first = _differences(airframe.rotors, reported.rotors)
     return tuple(
-        f"wrong airframe {airframe.name}: {what} (the vehicle: {reported.by})" for what in first
+        f"{WRONG_AIRFRAME} {airframe.name}: {what} (the vehicle: {reported.by})" for what in first
     )
 
 

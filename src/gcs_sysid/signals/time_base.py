@@ -405,7 +405,10 @@ class TimeBase:
             self.dt = max(round(imu.interval * 1e6) * 1e-6, _LEAST_STEP)
             self.flown = 0.0
         imu.step = self.dt
-        self._origin = imu.oldest if self._fresh and not self.restarts else self._newest
+        self._origin = self._newest
+        # A clock that is set right after a few samples leaves the oldest years behind.
+        if not self.restarts and self._newest - imu.oldest <= _MOST_POINTS * self.dt:
+            self._origin = imu.oldest
         self._next_index = 0
         self._ticks_from, self._next_tick = self._newest, 1
         self._started = True

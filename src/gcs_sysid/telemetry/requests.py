@@ -141,10 +141,13 @@ class StreamRequests:
             self._see_to_groups(self._groups, vehicle, now, arriving)
             return
         self._plan(vehicle)
+        if restoration is not None:
+            for name in restoration.taken_over(now, arriving, intervals):
+                self._restore(name)  # theirs already: nothing to be undone later
         if share is not None:
             self._report_loss(share)
         for name, hz in self._rates.items():
-            self._see_to(name, hz, arriving.get(name, 0.0), now)
+            self._see_to(name, hz, arriving.get(name, 0.0), now, intervals)
 
     def _heartbeat(self, now: float, vehicle: Vehicle | None) -> None:
         due = self._heartbeat_at is None or now - self._heartbeat_at >= HEARTBEAT_EVERY
@@ -284,7 +287,14 @@ class StreamRequests:
             self.problem = too_slow("without such loss the link carries", hertz, self._needed)
             self._report(self.problem)
 
-    def _see_to(self, name: str, hz: float, got: float, now: float) -> None:
+    def _see_to(
+        self,
+        name: str,
+        hz: float,
+        got: float,
+        now: float,
+        intervals: Mapping[int, tuple[int, int]],
+    ) -> None:
         """Request a stream where due, and report those that do not arrive."""
         enough = got >= ENOUGH * hz
         if enough:
@@ -300,6 +310,9 @@ class StreamRequests:
             self._asks[name] = max(asks, 1)
             self._ask(name, hz, now)
         elif not enough and asks < ASKS_AT_MOST and now - self._asked_at[name] >= ASK_AGAIN_AFTER:
+            restoration = self._restoration
+            if restoration is not None and not restoration.looked(now, name, intervals):
+                return
             self._asks[name] = asks + 1
             self._ask(name, hz, now)
 
@@ -316,6 +329,8 @@ class StreamRequests:
         assert self._vehicle is not None
         self._asked_at[name] = now
         interval, own = self._interval(hz), self._own_interval(name)
+        if self._restoration is not None:
+            self._restoration.requested(now, name, interval)
         address = self._vehicle.address
         if self._gate.set_message_interval(address, MESSAGE_IDS[name], interval, own):
             self.asked[name] = hz

@@ -1,7 +1,9 @@
 """What each stream's interval was before the first request, so that it can be put back.
 
 The vehicle is asked for its intervals before anything is changed. Where it does not answer, the
-rates that arrived until then count. What was found is kept in a small file for each vehicle and
+rates that arrived until then count. While others run, the vehicle is asked again now and then: an
+interval that is no longer what this session's request made of it was set by another station, and is
+what will be put back. What was found is kept in a small file for each vehicle and
 link while the session lasts: a session that is killed with everything else leaves it behind, and
 the next one puts back what it finds there. There is no clock in here: the caller says what time
 it is.
@@ -30,6 +32,10 @@ OBSERVED_FOR = 3.0
 """s after which what arrived must do, where a question is not answered."""
 SILENT_FOR = 0.7
 """s after which a vehicle that neither answers nor sends any of the streams is not waited for."""
+CHECKED_EVERY = 5.0
+"""s between questions whether another station has set an interval."""
+SETTLED = 1.0
+"""s after a request in which it has taken effect; s that an answer is waited for."""
 SAME = 0.02
 """Share by which an interval may differ and still be the one asked for: autopilots round."""
 SCHEMA = "gcs-sysid-streams/1"
@@ -63,6 +69,12 @@ class StreamRestoration:
         self._asked: dict[str, int] = {}
         self._kept: object = None
         self._events: list[str] = []
+        self._answered: set[str] = set()
+        self._became: dict[str, int] = {}
+        self._check_at = 0.0
+        self._heard_at_check = 0
+        self._looking: dict[str, tuple[float, int]] = {}
+        self._reported: set[str] = set()
 
     def follow(self, vehicle: Vehicle) -> None:
         """Begin with another vehicle."""
@@ -74,7 +86,7 @@ class StreamRestoration:
         self._names = tuple(
             n for n in names if vehicle.version == 2 or MESSAGE_IDS[n] <= LAST_ID_OF_VERSION_1
         )
-        self._own, self._asked = {}, {}
+        self._own, self._asked, self._answered = {}, {}, set()
         self._read()
         self._names += tuple(self._asked.keys() - set(self._names))
         self.again()
@@ -83,6 +95,8 @@ class StreamRestoration:
         """Request again: the vehicle has forgotten, or may have while out of contact."""
         self._began = None
         self._known = False
+        self._became.clear()
+        self._looking.clear()
 
     def tick(
         self,
@@ -102,7 +116,7 @@ class StreamRestoration:
         if self._began is None:
             self._began = now
             self._rounds = 0
-            self._heard_before = max((count for _, count in intervals.values()), default=0)
+            self._heard_before = self._heard(intervals)
         answers = {
             name: intervals[MESSAGE_IDS[name]][0]
             for name in self._names
@@ -117,8 +131,88 @@ class StreamRestoration:
             return False
         for name in self._names:
             self._settle(name, answers.get(name), arriving.get(name, 0.0))
+        self._answered |= answers.keys()
         self._known = True
+        self._check_at, self._heard_at_check = now + CHECKED_EVERY, self._heard(intervals)
         return True
+
+    @staticmethod
+    def _heard(intervals: Mapping[int, tuple[int, int]]) -> int:
+        """How many MESSAGE_INTERVAL have come."""
+        return max((count for _, count in intervals.values()), default=0)
+
+    def taken_over(
+        self,
+        now: float,
+        arriving: Mapping[str, float],
+        intervals: Mapping[int, tuple[int, int]],
+    ) -> list[str]:
+        """Streams whose interval another station has set since the last request for them.
+
+        `own` is that interval from now on. Asks the vehicle where that is due; call it, with the
+        arguments of `tick`, once all is known.
+        """
+        found = []
+        for name in self._names:
+            answer, count = intervals.get(MESSAGE_IDS[name], (0, 0))
+            if count <= self._heard_at_check or name not in self._answered:
+                continue
+            if self._is_others(name, answer):
+                if name in self._asked:
+                    found.append(name)
+                self._take_over(name, answer, arriving.get(name, 0.0))
+        if now >= self._check_at and self._vehicle is not None:
+            self._check_at, self._heard_at_check = now + CHECKED_EVERY, self._heard(intervals)
+            for name in self._names:
+                if name in self._answered:
+                    self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])
+        return found
+
+    def _is_others(self, name: str, answer: int) -> bool:
+        asked = self._asked.get(name)
+        if asked is None:  # theirs already
+            return answer != self._own.get(name)
+        if abs(answer - asked) <= SAME * asked:
+            self._became[name] = answer
+            return False
+        # Autopilots round, and limit: what the first answer says is what the request became.
+        became = self._became.setdefault(name, answer)
+        return abs(answer - became) > SAME * abs(became)
+
+    def looked(self, now: float, name: str, intervals: Mapping[int, tuple[int, int]]) -> bool:
+        """Whether a stream that has become slow may be asked for again: first the vehicle is asked
+        whether another station has set it, which the request would undo.
+        """
+        if name not in self._answered or self._vehicle is None:
+            return True
+        _, count = intervals.get(MESSAGE_IDS[name], (0, 0))
+        if name not in self._looking:
+            self._looking[name] = now, count
+            self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])
+            return False
+        since, before = self._looking[name]
+        done = count > before or now - since >= SETTLED
+        if done:
+            del self._looking[name]
+        return done
+
+    def _take_over(self, name: str, answer: int, hertz: float) -> None:
+        assert self._vehicle is not None
+        own = self._own[name] = self._meaning(self._vehicle.key, answer, hertz)
+        self._became.pop(name, None)
+        if name not in self._asked:
+            return
+        rate = f"set to {1e6 / own:.1f} Hz" if own > 0 else "reset"
+        text = f"{name} was {rate} by another ground station: that is restored at the end"
+        if text not in self._reported:
+            self._reported.add(text)
+            self._events.append(text)
+
+    def requested(self, now: float, name: str, interval: int) -> None:
+        """A stream is being asked for, every `interval` us."""
+        self._became.pop(name, None)
+        self._check_at = min(self._check_at, now + SETTLED)
+        self.remember({name: interval})
 
     def _ask(self, names: Iterable[str]) -> None:
         assert self._vehicle is not None
@@ -174,6 +268,7 @@ class StreamRestoration:
     def restored(self, name: str) -> None:
         """A stream has its own interval again."""
         self._asked.pop(name, None)
+        self._became.pop(name, None)
 
     def close(self) -> None:
         """All is put back: nothing is left for the next session to do."""

@@ -1,10 +1,12 @@
 """The verdict: what is identified, how well, and what is not. To be read from two meters."""
 
+from textwrap import shorten, wrap
+
 from textual.content import Content
 from textual.widgets import Static
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.results.summary import before_data
+from gcs_sysid.results.summary import before_data, contradicted
 from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.verdict_summary import (
     Level,
@@ -23,6 +25,8 @@ from gcs_sysid.screen.widgets.lines import Line
 _TITLE = len("✗ unobservable")
 _COUNT = 4
 """Columns of how many there are in a group, and the gap behind."""
+_BESIDE = 40
+"""Columns beside large letters that three lines of words need."""
 _NARROW = 78
 """Columns below which the headline is short."""
 
@@ -37,7 +41,11 @@ def verdict_lines(snapshot: Snapshot, width: int, *, large: bool) -> list[Line]:
     """
     standing = standing_of(snapshot)
     for text in (headline(snapshot), short_headline(snapshot)) if large else ():
-        lines = _large(text, snapshot, standing, width)
+        why = _contradiction(snapshot)
+        if why:
+            lines = _large_contradiction(why, text, width)
+        else:
+            lines = _large(text, snapshot, standing, width)
         if lines:
             return lines
     return [_small(snapshot, standing, width)]
@@ -52,6 +60,9 @@ def _small(snapshot: Snapshot, standing: Standing, width: int) -> Line:
     text = short_headline(snapshot) if width < _NARROW else headline(snapshot)
     head = f"{sign_of(snapshot)} {text} {standing.reached}/{standing.total}"
     parts: Line = [(head, "bold")]
+    why = _contradiction(snapshot)
+    if why:
+        return [*parts, (f"   {shorten(why, width - len(head) - 3, placeholder='…')}", "bold")]
     room = width - len(head)
     groups = [("~ weak", standing.weak), (_absent(snapshot), standing.missing)]
     groups = [(title, group) for title, group in groups if group]
@@ -64,6 +75,24 @@ def _small(snapshot: Snapshot, standing: Standing, width: int) -> Line:
         parts += [(f"   {title} ", "bold"), (text, "")]
         room -= len(title) + len(text) + 4
     return parts
+
+
+def _contradiction(snapshot: Snapshot) -> str:
+    """What is wrong with the airframe: the one thing to be known before take-off."""
+    return contradicted(snapshot.result).partition(": ")[2]
+
+
+def _large_contradiction(why: str, text: str, width: int) -> list[Line]:
+    letters = big(text)
+    room = width - len(letters[0]) - 3
+    beside = wrap(why, max(room, 1), max_lines=HEIGHT, placeholder="…")
+    if room < _BESIDE:
+        return []
+    beside += [""] * (HEIGHT - len(beside))
+    return [
+        [(line, ""), ("   ", ""), (words, "bold")]
+        for line, words in zip(letters, beside, strict=True)
+    ]
 
 
 def _large(text: str, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
