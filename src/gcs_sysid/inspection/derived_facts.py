@@ -91,7 +91,7 @@ def decisive(tracks: Iterable[Track], reboots: Array) -> Iterator[tuple[int, Rec
 
     Args:
         tracks: of a block.
-        reboots: (k,) rising orders, after which states have to be learned anew.
+        reboots: (k,) rising orders, after which states have to be learned again.
     """
     for track in tracks:
         some = track

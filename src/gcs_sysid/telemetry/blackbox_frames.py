@@ -145,7 +145,7 @@ def read_frames(
     }
     used_events = np.concatenate(events)
     resumed = used_events[used_events[:, 1] == RESUME][:, [0, 2, 3]]
-    lost_at = np.union1d(np.concatenate(breaks), resumed[:, 0])
+    lost_at = np.sort(np.concatenate([*breaks, resumed[:, 0]]), kind="stable")  # of two runs
     main, time_us = main_frames(header, written[I], written[P], lost_at, resumed)
     slow, gps, home = (
         fixed_frames(header, chr(k), written.get(k), main, time_us, written.get(H))
