@@ -27,7 +27,7 @@ from sim_bridge.swings import read_plan
 TOOL = Path(gcs_sysid.__file__).parent
 ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 # Between processes of the program itself: the pipe to a child.
-MAY_PICKLE = {"live/hover_process.py", "cli/live_report.py"}
+MAY_PICKLE = {"cli/live_report.py"}
 
 
 @functools.cache

@@ -1,6 +1,6 @@
 """A fast link without the machine's other work: a session whose clock is its own processor time.
 
-    python -m benchmarks.reliability.own_clock [FLIGHT.tlog] [--minutes M] [--rate HZ]
+    python -m benchmarks.reliability.own_clock FLIGHT.tlog
 
 What other programs take of the processor is in all times that `benchmarks.reliability.rate` shows.
 Here a recording, as that study plays it, is handed to a session in this process, with the coach, a
@@ -18,7 +18,6 @@ from types import SimpleNamespace
 from typing import Any
 
 from benchmarks.reliability import watched
-from benchmarks.reliability.flights import FAST, emulate, flights_in
 from benchmarks.reliability.rate import growth, rows_of_times, table
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live import live_session as live
@@ -102,16 +101,12 @@ class PlayedLink(Link):
         """There is nothing to close."""
 
 
-def run(
-    recording: Path, folder: Path, rate: float = 1000.0
-) -> tuple[watched.Times, live.LiveSession]:
+def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession]:
     """Take a recording as it came; the times of it, and the session at its end."""
     clock, times = OwnClock(), watched.Times()
     watched.watch(times)
     link = PlayedLink(recording, clock, times)
-    options = LiveOptions(
-        rate=rate, refit_interval=0.5, predict=False, coach=CoachOptions(), apart=True
-    )
+    options = LiveOptions(rate=1000, refit_interval=0.5, predict=False, coach=CoachOptions())
     results = JsonLines(str(folder / "result.jsonl"), force=True)
     session = live.LiveSession(
         link, load_airframe("paper"), options, folder / "own.tlog", on_result=results.write
@@ -140,25 +135,10 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "flight",
-        type=Path,
-        nargs="?",
-        help="a recording, as `sim-bridge --tlog` makes it (default: the flights of "
-        "`benchmarks.reliability.rate`)",
-    )
-    parser.add_argument("--minutes", type=float, default=10.0, help="of those (default: 10)")
-    parser.add_argument("--rate", type=float, default=1000.0, help="Hz of the IMU (default: 1000)")
+    parser.add_argument("flight", type=Path, help="a recording, as `sim-bridge --tlog` makes it")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        flight = options.flight
-        if flight is None:
-            flight, seconds = Path(name) / "flight.tlog", 60.0 * options.minutes
-            # At the usual rates all that rotors and IMU send comes equally often.
-            rates = FAST if options.rate == 1000.0 else None
-            many = flights_in(seconds)
-            emulate(flight, rate=options.rate, rates=rates, flights=many, seconds=seconds)
-        times, session = run(flight, Path(name), options.rate)
+        times, session = run(options.flight, Path(name))
     if session.problem is not None:
         raise session.problem
     told = times.as_dict()

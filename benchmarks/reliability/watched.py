@@ -6,9 +6,9 @@ runs the words after `--` as `gcs-sysid` would, with the same code all the way. 
 each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it; the
 receiver's process (`benchmarks.reliability.stamped_receiver`) writes the stamps down.
 
-A datagram counts as taken when it is gathered or, where it completes a block of samples (0.1 s of
-the vehicle's clock), when all of that is processed: decoded, on the grid of samples, rows made,
-changes looked for, and the estimate renewed where that is due.
+A datagram counts as taken when all that was handed over together with it is processed: decoded, on
+the grid of samples and, where it completes a block of samples (0.1 s of the vehicle's clock), rows
+made, changes looked for, and the estimate renewed where that is due.
 """
 
 import argparse
@@ -68,7 +68,7 @@ class Times:
     def __init__(self) -> None:
         self.memory: list[tuple[float, int]] = []
         self._arrived, self._ends = Kept(1_500_000), Kept(1_500_000)
-        self._taken_ends, self._taken, self._renewed = (Kept(1_500_000) for _ in range(3))
+        self._taken_ends, self._taken, self._renewed = (Kept(400_000) for _ in range(3))
         self._bytes = self._taken_bytes = 0
 
     def arrive(self, ns: int, size: int) -> None:
@@ -77,19 +77,12 @@ class Times:
         self._arrived.add([ns])
         self._ends.add([self._bytes])
 
-    def take(self, size: int, ns: int) -> int:
-        """So many bytes were gathered by `ns`; a number for `finish`."""
-        number = self._taken.count
+    def take(self, size: int, ns: int, *, renewed: bool) -> None:
+        """So many bytes were processed by `ns`; whether that renewed the estimate."""
         self._taken_bytes += size
         self._taken_ends.add([self._taken_bytes])
         self._taken.add([ns])
-        self._renewed.add([0])
-        return number
-
-    def finish(self, number: int, ns: int, *, renewed: bool) -> None:
-        """What these bytes completed was processed by `ns`; whether that renewed the estimate."""
-        self._taken.numbers[number : number + 1] = ns
-        self._renewed.numbers[number : number + 1] = int(renewed)
+        self._renewed.add([int(renewed)])
 
     def as_dict(self) -> dict[str, Any]:
         """Percentiles in ms at `LEVELS`, and the memory."""
@@ -129,35 +122,14 @@ def resident() -> int:
 
 def watch(times: Times) -> None:
     """Have the tool's pipeline keep times from now on."""
-    gather, step = Pipeline.gather, Pipeline.step
-    due: list[int] = []
-    begun: list[int] = []
-    renewals = 0
+    take = Pipeline.take
 
-    def timed_gather(
-        pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None
-    ) -> None:
-        gather(pipeline, frames, wall)
-        number = times.take(sum(len(frame.raw) for frame in frames), time.time_ns())
-        if pipeline.is_due:
-            due.append(number)
+    def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> bool:
+        renewed = take(pipeline, frames, wall)
+        times.take(sum(len(frame.raw) for frame in frames), time.time_ns(), renewed=renewed)
+        return renewed
 
-    def timed_step(pipeline: Pipeline) -> None:
-        nonlocal renewals
-        if not begun:
-            begun.extend(due)
-            due.clear()
-            renewals = pipeline.chain.renewals
-        step(pipeline)
-        if pipeline.is_reading:
-            return
-        for number in begun:
-            renewed = pipeline.chain.renewals > renewals
-            times.finish(number, time.time_ns(), renewed=renewed)
-        begun.clear()
-
-    Pipeline.gather = timed_gather  # type: ignore[method-assign, assignment]
-    Pipeline.step = timed_step  # type: ignore[method-assign]
+    Pipeline.take = timed  # type: ignore[method-assign, assignment]
 
 
 def read_arrivals(path: Path, times: Times) -> None:

@@ -34,7 +34,7 @@ def taken(sizes, batches):
     for number, size in enumerate(sizes):
         times.arrive(10_000_000 * (number + 1), size)
     for size, ms, renewed in batches:
-        times.finish(times.take(size, 0), 1_000_000 * ms, renewed=renewed)
+        times.take(size, 1_000_000 * ms, renewed=renewed)
     return times.as_dict()
 
 

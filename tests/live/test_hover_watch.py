@@ -1,11 +1,8 @@
 """Health while it flies: every ten seconds of the vehicle's clock, by the last minutes."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from gcs_sysid.live.hover_process import HoverProcess
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
@@ -97,24 +94,3 @@ def test_a_reboot_begins_another_flight(airframe):
     event = IntakeEvent(2.0, "reboot", "the vehicle's clock went back: reboot")
     watch.take(hover(2.0, 3.0, events=[(0, event)]))
     assert watch.look(airframe).document["verdict"] == "refused"
-
-
-@pytest.mark.slow
-def test_a_process_of_its_own_says_the_same(airframe):
-    blocks = [hover(10.0 + second, 12.0 + second) for second in range(0, 30, 2)]
-    refused = SimpleNamespace(verdict="refused", reasons=("too little flight",))
-    watch, apart = HoverWatch(Told(), "udp"), HoverProcess(Told(), "udp")
-    try:
-        for block in blocks:
-            watch.take(block)
-            apart.take(block)
-        expected = watch.look(airframe, lambda: refused)
-        assert apart.look(airframe, lambda: refused, last=True) == expected
-        assert expected.document["verdict"] == "available"
-        # Asked once in ten seconds, and not again before.
-        assert apart.look(airframe, lambda: refused, last=True) is None
-        apart.close()
-        with pytest.raises(RuntimeError, match="has ended"):
-            apart.look(airframe, lambda: refused)
-    finally:
-        apart.close()

@@ -113,8 +113,8 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     options = LiveOptions(listen_only=True, refit_interval=0.2)
     session = LiveSession(source, airframe, options, path, sender_gone=sent.is_set)
     chain = session._estimate.chain
-    taking = chain.taking
-    monkeypatch.setattr(chain, "taking", lambda block: go_on.wait() and taking(block))
+    take = chain.take
+    monkeypatch.setattr(chain, "take", lambda block: go_on.wait() and take(block))
     session.start()
     raws = raws_of(paper_flight.tlog)
     half = len(raws) // 2

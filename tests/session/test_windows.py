@@ -161,38 +161,3 @@ def test_the_course_in_windows_is_that_of_parts(fly):
         assert now.value[name][late] == pytest.approx(
             before.value[name][late], rel=1e-4, nan_ok=True
         )
-
-
-def test_work_in_steps_while_more_is_gathered_changes_no_number(paper_flight):
-    """However quickly frames come while earlier ones are worked off."""
-    frames = [(1e-6 * time_us, frame) for time_us, frame in read_tlog(paper_flight.tlog)]
-    frames = frames[: len(frames) // 8]
-    random, interleaved, ends = np.random.default_rng(1), 0, []
-    for in_steps in (False, True):
-        pipeline = Pipeline(load_airframe("paper"), "", None, ChainOptions(history_interval=0.5))
-        for first in range(0, len(frames), 5):
-            some = [frame for _, frame in frames[first : first + 5]]
-            if not in_steps:  # each block is worked off at once
-                pipeline.take(some, frames[first][0])
-                continue
-            pipeline.gather(some, frames[first][0])
-            interleaved += pipeline.is_reading
-            for _ in range(random.integers(0, 3)):
-                pipeline.step()
-        history = pipeline.chain.history.value
-        ends.append((pipeline.finish(), history))
-    assert interleaved > 30
-    (whole, values), (stepped, others) = ends
-    assert (stepped.verdict, stepped.events) == (whole.verdict, whole.events)
-    for name, estimate in whole.parameters.items():
-        other = stepped.parameters[name]
-        assert other.status == estimate.status
-        off = 1e-6 * (estimate.std or 0.0)  # rounding, of iterated fits
-        assert other.value == (estimate.value and pytest.approx(estimate.value, abs=off)), name
-        assert other.std == (estimate.std and pytest.approx(estimate.std, rel=1e-6)), name
-    for name in whole.parameters.keys() & values.keys():
-        course = values[name]
-        known = len(others[name])  # the last block may still be in work
-        assert len(course) - 1 <= known <= len(course)
-        off = 1e-6 * (whole.parameters[name].std or 0.0)
-        np.testing.assert_allclose(others[name], course[:known], rtol=0.0, atol=off)

@@ -71,7 +71,6 @@ def run(options: argparse.Namespace) -> int:
                 coach=coach_options(options),
                 state_folder=state_folder(),
                 predict=is_watched(options) and not options.web,
-                apart=True,
             ),
             record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,

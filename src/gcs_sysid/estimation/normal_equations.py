@@ -21,26 +21,6 @@ _AT_ONCE = 2**18
 """Bytes allocated from the system in a step; page by page that takes up to 10 ms a MB."""
 
 
-def reserve(batches: Array, done: int, begun: int, room: float) -> tuple[int, float]:
-    """Have memory of batches from the system before they are needed.
-
-    Args:
-        batches: (n, ...), allocated as zeros.
-        done: how many have theirs already.
-        begun: how many are in use.
-        room: bytes at most, give or take a step.
-
-    Returns:
-        How many have theirs now, and the room that is left.
-    """
-    each = max(_AT_ONCE // batches[:1].nbytes, 1)
-    while done < len(batches) and room > 0:
-        some = batches[max(done, begun) : done + each]
-        some[...] = 0.0  # untouched zeros take none
-        done, room = done + each, room - some.nbytes
-    return done, max(room, 0.0)
-
-
 class NormalEquations:
     """Second moments of rows, in batches of equally many rows; bounded memory.
 
@@ -57,7 +37,6 @@ class NormalEquations:
         self._batches = np.zeros((max_batches, *shape))
         self._counts = np.zeros(max_batches, dtype=np.int64)
         self._full = 0
-        self._reserved = 0
         self.total = np.zeros(shape)
         """(..., m, m) sum over all rows; not to be written to."""
         self.rows = 0
@@ -71,17 +50,11 @@ class NormalEquations:
         other._counts, other.total = self._counts.copy(), self.total.copy()
         return other
 
-    def reserve(self, room: float = np.inf) -> float:
-        """Have memory now, before a long flight, and not find it wanting in it.
-
-        Args:
-            room: bytes at most.
-
-        Returns:
-            What is left of them; 0: there may be more to be had.
-        """
-        self._reserved, room = reserve(self._batches, self._reserved, self._begun, room)
-        return room
+    def reserve(self) -> None:
+        """Have all memory now, before a long flight, and not find it wanting in it."""
+        each = max(_AT_ONCE // self.total.nbytes, 1)
+        for start in range(self._begun, len(self._batches), each):
+            self._batches[start : start + each] = 0.0  # untouched zeros take none
 
     @property
     def batches(self) -> Array:
@@ -143,7 +116,7 @@ class NormalEquations:
         other._batches = np.zeros((len(self._batches), *other.total.shape))
         for old, new in zip(self.batches, other._batches, strict=False):
             new[...] = old[np.ix_(leading, columns, columns)]
-        other._counts, other._reserved = self._counts.copy(), 0
+        other._counts = self._counts.copy()
         return other
 
     @property

@@ -227,11 +227,9 @@ class OnlineEstimator:
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 
-    def reserve(self, room: float = np.inf) -> float:
-        """Have memory now that a long flight will need, as of `NormalEquations`; many estimators
-        live but shortly.
-        """
-        return self._record.reserve(room)
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need; many estimators live but shortly."""
+        return self._record.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

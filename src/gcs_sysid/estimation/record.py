@@ -159,11 +159,12 @@ class FlightRecord:
         self.momentum = NormalEquations((3, width, width), per_batch, kept)
         self.accelerometer = NormalEquations((width, width), per_batch, kept)
 
-    def reserve(self, room: float = np.inf) -> float:
-        """Have memory now that a long flight will need, as of `NormalEquations`."""
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need."""
         for moments in (self.rotation, self.momentum, self.accelerometer):
-            room = moments.reserve(room)
-        return room if self._of_speeds is None else self._of_speeds.reserve(room)
+            moments.reserve()
+        if self._of_speeds is not None:
+            self._of_speeds.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

@@ -71,8 +71,6 @@ class TrackingTuning:
 
 
 TRACKING = TrackingTuning()
-_RESERVED_AT_ONCE = 2**18
-"""Bytes; up to 2.5 ms."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ class Tracker:
         self._tuning = tuning
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
-        self._reserves = self._is_reserving = False
+        self._reserves = False
         self._estimator.prior_source = prior
         self._count = self._hasty = 0
         self._frame = max(round(TRACKING.look_every / dt), 1)
@@ -231,8 +229,6 @@ class Tracker:
         Returns:
             A point of the history for each stop.
         """
-        if self._is_reserving:
-            self._is_reserving = not self._estimator.reserve(_RESERVED_AT_ONCE)
         points: list[Point] = []
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
             # A stop between two runs is the end of the first.
@@ -466,11 +462,9 @@ class Tracker:
         self._watch = self._new_watch()
 
     def reserve(self) -> None:
-        """Have all memory that a long flight will need soon, and again after each change.
-
-        A little at each update: all at once takes as long as two blocks of samples.
-        """
-        self._reserves = self._is_reserving = True
+        """Have all memory now that a long flight will need, and again after each change."""
+        self._reserves = True
+        self._estimator.reserve()
 
     def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
         """Another vehicle from now on: the last one is in its segment."""

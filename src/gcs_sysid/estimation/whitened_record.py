@@ -14,7 +14,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
-from gcs_sysid.estimation.normal_equations import NormalEquations, reserve
+from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.priors import DELAY
 from gcs_sysid.estimation.whitened_fit import Reference, least_power, shocks_in
 from gcs_sysid.estimation.whitened_moments import OfflineBank, WhitenedMoments
@@ -73,7 +73,7 @@ class WhitenedRecord:
         self._long = NormalEquations(shape, self._per_long, _LONG)
         self._recent = np.zeros((_RECENT, *shape))
         self._counts = np.zeros(_RECENT, dtype=np.int64)
-        self._full = self._reserved = 0
+        self._full = 0
         self._overlaps: Array | None = None
         self._delays = list(range(len(basis.delays)))
         """Which of the step's each of the basis' delays is."""
@@ -88,10 +88,10 @@ class WhitenedRecord:
         self.rows = 0
         """In them."""
 
-    def reserve(self, room: float = np.inf) -> float:
-        """As of `NormalEquations`."""
-        self._reserved, room = reserve(self._recent, self._reserved, self._begun, room)
-        return self._long.reserve(room)
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need."""
+        self._long.reserve()
+        self._recent[self._begun :] = 0.0
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

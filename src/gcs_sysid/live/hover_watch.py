@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -10,30 +10,19 @@ from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import Telemetry
 
 _KEPT = 90.0
 """s of the vehicle's clock that are averaged: a baseline of 30 s and what is compared with it."""
-EVERY = 10.0
+_EVERY = 10.0
 """s of the vehicle's clock between looks: at 250 Hz each takes 0.2 s of a processor."""
 _MOST_WAITING = 2000
 """Tracks that may wait to be joined, while not viewed."""
 _ANEW = ("reboot", "reset", "vehicle")
 """Events after which what was flown before is another flight's."""
-
-
-class Identified(Protocol):
-    """What a look needs of a result."""
-
-    @property
-    def verdict(self) -> str:
-        """Of the identification."""
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """For it."""
 
 
 @dataclass(frozen=True)
@@ -80,21 +69,15 @@ class HoverWatch:
             self._join()
 
     def look(
-        self,
-        airframe: Airframe,
-        result: Callable[[], Identified] | None = None,
-        *,
-        last: bool = False,
+        self, airframe: Airframe, result: Callable[[], Result] | None = None
     ) -> HoverNews | None:
         """Findings of the hover now; None where it is not time for another look.
 
         Args:
             airframe: with the scale in force.
             result: the latest of the identification; called where it is time to look.
-            last: for `HoverProcess`, which answers late.
         """
-        del last
-        if self._now - self._looked < EVERY:
+        if self._now - self._looked < _EVERY:
             return None
         self._looked = self._now
         self._join()
@@ -111,9 +94,6 @@ class HoverWatch:
             self._named = weakened.condition.rotor
             text = condition_text(weakened.condition)
         return HoverNews(document_of(health), text)
-
-    def close(self) -> None:
-        """There is nothing to end, see `HoverProcess`."""
 
     def _join(self) -> None:
         joined = by_key([*self._kept, *by_key(self._fresh).values()])

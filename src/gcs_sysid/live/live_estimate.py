@@ -9,7 +9,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.live.acceleration_prediction import LivePrediction
 from gcs_sysid.live.command_queue import in_words
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
-from gcs_sysid.live.hover_process import HoverProcess
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_view import picture
@@ -65,8 +64,7 @@ class LiveEstimate:
             self.chain.observers.append(self._prediction.take)
         self._coach = None if options.coach is None else Coach(self.chain, options.coach)
         self._advised: Advice | None = None
-        watch = HoverProcess if options.apart else HoverWatch
-        self._hover: HoverWatch | HoverProcess | None = watch(self.pipeline.intake, source)
+        self._hover: HoverWatch | None = HoverWatch(self.pipeline.intake, source)
         self.pipeline.on_records = self._hover.take
         self._health: dict[str, Any] | None = None
         self.relieved = False
@@ -78,7 +76,7 @@ class LiveEstimate:
         return self.pipeline.chain
 
     def learn(self, batch: Batch, garbage_bytes: int) -> None:
-        """Take frames to learn from by `work`, or count them at least.
+        """Learn from frames, or count them at least.
 
         Args:
             batch: as it is recorded.
@@ -88,26 +86,9 @@ class LiveEstimate:
         try:
             if self.duty is Duty.IDENTIFY:
                 self.pipeline.intake.garbage_bytes = garbage_bytes
-                self.pipeline.gather(batch.frames, wall)
+                self.pipeline.take(batch.frames, wall)
             elif self.duty is Duty.WATCH:
                 self.pipeline.intake.frames(batch.frames, wall)
-        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
-            self.retreat(defect)
-
-    @property
-    def is_working(self) -> bool:
-        """Whether there is something for `work` to do."""
-        return self.duty is Duty.IDENTIFY and self.pipeline.is_working
-
-    def work(self, *, off: bool = False) -> None:
-        """Do the next piece of what has been learned, or all there is."""
-        if self.duty is not Duty.IDENTIFY:
-            return
-        try:
-            if off:
-                self.pipeline.work_off()
-            else:
-                self.pipeline.step()
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self.retreat(defect)
 
@@ -171,11 +152,11 @@ class LiveEstimate:
             self._coach = self._advised = None
             self.note(f"{in_words(defect)}: coaching stops")
 
-    def _look_at_hover(self, *, last: bool = False) -> None:
+    def _look_at_hover(self) -> None:
         if self._hover is None:
             return
         try:
-            news = self._hover.look(self.chain.airframe, self.pipeline.result, last=last)
+            news = self._hover.look(self.chain.airframe, self.pipeline.result)
         except Exception as defect:  # noqa: BLE001 - the flight goes on without it
             self._hover = self.pipeline.on_records = None
             self.note(f"{in_words(defect)}: health is no longer updated")
@@ -196,7 +177,7 @@ class LiveEstimate:
         """
         if self.duty is Duty.IDENTIFY:
             try:
-                self._look_at_hover(last=True)
+                self._look_at_hover()
                 return replace(complete(self.pipeline.finish()), health=self._health)
             except Exception as defect:  # noqa: BLE001 - handed to the main thread, which reports it
                 self.retreat(defect)
@@ -234,6 +215,4 @@ class LiveEstimate:
     def drop(self) -> None:
         """Let go of whom it knows: each would outlive the session by the other."""
         self.pipeline.drop()
-        if self._hover is not None:
-            self._hover.close()
         self._on_defect = lambda _: None

@@ -20,7 +20,6 @@ class LiveOptions:
         coach: what the flight coach aims at; None: no advice.
         state_folder: where the rates to restore are kept while the session lasts; None: nowhere.
         predict: whether snapshots show the acceleration that was predicted.
-        apart: whether the hover is looked at in a process of its own.
     """
 
     rate: float = 250.0
@@ -32,4 +31,3 @@ class LiveOptions:
     coach: CoachOptions | None = None
     state_folder: Path | None = None
     predict: bool = True
-    apart: bool = False

@@ -251,7 +251,7 @@ class LiveSession:
 
     def _loop(self, began: float) -> None:
         while not self._stop.is_set():
-            items = self._source.take(0.0 if self._estimate.is_working else _POLL)
+            items = self._source.take(_POLL)
             now = time.monotonic()
             self._turn(items, now)
             if not items and self._ended(now, began):
@@ -264,20 +264,16 @@ class LiveSession:
         """Learn from what came, answer the vehicle, do what users ask, show how things stand."""
         for item in items:
             self._take(item)
-        self._estimate.work(off=not self._commands.is_empty)
         self._attend(now)
         self._see_backlog(now)
         self._meet(self._commands.grant(self._estimate.note))
         self._estimate.note_all(self._source.take_events())
-        busy = self._estimate.is_working
-        self._report_result()
-        if not busy and self._backlog.is_idle:
+        if self._backlog.is_idle:
             self._estimate.think()
-        every = _PUBLISH_LATE if self._backlog.too_slow or busy else _PUBLISH_EVERY
+        every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
         if now - self._published >= every:
             self._published = now
-            # What waits is read for a picture only where that is little.
-            self._publish(self._state(), read=not items)
+            self._publish(self._state())
 
     def _take(self, item: Item) -> None:
         match item:
@@ -351,14 +347,11 @@ class LiveSession:
         estimate, t = self._estimate, self._estimate.chain.t
         if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
             return
-        if estimate.pipeline.is_reading:
-            return
         if self._on_result is None or t - self._result_reported_at < _RESULT_EVERY:
             return
         self._result_reported_at = t
         try:
-            found = estimate.pipeline.result(read=False)
-            result = estimate.advised(self._complete(found))
+            result = estimate.advised(self._complete(estimate.pipeline.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             estimate.retreat(defect)
             return
@@ -403,17 +396,17 @@ class LiveSession:
         if path:
             self._estimate.note(f"recording to {path}")
 
-    def _publish(self, state: LinkState, *, read: bool = True) -> None:
+    def _publish(self, state: LinkState) -> None:
         while True:
             try:
-                self._latest = self._picture(state, read=read)
+                self._latest = self._picture(state)
                 return
             except Exception as defect:
                 if self._latest is None or self._estimate.duty is Duty.RECORD:
                     raise
                 self._estimate.retreat(defect)
 
-    def _picture(self, state: LinkState, *, read: bool) -> Snapshot:
+    def _picture(self, state: LinkState) -> Snapshot:
         """How things stand; after a defect, as far as that is known."""
         before, estimate = self._latest, self._estimate
         if before is not None and self._estimate.duty is Duty.RECORD:
@@ -425,5 +418,5 @@ class LiveSession:
         if before is not None and self._estimate.duty is not Duty.IDENTIFY:
             result, events = self.final or before.result, estimate.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
-        result = self.final or self._complete(estimate.pipeline.result(read=read))
+        result = self.final or self._complete(estimate.pipeline.result())
         return estimate.snapshot(result, link)

@@ -6,7 +6,7 @@ of a recording ends with the numbers that the live session ended with.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -155,19 +155,12 @@ class Chain:
             Whether the estimate was renewed.
         """
         before = self.renewals
-        for _ in self.taking(block):
-            pass
-        return self.renewals > before
-
-    def taking(self, block: RecordBlock) -> Iterator[None]:
-        """As `take`, in pieces of a few ms each, between which nothing else may be taken."""
         for part in block.windows():
             for _, parameter in part.parameters:
                 self.rotor_selector.learn(parameter.source, parameter.values[0])
             for samples in self.sampler.take(part.tracks):
-                yield
                 self.learn(samples)
-                yield
+        return self.renewals > before
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""

@@ -6,8 +6,7 @@ the same numbers.
 Frames of a link wait, unread, until the vehicle's clock has passed a tick of the chain.
 
 Before that they change nothing that anybody sees, and reading a few at a time costs as much as
-reading all of a tenth of a second at once. How long they wait changes no number. Nor does it when
-that is read in steps, between which more frames are gathered: the order is the same.
+reading all of a tenth of a second at once. How long they wait changes no number.
 """
 
 from collections import deque
@@ -104,10 +103,6 @@ class FrameGathering:
         """Have frames wait for so many seconds of the vehicle's clock from now on."""
         self._from, self._latest, self._left = self._latest, {}, seconds
 
-    def wait_until(self, seconds: float) -> None:
-        """The same, but from when `wait` was called."""
-        self._left = seconds
-
 
 class Pipeline:
     """From the frames of a link or log to results.
@@ -136,8 +131,6 @@ class Pipeline:
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
         self._waiting = FrameGathering()
-        self._due = False
-        self._work: Iterator[None] | None = None
         self._contradicted: tuple[str, ...] = ()
         self.on_records: Callable[[RecordBlock], None] | None = None
         """Called with each block of a log or link as it is read, before the chain takes it."""
@@ -175,76 +168,23 @@ class Pipeline:
         before = self.chain.renewals
         if isinstance(frames, FrameBlock):
             self._read_waiting()
-            for _ in self._reading(frames):
-                pass
-        else:
-            self.gather(frames, wall)
-            self.work_off()
+            self._read(frames)
+        elif self._waiting.add(frames, wall):
+            self._read_waiting()
         return self.chain.renewals > before
 
-    def gather(self, frames: Iterable[Frame], wall: float | None = None) -> None:
-        """Take frames as `take` does, and leave what they make due to `step`.
-
-        Args:
-            frames: as of `take`.
-            wall: as of `take`.
-        """
-        self._due |= self._waiting.add(frames, wall)
-        while self.is_reading and self.is_due:
-            self.step()
-
-    @property
-    def is_working(self) -> bool:
-        """Whether there is anything for `step` to do."""
-        return self.is_reading or self.is_due
-
-    @property
-    def is_due(self) -> bool:
-        """Whether it is time to read what was gathered."""
-        return self._due
-
-    @property
-    def is_reading(self) -> bool:
-        """Whether that has begun and goes on."""
-        return self._work is not None
-
-    def step(self) -> None:
-        """Do the next piece of work; most take a few ms."""
-        if self._work is None and self._due:
-            self._due = False
-            self._work = self._reading_waiting()
-        try:
-            if self._work is not None:
-                next(self._work)
-        except StopIteration:
-            self._work = None
-
-    def work_off(self) -> None:
-        """Do all the work that there is."""
-        while self.is_working:
-            self.step()
-
     def _read_waiting(self) -> None:
-        self.work_off()
-        for _ in self._reading_waiting():
-            pass
-
-    def _reading_waiting(self) -> Iterator[None]:
         frames = self._waiting.take()
         if len(frames):
-            base = self.chain.sampler.time_base
-            self._waiting.wait(base.tick)
-            yield from self._reading(frames)
-            self._waiting.wait_until(base.until_tick)
+            self._read(frames)
+            self._waiting.wait(self.chain.sampler.time_base.until_tick)
 
-    def _reading(self, frames: FrameBlock) -> Iterator[None]:
+    def _read(self, frames: FrameBlock) -> None:
         block = self.intake.block(frames)
-        yield
         if self.on_records is not None:
             self.on_records(block)
         for part in block.windows():
-            self._take_events(part)
-            yield from self.chain.taking(part)
+            self.take_window(part)
 
     def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:
         """Take a whole recording, instead of frames.
@@ -279,12 +219,9 @@ class Pipeline:
 
     def take_window(self, window: RecordBlock) -> None:
         """Take one of `windows`, or a part of it."""
-        self._take_events(window)
-        self.chain.take(window)
-
-    def _take_events(self, window: RecordBlock) -> None:
         for _, event in window.events:
             self._take_event(event)
+        self.chain.take(window)
 
     def copy(self) -> "Pipeline":
         """One in the same state, that goes its own way; log and observers are the same."""
@@ -302,10 +239,9 @@ class Pipeline:
         if event.kind != "vehicle":
             self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
 
-    def result(self, *, read: bool = True) -> Result:
-        """The latest estimate; without `read` that of the frames which have been read."""
-        if read:
-            self._read_waiting()
+    def result(self) -> Result:
+        """The latest estimate."""
+        self._read_waiting()
         return self._complete(self._with_doubt(self.chain.result))
 
     def finish(self) -> Result:
