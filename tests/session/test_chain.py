@@ -200,6 +200,26 @@ def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1.0, 1.2])
+def test_who_reboots_has_landed_and_may_have_been_changed(paper_records, ratio):
+    """Though nothing of the ground was recorded: a payload would be a disturbance, or missed."""
+    half = len(paper_records) // 2
+    back = paper_records[half].t - 0.5
+    faster = np.sqrt(ratio)  # what a mass and an inertia larger by the ratio take
+    second = [
+        r._replace(t=r.t - back, values=tuple(np.multiply(r.values, faster)))
+        if r.stream is Stream.ROTOR_SPEED
+        else r._replace(t=r.t - back)
+        for r in paper_records[half:]
+    ]
+    _, result = run([*paper_records[:half], *second])
+    assert [event["channel"] for event in result.events] == ["landing"] * (ratio != 1.0)
+    mass = result.parameters["mass"]
+    assert mass.value == pytest.approx(ratio * 1.5, rel=0.005)
+    assert (mass.status == "given") == (ratio == 1.0)
+
+
+@pytest.mark.slow
 def test_a_gap_is_bridged(paper_records, whole):
     first = paper_records[0].t
     _, result = run([r for r in paper_records if not 30.0 < r.t - first < 33.0])

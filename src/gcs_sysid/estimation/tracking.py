@@ -168,6 +168,7 @@ class Tracker:
         self._watch = self._new_watch()
         self._trial: Trial | None = None
         self._landed: float | None = None
+        self._rebooted = False
         self._newest = -np.inf
 
     @property
@@ -193,8 +194,13 @@ class Tracker:
         drift = self._estimator.drift
         return None if drift is None else drift.voltage
 
-    def restart(self) -> None:
-        """A gap: what comes next does not join on to what came before."""
+    def restart(self, *, rebooted: bool = False) -> None:
+        """A gap: what comes next does not join on to what came before.
+
+        Args:
+            rebooted: whether the vehicle's clock was set back: it may have been changed meanwhile.
+        """
+        self._rebooted |= rebooted
         if self._trial is not None:
             self._trial.restart()
         self._break()
@@ -290,7 +296,9 @@ class Tracker:
         stay = TRACKING.stay
         if landed is None:
             landed, stay = self._newest, TRACKING.away
-        if t[0] - landed >= stay and np.isfinite(landed):
+        away = t[0] - landed >= stay or self._rebooted
+        self._rebooted = False
+        if away and np.isfinite(landed):
             self._end_trial()
             self._trial = Trial(self._fresh(landed=True), landed, float(t[0]))
         self._newest = float(t[-1])

@@ -358,7 +358,7 @@ class Chain:
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
-            tracker.restart()
+            tracker.restart(rebooted=block.rebooted)
         now = max(block.newest_at, float(block.t[-1]))
         self._report_imu(now)
         stops = self._stops(block.t)

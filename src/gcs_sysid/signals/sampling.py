@@ -35,6 +35,7 @@ class SampleBlock:
         fresh: whether nothing before joins on to this block.
         rotors: the stream that `samples.speeds` come from; None: none is believed.
         newest_at: s, the newest sample there was when the block was given out.
+        rebooted: whether it is fresh because the vehicle's clock was set back.
     """
 
     t: Array
@@ -44,6 +45,7 @@ class SampleBlock:
     fresh: bool
     rotors: RotorSource | None = None
     newest_at: float = 0.0
+    rebooted: bool = False
 
     def since(self, first: int) -> "SampleBlock":
         """The block without the samples before `first`."""
@@ -58,6 +60,7 @@ class SampleBlock:
             samples=self.samples.part(rows),
             flying=self.flying[rows],
             fresh=self.fresh and first == 0,
+            rebooted=self.rebooted and first == 0,
         )
 
 
@@ -303,8 +306,9 @@ class Sampler:
 
     def _samples(self, block: Block) -> _Held:
         assert self._first is not None
-        if block.fresh and block.t[0] - self._first < self.t:
-            # The vehicle's clock stepped back (a reboot); the session's time continues.
+        rebooted = block.fresh and block.t[0] - self._first < self.t
+        if rebooted:
+            # The vehicle's clock stepped back; the session's time continues.
             self._first = float(block.t[0]) - self.t
         n, dt = len(block.t), self.time_base.dt
         t = block.t - self._first
@@ -331,6 +335,8 @@ class Sampler:
             gyro,
             self._thrust(block, n),
         )
+        # No vehicle flies on over it, whatever its recording left out.
+        flying[0] &= not rebooted
         self.time_base.flown += dt * int(np.count_nonzero(flying))
         gyro = np.where(flying[:, None], gyro, np.nan)
         samples = Samples(
@@ -347,7 +353,9 @@ class Sampler:
         self.flying = bool(flying[-1])
         self._show(samples)
         stamps = {family(key[1]): stamps for key, stamps in block.stamps.items()}
-        return _Held(SampleBlock(t, samples, flying, dt, block.fresh), rotors, stamps)
+        return _Held(
+            SampleBlock(t, samples, flying, dt, block.fresh, rebooted=rebooted), rotors, stamps
+        )
 
     def _attitude(
         self, flt: ComplementaryFilter, gyro: Array, reference: Array
