@@ -1,10 +1,12 @@
 """Changes before a detector could watch: found afterwards, on thrust alone."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from benchmarks.accuracy.flights import exact
 from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.early_change import LEAST_BEFORE, actuator_of, early_change
 from gcs_sysid.estimation.status import Value
@@ -12,7 +14,6 @@ from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import tuning_for_commands
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor
-from gcs_sysid.signals.samples import Samples
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.simulation import mass_step
@@ -33,15 +34,13 @@ def flown(at, factor, seed=1):
     return clean.with_noise("mems", 0.0, [seed])
 
 
+def of_commands(flight):
+    return replace(exact(flight), speeds=flight.commands[0])
+
+
 def found(flight, rotor_input, until=END, samples_until=END):
-    samples = Samples(
-        gyro=flight.gyro[0],
-        rates=flight.gyro[0],
-        speeds=(flight.commands if rotor_input == "command" else flight.speeds)[0],
-        attitude=flight.quaternion[0],
-        force=flight.specific_force[0],
-        velocity=flight.velocity[0],
-    ).part(slice(0, round(samples_until / DT)))
+    samples = exact(flight) if rotor_input == "speed" else of_commands(flight)
+    samples = samples.part(slice(0, round(samples_until / DT)))
     actuator = UNKNOWN if rotor_input == "command" else None
     t = flight.t[: len(samples.gyro)]
     return early_change(t, samples, DT, GEOMETRY, actuator, until)
@@ -83,11 +82,7 @@ def test_a_step_with_too_little_flight_around_it_is_not_judged():
 @pytest.mark.slow
 def test_rotors_that_stand_still_have_no_thrust():
     flight = flown(None, 1.0)
-    still = np.zeros_like(flight.speeds[0])
-    samples = Samples(
-        flight.gyro[0], flight.gyro[0], still, flight.quaternion[0], flight.specific_force[0],
-        flight.velocity[0],
-    )  # fmt: skip
+    samples = replace(exact(flight), speeds=np.zeros_like(flight.speeds[0]))
     assert early_change(flight.t, samples, DT, GEOMETRY, None, END) is None
 
 
@@ -110,14 +105,7 @@ def follow_blocks(size):
     mission = ALL_MISSIONS["doublets"]
     clean = fly_ensemble(VEHICLE, mission, 250, 14.0, changes=(mass_step(4.0, 1.2),))
     flight = clean.with_noise("mems", 0.0, [1])
-    samples = Samples(
-        gyro=flight.gyro[0],
-        rates=flight.gyro[0],
-        speeds=flight.commands[0],
-        attitude=flight.quaternion[0],
-        force=flight.specific_force[0],
-        velocity=flight.velocity[0],
-    )
+    samples = of_commands(flight)
     tracker = Tracker(GEOMETRY, 0.004, tuning_for_commands(0.004), ChangeTuning())
     for k in range(0, len(flight.t), size):
         part = slice(k, k + size)

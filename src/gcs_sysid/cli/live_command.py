@@ -330,20 +330,19 @@ def status_line(snapshot: Snapshot) -> str:
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
-    refused = snapshot.result.verdict == "refused"
-    words.append(_standing(snapshot))
+    words.append(_verdict_words(snapshot))
     for name in CORE_OF[snapshot.result.rotor_input]:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
         words.append(f"{name} {shown(estimate, 4).text}")
     reasons = snapshot.result.reasons
-    if refused and reasons:
+    if snapshot.result.verdict == "refused" and reasons:
         words.append(f"({reasons[0]})")
     return "  ".join(words)
 
 
-def _standing(snapshot: Snapshot) -> str:
+def _verdict_words(snapshot: Snapshot) -> str:
     """The verdict, or what stands in its place before there are data."""
     if contradicted(snapshot.result):
         return WRONG_AIRFRAME

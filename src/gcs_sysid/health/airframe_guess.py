@@ -181,13 +181,12 @@ def layout_by_motion(
     streams = streams_of(blocks, airframe, autopilot, parameters)
     count = len(airframe.rotors)
     delays = (0.0,) if streams.speeds else TUNING.order_delays
-    motions = [_motion(streams, count, h, d) for h in TUNING.order_windows for d in delays]
-    seen = [motion for motion in motions if motion is not None]
+    seen = [m for half in TUNING.order_windows for m in _motions(streams, count, half, delays)]
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
     shown = _least(own) >= TUNING.surely_explained
-    coupled = max(_coupled(airframe.geometry, *motion) for motion in seen)
+    coupled = _most_coupled(airframe, seen)
     guess = replace(guess, explained=_least(own), explained_coupled=coupled)
     first = _clearly_best(count, seen)
     if not guess.assumed:
@@ -203,8 +202,7 @@ def layout_by_motion(
         return replace(guess, origin=origin, shown=True, explained=first.least), streams
     origin = f"{first.name} as the flight shows: motors {first.places}; {size}"
     found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
-    coupled = max(_coupled(layout.geometry, *motion) for motion in seen)
-    return replace(found, explained_coupled=coupled), streams
+    return replace(found, explained_coupled=_most_coupled(layout, seen)), streams
 
 
 @dataclass(frozen=True)
@@ -275,7 +273,7 @@ def _of_as_many_as_carry(
         rotors = usual_layouts(count)[f"{_KINDS[count]} x"]
         wider = Airframe(f"{_KINDS[count]}-x", rotors).with_arm(guess.airframe.arm)
         streams = streams_of(blocks, wider, autopilot, parameters)
-        motion = _motion(streams, count, TUNING.order_windows[0])
+        motion = next(_motions(streams, count, TUNING.order_windows[0], (0.0,)), None)
         if motion is None:
             continue
         thrust, _ = motion
@@ -289,37 +287,37 @@ def _of_as_many_as_carry(
     return guess
 
 
-def _motion(
-    streams: Streams, rotors: int, half: float, delay: float = 0.0
-) -> tuple[Array, Array] | None:
-    """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight; None where too little.
+def _motions(
+    streams: Streams, rotors: int, half: float, delays: Sequence[float]
+) -> Iterator[tuple[Array, Array]]:
+    """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight, where there is enough.
 
     Args:
         streams: of the flight.
         rotors: their number.
         half: s, half width of the windows.
-        delay: s by which thrust lags behind the rotor stream.
+        delays: s, each by which thrust may lag behind the rotor stream.
     """
     source = streams.speeds or streams.commands
     if source is None or Stream.IMU not in streams.tracks:
-        return None
+        return
     times, imu = streams.tracks[Stream.IMU]
     slowest = min(source.rate, rate_of(times))
     if slowest <= 0.0:
-        return None
+        return
     half = max(half, 2.0 / slowest)
     grid, flying = flight_of(streams, rotors)
     if not flying.any():
-        return None
+        return
     t = np.arange(half, float(grid[-1]) - half, half)
     t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
     turning = windowed_means(times, imu[:, :3], t, half, slope=True)
-    thrust = _thrust(source, t - delay, half)
-    there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
-    if np.count_nonzero(there) < TUNING.fewest_for_order:
-        return None
-    thrust, turning = thrust[there], turning[there]
-    return thrust / thrust[:, :4].mean(), turning - turning.mean(axis=0)
+    for delay in delays:
+        thrust = _thrust(source, t - delay, half)
+        there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
+        if np.count_nonzero(there) >= TUNING.fewest_for_order:
+            load, turned = thrust[there], turning[there]
+            yield load / load[:, :4].mean(), turned - turned.mean(axis=0)
 
 
 def _thrust(source: RotorStream, t: Array, half: float) -> Array:
@@ -357,6 +355,10 @@ def _coupled(geometry: Array, thrust: Array, turning: Array) -> float:
     answered = (np.diag(gains) > 0.0) & (power > 0.0)
     shares = 1.0 - np.divide(rest, power, out=np.ones(3), where=answered)
     return float(shares[:2].min())
+
+
+def _most_coupled(airframe: Airframe, seen: Sequence[tuple[Array, Array]]) -> float:
+    return max(_coupled(airframe.geometry, *motion) for motion in seen)
 
 
 def _layouts(count: int, thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
