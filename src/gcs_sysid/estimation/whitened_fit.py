@@ -38,6 +38,10 @@ _JUDGED_ALIKE = 12
 them."""
 _JUDGES = 3
 """Iterations of a fit that judges, from the one before: the strongest are 6 times the median."""
+_CALM, _ALIKE = 2.5, (0.5, 1.5)
+"""Times their median, up to which innovations under the fit before hold no shock, and times what it
+left, between which that median shows that the fit still holds: another one would move neither to
+where shocks begin. Most of a flight is so, and need not be fitted in order to be judged."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
@@ -261,31 +265,37 @@ class Reference:
     Attributes:
         unknowns: (N_UNKNOWNS,) fitted to those before.
         pick: whitener of each axis.
+        variance: (3,) power of the innovations of that fit.
         age: how many times others were judged by these whiteners.
     """
 
     unknowns: Array
     pick: tuple[int, ...]
+    variance: Array
     age: int = 0
 
 
 def shocks_in(
-    data: WhitenedMoments, basis: ActuatorDynamics, start: Reference | None
+    data: WhitenedMoments, basis: ActuatorDynamics, start: Reference | None, *, quick: bool = False
 ) -> tuple[Mask, Reference | None]:
-    """(k,) which batches are to be left out, by a fit to these batches alone.
+    """(k,) which batches are to be left out, by a fit to these batches alone, where one is needed.
 
     Args:
         data: the batches.
         basis: of the elements.
         start: what the batches before were judged by; None: these are the first.
+        quick: whether that fit will do where it shows that nothing is near a shock.
 
     Returns:
         The mask, and what the next ones are judged by.
     """
     kept = np.ones(len(data.counts), dtype=bool)
+    fresh = start is not None and start.age < _JUDGED_ALIKE
+    if start is not None and fresh and quick and _is_calm(start, data, basis):
+        return ~kept, replace(start, age=start.age + 1)
     total, rows = data.total(kept), int(data.counts.sum())
     age, limit = 0, _TRY
-    if start is not None and start.age < _JUDGED_ALIKE:
+    if start is not None and fresh:
         pick, unknowns, age, limit = start.pick, start.unknowns[None], start.age + 1, _JUDGES
     else:
         if start is None:
@@ -300,7 +310,17 @@ def shocks_in(
     problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
     point, _ = minimize_axes(problem, unknowns, limit)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
-    return shocks, Reference(point.unknowns[0], pick, age)
+    return shocks, Reference(point.unknowns[0], pick, point.variance[0], age)
+
+
+def _is_calm(before: Reference, data: WhitenedMoments, basis: ActuatorDynamics) -> bool:
+    """Whether the fit before shows, without another, that no batch holds a shock."""
+    TP = residual_maker(rb.forward_matrix(before.unknowns[: rb.N_THETA])) @ basis.map_at(
+        before.unknowns[COORDINATES]
+    )
+    relative = _relative(TP, before.variance, data.of_axes(before.pick), data.counts)
+    middle = float(np.median(relative))
+    return _ALIKE[0] < middle < _ALIKE[1] and bool(relative.max() <= _CALM * middle)
 
 
 @dataclass(frozen=True)
@@ -527,11 +547,18 @@ def find_shocks(TP: Array, fit: RotationFit, batches: Array, counts: NDArray[np.
     return _far_stronger(TP, np.diag(fit.residual_covariance), batches, counts)
 
 
-def _far_stronger(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Mask:
+def _relative(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Array:
+    """(k,) power of innovations over their variance, mean of the axes."""
+
     def power(some: Array) -> Array:
         squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
         return squares
 
-    relative = (by_parts(power, batches) / counts[:, None] / variance).mean(axis=1)
+    relative: Array = (by_parts(power, batches) / counts[:, None] / variance).mean(axis=1)
+    return relative
+
+
+def _far_stronger(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Mask:
+    relative = _relative(TP, variance, batches, counts)
     shocks: Mask = relative > SHOCK * np.median(relative)
     return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)

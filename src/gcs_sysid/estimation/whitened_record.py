@@ -184,7 +184,9 @@ class WhitenedRecord:
         known = WhitenedMoments(
             (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
         )
-        shocks, self._reference = shocks_in(known, self.basis, self._reference)
+        # Early fits are poor, and what is narrowed to rests on the latest.
+        narrow = self._columns is not None
+        shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=narrow)
         half = _RECENT // 2
         for i in range(half):
             if not shocks[i]:
