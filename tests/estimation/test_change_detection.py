@@ -229,6 +229,25 @@ def test_grouping_of_samples_does_not_matter(changed, name):
         np.testing.assert_allclose(other.frames, one.frames, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("turbulence", [None, 0.02])
+def test_levels_do_not_depend_on_how_many_frames_come_at_once(turbulence):
+    """Whole frames are taken together while nothing is clipped; in gusts some of them are not."""
+    samples = measured(fly("all-axes", 12.0, turbulence=turbulence))
+    noise = np.std(np.diff(samples.force[:, 2]))
+    samples.force[1500::331, 2] += 12.0 * noise  # clipped, and no alarm
+    samples.gyro[2000:2010] = np.nan
+    _, one = watch(samples, block=len(samples.gyro))
+    _, other = watch(samples, block=10)  # never a whole frame
+    for level in ("_levels", "_level_of_means"):
+        a, b = getattr(one, level), getattr(other, level)
+        assert (a.frames == b.frames).all()
+        assert a.frames.min() > 20
+        np.testing.assert_allclose(a.mean, b.mean, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(a.variance, b.variance, rtol=1e-9)
+    np.testing.assert_allclose(one._mean_x, other._mean_x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(one._baseline.last, other._baseline.last, rtol=1e-9, atol=1e-12)
+
+
 def test_a_renewed_reference_is_no_change(quiet_flight):
     samples = measured(quiet_flight)
     cut = 2000

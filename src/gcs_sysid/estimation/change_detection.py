@@ -31,11 +31,13 @@ from gcs_sysid.estimation.change_reference import (
     reference_of,
 )
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.sequential_tests import Baseline, Cusum, Level
+from gcs_sysid.estimation.sequential_tests import CLIPPED, Baseline, Cusum, Level
 from gcs_sysid.signals.samples import Samples
 
 Channel = Literal["thrust", "roll", "pitch", "yaw"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
+_CALM_AT_ONCE = 16
+"""Frames."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +257,10 @@ class ChangeDetector:
                 if not self._left:
                     self._settle()
                 continue
+            calm = self._pass_calm(e[done:], y[done:], x[done:], air[done:])
+            if calm:
+                done += calm
+                continue
             n = min(self._frame - self._filled, len(e) - done)
             part = e[done : done + n]
             change = self._test_samples(part)
@@ -278,6 +284,60 @@ class ChangeDetector:
                 self._slow.clear()
                 self._filled, self._left = 0, self._silence
         return found
+
+    def _pass_calm(self, e: Array, y: Array, x: Array, air: Array) -> int:
+        """Take whole frames in which nothing is clipped, missing or near an alarm.
+
+        What `_test_samples` and `_close_frame` do, at once but for the levels, which follow each
+        other. The first frame of another kind is theirs.
+
+        Returns:
+            Samples taken.
+        """
+        size, levels, means = self._frame, self._levels, self._level_of_means
+        k = min(len(e) // size, _CALM_AT_ONCE)
+        n = k * size
+        e, x = e[:n], x[:n]
+        if self._filled or not k or not (x[:, TOTAL] > 0.0).all() or not self._mean_x.any():
+            return 0
+        if not (self._tested(levels).all() and self._tested(means).all()):
+            return 0
+        if self._fast.rising.any() or self._slow.rising.any():
+            return 0
+        before = self._baseline.ahead(e)
+        both = np.concatenate([e, e - before[:-1]], axis=1).reshape(k, size, 8)
+        if not np.isfinite(both.sum()):
+            return 0
+        top, low = both.max(axis=1), both.min(axis=1)
+        mean = both.mean(axis=1)
+        square = np.einsum("knc,knc->kc", both, both) / size
+        mean_x = x.reshape(k, size, -1).mean(axis=1)
+        gain = self.tuning.frame / self.tuning.memory
+        most, most_of_mean = min(CLIPPED, self.tuning.fast[0]), self.tuning.slow[0]
+        floors, i = self._floors, 0
+        for i in range(k):
+            reach = most * levels.std(floors)
+            if (top[i] - levels.mean > reach).any() or (levels.mean - low[i] > reach).any():
+                break
+            moved = self._mean_x + gain * (mean_x[i] - self._mean_x)
+            floors = moved[TOTAL] * self._least
+            away, floor = mean[i, :4] - levels.mean[:4], 0.5 * floors[:4]
+            if (np.abs(away) > most_of_mean * means.std(floor)).any():
+                break
+            self._mean_x, self._floors = moved, floors
+            means.move(away, away * away)
+            means.mean[:] = 0.0
+            levels.move(mean[i], square[i])
+            levels.mean[4:] = 0.0
+        else:
+            i = k
+        n = i * size
+        self._baseline.last = before[n].copy()
+        self._closed += [
+            (y[at : at + size], x[at : at + size], air[at : at + size]) for at in range(0, n, size)
+        ]
+        self._next += n
+        return n
 
     def _settle(self) -> None:
         """After an alarm: go on from what the residuals are now, with the scatter they had."""

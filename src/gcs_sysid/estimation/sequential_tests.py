@@ -5,6 +5,9 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.recursions import lfilter
 
+CLIPPED = 4.0
+"""Noise levels, from which on a value does not move mean and level further."""
+
 
 class Cusum:
     """Two-sided cumulative-sum tests on several channels.
@@ -102,10 +105,23 @@ class Level:
 
     def _learn(self, frame: Array, count: Array | int, gain: Array, floor: Array) -> None:
         """Move towards a frame without gaps; what is far off counts less."""
-        limit = 4.0 * np.maximum(np.sqrt(self.variance), floor)
+        limit = CLIPPED * np.maximum(np.sqrt(self.variance), floor)
         d = np.minimum(np.maximum(frame - self.mean, -limit), limit)
         self.mean += gain * (d.sum(axis=0) / count)
         self.variance += gain * (np.einsum("nc,nc->c", d, d) / count - self.variance)
+
+    def move(self, mean: Array, square: Array) -> None:
+        """Take a frame without gaps, of which nothing is clipped, on channels with frames before.
+
+        Args:
+            mean: (channels,) of its values.
+            square: (channels,) of their squares.
+        """
+        gain = np.maximum(1.0 / (self.frames + 1), self._least_gain)
+        scatter = square - self.mean * (2.0 * mean - self.mean)
+        self.mean += gain * (mean - self.mean)
+        self.variance += gain * (scatter - self.variance)
+        self.frames += 1
 
     def std(self, floor: Array) -> Array:
         """(channels,) noise level, at least the floor."""
@@ -127,6 +143,16 @@ class Baseline:
         self._of: tuple[Array, Array] = np.empty((1, 0)), np.ones((1, 1))
         """Baselines from (n, channels) values and the baseline before them: (n + 1, n) weights and
         (n + 1, 1), for the latest n."""
+
+    def ahead(self, values: Array) -> Array:
+        """(n + 1, channels) the baseline before each of the values and after them; not taken yet.
+
+        Args:
+            values: (n, channels), none of which is clipped.
+        """
+        keep = self._keep
+        filtered, _ = lfilter([1.0 - keep], [1.0, -keep], values, keep * self.last[None])
+        return np.concatenate([self.last[None], filtered])
 
     def update(self, values: Array, low: Array, high: Array) -> Array:
         """(n, channels) the baseline before each of the values; NaN values are passed over.
