@@ -12,6 +12,7 @@ filtered alike whatever their rates, as in `signals.smoothers`, down to a few sa
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,20 +31,25 @@ class _Integrals:
         self._t = t
         # About the mean, so that no digits are lost in long logs.
         self._mean = values.mean(axis=0)
-        # By columns and in place, as a long log is integrated a hundred times.
-        columns = np.zeros((3, *values.shape[::-1])).transpose(0, 2, 1)
-        self._v, self._first, self._second = v, first, second = columns
-        np.subtract(values, self._mean, out=v)
-        dt = np.diff(t)[:, None]
-        area = v[1:] + v[:-1]
-        area *= 0.5 * dt
-        np.cumsum(area, axis=0, out=first[1:])
-        step = np.multiply(2.0, v[:-1], out=area)
-        step += v[1:]
+        # By columns and in place, as a long log is integrated often.
+        self._v, self._first = np.zeros((2, *values.shape[::-1])).transpose(0, 2, 1)
+        np.subtract(values, self._mean, out=self._v)
+        area = self._v[1:] + self._v[:-1]
+        area *= 0.5 * np.diff(t)[:, None]
+        np.cumsum(area, axis=0, out=self._first[1:])
+
+    @cached_property
+    def _second(self) -> Array:
+        """(n, width), which slopes do without."""
+        second: Array = np.zeros(self._v.shape[::-1]).T
+        dt = np.diff(self._t)[:, None]
+        step = 2.0 * self._v[:-1]
+        step += self._v[1:]
         step *= dt**2
         step /= 6.0
-        step += dt * first[:-1]
+        step += dt * self._first[:-1]
         np.cumsum(step, axis=0, out=second[1:])
+        return second
 
     def _before(self, t: Array) -> tuple[Array, Array, Array]:
         """(n,) the sample before each t; (n, 1) s since then; (n, width) slope from there."""
@@ -257,10 +263,9 @@ def _rotor_means(
 ) -> Array:
     if stream is None:
         return np.full((len(t), rotors), np.nan)
-    times = stream.samples[0][0]
-    if all(np.array_equal(times, other) for other, _ in stream.samples[1:]):
-        # By columns, each of which is then summed as if it were alone.
-        return windowed_means(times, np.array([v**power for _, v in stream.samples]).T, t, half)
+    if stream.share_times:
+        values = np.column_stack([v**power for _, v in stream.samples])
+        return windowed_means(stream.samples[0][0], values, t, half)
     return np.hstack([windowed_means(at, v**power, t, half) for at, v in stream.samples])
 
 
@@ -282,9 +287,14 @@ def variations_of_lift(lift: Array, force: Array) -> Array:
 
 
 def _averagers(stream: RotorStream | None, every: slice = slice(None)) -> list[Averager]:
-    """Of each rotor's command and its square."""
-    samples = () if stream is None else stream.samples
-    return [Averager(t[every], np.column_stack([v, v**2])[every]) for t, v in samples]
+    """Of commands and their squares, rotor by rotor: one of all where they share their times."""
+    if stream is None:
+        return []
+    groups = [stream.samples] if stream.share_times else [(one,) for one in stream.samples]
+    return [
+        Averager(some[0][0][every], np.column_stack([w for _, v in some for w in (v, v**2)])[every])
+        for some in groups
+    ]
 
 
 def _command_means(
@@ -293,8 +303,8 @@ def _command_means(
     """(n, rotors) means of commands and of their squares, `lag` s late."""
     if not commands:
         return np.full((len(t), rotors), np.nan), np.full((len(t), rotors), np.nan)
-    means = np.stack([one.means(t - lag, half) for one in commands], axis=1)
-    return means[..., 0], means[..., 1]
+    means = np.hstack([one.means(t - lag, half) for one in commands])
+    return means[:, ::2], means[:, 1::2]
 
 
 def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:

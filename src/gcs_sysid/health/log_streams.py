@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class RotorStream:
     rate: float
     range: Range | None = None
     outputs: tuple[tuple[Array, Array], ...] = ()
+
+    @cached_property
+    def share_times(self) -> bool:
+        """Whether all rotors have their samples at the same times."""
+        first = self.samples[0][0]
+        return all(t is first or np.array_equal(t, first) for t, _ in self.samples)
 
 
 @dataclass(frozen=True)
@@ -164,9 +171,13 @@ def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[
     for track in sorted(parts, key=lambda track: track.offset):
         if track.offset != len(out):
             continue
+        t, whole = track.t - start, bool(np.isfinite(track.values).all())
         for column in track.values.T:
-            there = np.isfinite(column)
-            out.append((track.t[there] - start, column[there]))
+            if whole:
+                out.append((t, np.ascontiguousarray(column)))
+            else:
+                there = np.isfinite(column)
+                out.append((t[there], column[there]))
     return tuple(out[:count])
 
 
