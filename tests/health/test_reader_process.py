@@ -7,13 +7,14 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.program import run
-from gcs_sysid.health import reader_process
+from gcs_sysid.health import assessment, reader_process
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.session import analysis
 from gcs_sysid.telemetry import tlog
@@ -119,6 +120,29 @@ def test_hover_that_it_did_not_assess_is_assessed_here(flight, tmp_path, beside,
     beside("from gcs_sysid.health.assessment import HoverRecords; HoverRecords.health = None")
     assert analyzed(flight.tlog, tmp_path / "ended.json") == alone
     assert capfd.readouterr() == said
+
+
+def test_of_a_log_of_many_hours_the_rest_waits_to_be_taken(flight, tmp_path, monkeypatch, beside):
+    short = replace(assessment.TUNING, most_samples=500)
+    with monkeypatch.context() as here:
+        here.setattr(assessment, "TUNING", short)
+        alone = analyzed(flight.tlog, tmp_path / "alone.json")
+    assert b"first 500 IMU samples" in alone[1]
+    waited = tmp_path / "waited"
+    beside(
+        "from dataclasses import replace",
+        "from gcs_sysid.health import assessment, reader_main",
+        "assessment.TUNING = replace(assessment.TUNING, most_samples=500)",
+        "class Sender(reader_main.ObjectSender):",
+        "    def wait(self, most):",
+        f"        open({str(waited)!r}, 'a').write(f'{{most}} ')",
+        "        super().wait(most)",
+        "        assert len(self._waiting) <= most",
+        "reader_main.ObjectSender = Sender",
+    )
+    forbid_reading_here(monkeypatch)
+    assert analyzed(flight.tlog, tmp_path / "beside.json") == alone
+    assert set(waited.read_text().split()) == {"4"}
 
 
 def test_parameters_fetched_after_the_flight_have_it_read_again(
