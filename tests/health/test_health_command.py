@@ -2,18 +2,15 @@
 
 import json
 import xml.etree.ElementTree as ET
-from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 
 import pytest
 from pymavlink import mavparm
 
-from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
-from gcs_sysid.fleet.pools import LocalPool
 from gcs_sysid.health import assessment
-from gcs_sysid.health.assessment import HoverRecords, health_of_log
+from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import read_baseline
 from gcs_sysid.health.health_trend import trend_text
 from gcs_sysid.health.vehicle_health import Given
@@ -191,33 +188,6 @@ def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
     assert run(["health", *wrong]) == 1
     assert says in capsys.readouterr().err
     assert run(["health", str(turned.tlog), "--airframe", "ardupilot-quad-x"]) == 0
-
-
-@pytest.mark.slow
-def test_hover_assessed_by_another_process_is_the_same(flight, tmp_path, monkeypatch, capfd):
-    command = ["analyze", str(flight.tlog), "--airframe", "paper", "--json"]
-    alone, beside, ended = (tmp_path / f"{name}.json" for name in ("alone", "beside", "ended"))
-    run([*command, str(alone)])
-    monkeypatch.setattr(analyze_command, "_LONG_LOG", 0)
-    monkeypatch.setattr(analyze_command, "_processors", lambda: 2)
-    monkeypatch.setattr(HoverRecords, "health", None)  # of this process
-    run([*command, str(beside)])
-    assert json.loads(alone.read_text())["health"]["seconds_of_hover"] > 20.0
-    assert beside.read_bytes() == alone.read_bytes()
-    monkeypatch.undo()
-    monkeypatch.setattr(analyze_command, "_LONG_LOG", 0)
-    monkeypatch.setattr(analyze_command, "_processors", lambda: 2)
-    monkeypatch.setattr(LocalPool, "submit", lambda self, task: broken())
-    run([*command, str(ended)])
-    assert ended.read_bytes() == alone.read_bytes()
-    assert "Traceback" not in capfd.readouterr().err
-
-
-def broken():
-    """What comes of a task whose process was ended."""
-    future = Future()
-    future.set_exception(BrokenExecutor("ended"))
-    return future
 
 
 @pytest.mark.slow

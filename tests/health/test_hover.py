@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.health import balance, command_curve
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
-from gcs_sysid.health.hover import _Integrals, _rotor_means, windows_of
+from gcs_sysid.health.hover import Averager, _rotor_means, windows_of
 from gcs_sysid.health.log_streams import RotorStream, streams_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import load_airframe
@@ -21,12 +21,12 @@ G = 9.80665
 
 def test_means_of_a_parabola_at_uneven_samples():
     t = np.sort(np.random.default_rng(1).uniform(0.0, 10.0, 4000))
-    integrals = _Integrals(t, 3.0 + 2.0 * t + 0.5 * t**2)
+    averager = Averager(t, 3.0 + 2.0 * t + 0.5 * t**2)
     at = np.array([2.0, 5.0, 7.5])
     # A triangle of half width h has variance h^2/6.
     expected = 3.0 + 2.0 * at + 0.5 * (at**2 + 0.7**2 / 6.0)
-    assert integrals.mean(at, 0.7)[:, 0] == pytest.approx(expected, rel=1e-4)
-    assert integrals.slope(at, 0.7)[:, 0] == pytest.approx(2.0 + at, rel=1e-3)
+    assert averager.means(at, 0.7)[:, 0] == pytest.approx(expected, rel=1e-4)
+    assert averager.means(at, 0.7, slope=True)[:, 0] == pytest.approx(2.0 + at, rel=1e-3)
 
 
 def test_rotors_of_one_message_have_the_means_they_have_alone():

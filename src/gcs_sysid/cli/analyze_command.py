@@ -6,7 +6,6 @@ import functools
 import os
 import sys
 from collections.abc import Mapping
-from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log, analyze_pair
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.telemetry.logs import Log
 
 _LONG_LOG = 40_000_000
 """Bytes: 9 minutes at 250 Hz, whose hover takes longer to assess than a process to start."""
@@ -77,6 +77,7 @@ def run(options: argparse.Namespace) -> int:
                     bar,
                     observer=observer,
                     keeper=hover.keeper,
+                    opened=hover.opened,
                 )
             except InputError as error:
                 # The others may still be good.
@@ -113,11 +114,16 @@ class _Hover:
     Args:
         log: as the user named it.
         task: as of `health_of_log`: log, what is given, vehicle, span.
+
+    Attributes:
+        keeper: as of `analyze_log`.
+        opened: likewise.
     """
 
     def __init__(self, log: str, task: _HoverTask) -> None:
         self._log, self._task = log, task
         self.keeper: HoverRecords | None = HoverRecords()
+        self.opened: Log | None = None
 
     def __enter__(self) -> "_Hover":
         return self
@@ -142,45 +148,38 @@ class _Hover:
 
 
 class _HoverBeside(_Hover):
-    """The same by another process, which reads the log for itself.
+    """The same by another process, which reads the log for both; the numbers are the same.
 
-    Reading twice and a second start cost processor time: of 200 MB the two take 32 s, of which the
-    longer one takes 20 s. The numbers are the same.
+    Raises:
+        OSError: no process can be started.
     """
 
     def __init__(self, log: str, task: _HoverTask) -> None:
-        from gcs_sysid.fleet.pools import LocalPool  # only long logs wait for it
+        from gcs_sysid.health.reader_process import ReaderProcess  # only long logs wait for it
 
         super().__init__(log, task)
-        self.keeper = None
-        self._pool = LocalPool(1, _health_of)
-        self._found = self._pool.submit(task)
+        path, given, wanted, span = task
+        self._reader = ReaderProcess(path, wanted, given, span)
+        self.keeper, self.opened = None, self._reader.log
 
     def __exit__(self, *_: object) -> None:
-        self._pool.close()
+        self._reader.close()
 
     def _assessed(self) -> Health:
         """As of `_Hover`; here, where the other process was ended."""
-        try:
-            health: Health = self._found.result()
-        except BrokenExecutor:
-            health = _health_of(self._task)
-        return health
-
-
-def _health_of(task: _HoverTask) -> Health:
-    return health_of_log(*task)
+        found = self._reader.health()
+        return health_of_log(*self._task) if found is None else found
 
 
 def _hover_of(log: str, options: argparse.Namespace, airframe: Airframe) -> _Hover:
     """Beside the analysis where the log is long and a processor free."""
     task = Path(log), Given(airframe), options.vehicle, (options.start, options.end)
     try:
-        long = Path(log).stat().st_size >= _LONG_LOG
-    except OSError:  # a table and its mapping, or what the analysis will complain of
-        long = False
-    beside = long and _processors() > 1
-    return _HoverBeside(log, task) if beside else _Hover(log, task)
+        if _processors() > 1 and Path(log).stat().st_size >= _LONG_LOG:
+            return _HoverBeside(log, task)
+    except OSError:  # a table and its mapping, what the analysis will complain of, or no process
+        pass
+    return _Hover(log, task)
 
 
 def _processors() -> int:

@@ -22,12 +22,11 @@ from typing import Any, Protocol
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import Document, Task, analyze
+from gcs_sysid.processes import ONE_THREAD
 
 _LOOK = 0.2
 """s between looks whether to stop."""
 _GONE = "the Dask scheduler is gone; run the same command again for the rest"
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Processes that share a machine do not each take all of it for their linear algebra."""
 
 
 class Pool(Protocol):
@@ -57,12 +56,12 @@ class LocalPool:
     def __init__(self, workers: int, work: Callable[[Any], Any] = analyze) -> None:
         self._workers, self._work = workers, work
         self._context = multiprocessing.get_context("spawn")
-        self._environment = {name: os.environ.get(name) for name in _ONE_THREAD}
+        self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
         self._executor: ProcessPoolExecutor | None = None
         self._leash: Connection | None = None
 
     def _start(self) -> ProcessPoolExecutor:
-        for name in _ONE_THREAD:
+        for name in ONE_THREAD:
             os.environ.setdefault(name, "1")
         ours, self._leash = self._context.Pipe(duplex=False)
         executor = ProcessPoolExecutor(

@@ -15,9 +15,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.hover import flight_of, windowed_means
+from gcs_sysid.health.hover import Averager, flight_of
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.log_streams import RotorStream, Streams, rate_of, streams_of
+from gcs_sysid.health.log_streams import Streams, rate_of, streams_of
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.reported_layout import place_words, reported_layout, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock
@@ -181,7 +181,7 @@ def layout_by_motion(
     streams = streams_of(blocks, airframe, autopilot, parameters)
     count = len(airframe.rotors)
     delays = (0.0,) if streams.speeds else TUNING.order_delays
-    seen = [m for half in TUNING.order_windows for m in _motions(streams, count, half, delays)]
+    seen = [*_motions(streams, count, TUNING.order_windows, delays)]
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
@@ -273,7 +273,7 @@ def _of_as_many_as_carry(
         rotors = usual_layouts(count)[f"{_KINDS[count]} x"]
         wider = Airframe(f"{_KINDS[count]}-x", rotors).with_arm(guess.airframe.arm)
         streams = streams_of(blocks, wider, autopilot, parameters)
-        motion = next(_motions(streams, count, TUNING.order_windows[0], (0.0,)), None)
+        motion = next(_motions(streams, count, TUNING.order_windows[:1], (0.0,)), None)
         if motion is None:
             continue
         thrust, _ = motion
@@ -288,14 +288,14 @@ def _of_as_many_as_carry(
 
 
 def _motions(
-    streams: Streams, rotors: int, half: float, delays: Sequence[float]
+    streams: Streams, rotors: int, halves: Sequence[float], delays: Sequence[float]
 ) -> Iterator[tuple[Array, Array]]:
     """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight, where there is enough.
 
     Args:
         streams: of the flight.
         rotors: their number.
-        half: s, half width of the windows.
+        halves: s, half widths of the windows.
         delays: s, each by which thrust may lag behind the rotor stream.
     """
     source = streams.speeds or streams.commands
@@ -305,24 +305,22 @@ def _motions(
     slowest = min(source.rate, rate_of(times))
     if slowest <= 0.0:
         return
-    half = max(half, 2.0 / slowest)
     grid, flying = flight_of(streams, rotors)
     if not flying.any():
         return
-    t = np.arange(half, float(grid[-1]) - half, half)
-    t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
-    turning = windowed_means(times, imu[:, :3], t, half, slope=True)
-    for delay in delays:
-        thrust = _thrust(source, t - delay, half)
-        there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
-        if np.count_nonzero(there) >= TUNING.fewest_for_order:
-            load, turned = thrust[there], turning[there]
-            yield load / load[:, :4].mean(), turned - turned.mean(axis=0)
-
-
-def _thrust(source: RotorStream, t: Array, half: float) -> Array:
     power = 1 if source.range is not None else 2
-    return np.hstack([windowed_means(times, v**power, t, half) for times, v in source.samples])
+    gyro = Averager(times, imu[:, :3])
+    thrusts = [Averager(at, v**power) for at, v in source.samples]
+    for half in (max(half, 2.0 / slowest) for half in halves):
+        t = np.arange(half, float(grid[-1]) - half, half)
+        t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
+        turning = gyro.means(t, half, slope=True)
+        for delay in delays:
+            thrust = np.hstack([one.means(t - delay, half) for one in thrusts])
+            there = complete_rows(np.column_stack([turning, thrust])) & (thrust.sum(axis=1) > 0.0)
+            if np.count_nonzero(there) >= TUNING.fewest_for_order:
+                load, turned = thrust[there], turning[there]
+                yield load / load[:, :4].mean(), turned - turned.mean(axis=0)
 
 
 def _explained(geometry: Array, thrust: Array, turning: Array) -> list[float]:

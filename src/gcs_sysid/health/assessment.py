@@ -84,9 +84,14 @@ class HoverRecords:
         self._log, self._blocks = log, []
         self._room = TUNING.most_samples
 
+    @property
+    def full(self) -> bool:
+        """Whether it keeps nothing of what follows."""
+        return self._room < 0
+
     def take(self, block: RecordBlock) -> None:
         """The next block of records."""
-        if self._room < 0:
+        if self.full:
             return
         tracks = block.tracks
         taken = block.imu_samples
@@ -128,7 +133,7 @@ class HoverRecords:
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
         health = health_of(streams, guess, given, log.parameters, span)
-        if self._room < 0:
+        if self.full:
             kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
             health = replace(health, assumptions=(*health.assumptions, kept))
         return replace(

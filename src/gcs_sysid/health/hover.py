@@ -12,10 +12,11 @@ filtered alike whatever their rates, as in `signals.smoothers`, down to a few sa
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.model.parameters import GRAVITY
@@ -28,43 +29,57 @@ class _Integrals:
 
     def __init__(self, t: Array, values: Array) -> None:
         self._t = t
-        self._values = values if values.ndim == 2 else values[:, None]
         # About the mean, so that no digits are lost in long logs.
-        self._mean = self._values.mean(axis=0)
-        v = self._values - self._mean
-        dt = np.diff(t)[:, None]
-        self._v = v
-        # In place, as a long log is integrated a hundred times.
-        self._first, self._second = np.zeros((2, *v.shape[::-1])).transpose(0, 2, 1)
-        area = v[1:] + v[:-1]
-        area *= 0.5 * dt
+        self._mean = values.mean(axis=0)
+        # By columns and in place, as a long log is integrated often.
+        self._v, self._first = np.zeros((2, *values.shape[::-1])).transpose(0, 2, 1)
+        np.subtract(values, self._mean, out=self._v)
+        area = self._v[1:] + self._v[:-1]
+        area *= 0.5 * np.diff(t)[:, None]
         np.cumsum(area, axis=0, out=self._first[1:])
-        step = np.multiply(2.0, v[:-1], out=area)
-        step += v[1:]
+
+    @cached_property
+    def _second(self) -> Array:
+        """(n, width), which slopes do without."""
+        second: Array = np.zeros(self._v.shape[::-1]).T
+        dt = np.diff(self._t)[:, None]
+        step = 2.0 * self._v[:-1]
+        step += self._v[1:]
         step *= dt**2
         step /= 6.0
         step += dt * self._first[:-1]
-        np.cumsum(step, axis=0, out=self._second[1:])
+        np.cumsum(step, axis=0, out=second[1:])
+        return second
 
-    def _at(self, t: Array) -> tuple[Array, Array]:
-        """(n, width) first and second integral, exact between samples."""
+    def _before(self, t: Array) -> tuple[Array, Array, Array]:
+        """(n,) the sample before each t; (n, 1) s since then; (n, width) slope from there."""
         i = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2)
         h = (t - self._t[i])[:, None]
         step = (self._t[i + 1] - self._t[i])[:, None]
-        slope = (self._v[i + 1] - self._v[i]) / step
-        first = self._first[i] + h * self._v[i] + 0.5 * h**2 * slope
-        second = self._second[i] + h * self._first[i] + 0.5 * h**2 * self._v[i] + h**3 * slope / 6.0
-        return first, second
+        return i, h, (self._v[i + 1] - self._v[i]) / step
+
+    def _first_at(self, t: Array) -> Array:
+        """(n, width) first integral, exact between samples."""
+        i, h, slope = self._before(t)
+        out: Array = self._first[i] + h * self._v[i] + 0.5 * h**2 * slope
+        return out
+
+    def _second_at(self, t: Array) -> Array:
+        """(n, width) second integral, likewise."""
+        i, h, slope = self._before(t)
+        out: Array = self._second[i] + h * self._first[i] + 0.5 * h**2 * self._v[i]
+        out += h**3 * slope / 6.0
+        return out
 
     def mean(self, t: Array, half: float) -> Array:
         """(n, width) means with a triangle of half width `half` about each t."""
-        (_, a), (_, b), (_, c) = (self._at(t + shift) for shift in (-half, 0.0, half))
+        a, b, c = (self._second_at(t + shift) for shift in (-half, 0.0, half))
         out: Array = (a - 2.0 * b + c) / half**2 + self._mean
         return out
 
     def slope(self, t: Array, half: float) -> Array:
         """(n, width) means of the derivative with the same triangle."""
-        (a, _), (b, _), (c, _) = (self._at(t + shift) for shift in (-half, 0.0, half))
+        a, b, c = (self._first_at(t + shift) for shift in (-half, 0.0, half))
         out: Array = (a - 2.0 * b + c) / half**2
         return out
 
@@ -160,8 +175,9 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
     lift, sink, speed = _vertical(streams, t, half)
     speeds = _rotor_means(streams.speeds, t, half, rotors, power=2)
     force = inertial[:, 3:6]
-    lag = _lag_of(streams, t, half, speeds, variations_of_lift(lift, force), sink)
-    commands, squares = _command_means(_averagers(streams.commands), t, half, rotors, lag)
+    averagers = _averagers(streams.commands)
+    lag = _lag_of(averagers, t, half, speeds, variations_of_lift(lift, force), sink)
+    commands, squares = _command_means(averagers, t, half, rotors, lag)
     jitter = _jitter(streams.commands, t, half, rotors, lag)
     hovering = _hovering(inertial[:, :3], turning, lift, force, speed)
     high = low = np.full(rotors, np.nan)
@@ -198,17 +214,24 @@ def _inside(times: Array, t: Array, half: float) -> Mask:
     return inside
 
 
-class _Averager:
-    """Windowed means of one sampled signal, for as many sets of windows as one likes."""
+class Averager:
+    """Windowed means of one sampled signal, for as many sets of windows as one likes.
+
+    Args:
+        times: (n,) s.
+        values: (n,) or (n, width); rows that lack a value do not count.
+    """
 
     def __init__(self, times: Array, values: Array) -> None:
-        values = values if values.ndim == 2 else values[:, None]
-        there = np.isfinite(values).all(axis=1)
+        values = np.ascontiguousarray(values if values.ndim == 2 else values[:, None])
         self._width = values.shape[1]
-        self._t = times[there]
-        self._steps = np.diff(self._t)
-        enough = len(self._t) >= TUNING.fewest_samples
-        self._integrals = _Integrals(self._t, values[there]) if enough else None
+        if not np.isfinite(values).all():
+            there = complete_rows(values)
+            times, values = times[there], values[there]
+        self._t = times
+        self._steps = np.diff(times)
+        enough = len(times) >= TUNING.fewest_samples
+        self._integrals = _Integrals(times, values) if enough else None
 
     def means(self, t: Array, half: float, *, slope: bool = False) -> Array:
         """(n, width) means, or slopes, about each t; NaN where the samples have a gap."""
@@ -232,7 +255,7 @@ def windowed_means(
     times: Array, values: Array, t: Array, half: float, *, slope: bool = False
 ) -> Array:
     """(n, width) windowed means, NaN where the samples have a gap."""
-    return _Averager(times, values).means(t, half, slope=slope)
+    return Averager(times, values).means(t, half, slope=slope)
 
 
 def _rotor_means(
@@ -240,10 +263,9 @@ def _rotor_means(
 ) -> Array:
     if stream is None:
         return np.full((len(t), rotors), np.nan)
-    times = stream.samples[0][0]
-    if all(np.array_equal(times, other) for other, _ in stream.samples[1:]):
-        # By columns, each of which is then summed as if it were alone.
-        return windowed_means(times, np.array([v**power for _, v in stream.samples]).T, t, half)
+    if stream.share_times:
+        values = np.column_stack([v**power for _, v in stream.samples])
+        return windowed_means(stream.samples[0][0], values, t, half)
     return np.hstack([windowed_means(at, v**power, t, half) for at, v in stream.samples])
 
 
@@ -264,20 +286,25 @@ def variations_of_lift(lift: Array, force: Array) -> Array:
     return varying
 
 
-def _averagers(stream: RotorStream | None, every: slice = slice(None)) -> list[_Averager]:
-    """Of each rotor's command and its square."""
-    samples = () if stream is None else stream.samples
-    return [_Averager(t[every], np.column_stack([v, v**2])[every]) for t, v in samples]
+def _averagers(stream: RotorStream | None, every: slice = slice(None)) -> list[Averager]:
+    """Of commands and their squares, rotor by rotor: one of all where they share their times."""
+    if stream is None:
+        return []
+    groups = [stream.samples] if stream.share_times else [(one,) for one in stream.samples]
+    return [
+        Averager(some[0][0][every], np.column_stack([w for _, v in some for w in (v, v**2)])[every])
+        for some in groups
+    ]
 
 
 def _command_means(
-    commands: Sequence[_Averager], t: Array, half: float, rotors: int, lag: float
+    commands: Sequence[Averager], t: Array, half: float, rotors: int, lag: float
 ) -> tuple[Array, Array]:
     """(n, rotors) means of commands and of their squares, `lag` s late."""
     if not commands:
         return np.full((len(t), rotors), np.nan), np.full((len(t), rotors), np.nan)
-    means = np.stack([one.means(t - lag, half) for one in commands], axis=1)
-    return means[..., 0], means[..., 1]
+    means = np.hstack([one.means(t - lag, half) for one in commands])
+    return means[:, ::2], means[:, 1::2]
 
 
 def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:
@@ -290,13 +317,13 @@ def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag:
 
 
 def _lag_of(
-    streams: Streams, t: Array, half: float, speeds: Array, lift: Array, sink: Array
+    commands: Sequence[Averager], t: Array, half: float, speeds: Array, lift: Array, sink: Array
 ) -> float:
     """By how many s rotors, or the thrust, follow the commands: the least residual of all tried.
 
     Motors of large vehicles lag by 0.2 s: unshifted, the curve of one came out 0.3 too small.
     """
-    if streams.commands is None or len(t) < 2 * TUNING.fewest_windows:
+    if not commands or len(t) < 2 * TUNING.fewest_windows:
         return 0.0
     rotors = speeds.shape[1]
     measured = bool(np.isfinite(speeds).any())
@@ -305,7 +332,6 @@ def _lag_of(
     climbing = np.nan_to_num(sink)[:, None]
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
     costs = []
-    commands = _averagers(streams.commands)
     # All at once: by lags each would cost a hundred calls.
     late = np.concatenate([t - lag for lag in lags])
     means = _command_means(commands, late, half, rotors, 0.0)

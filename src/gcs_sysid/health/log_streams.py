@@ -1,7 +1,8 @@
 """The streams of a whole log on one time axis, as hovering needs them."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class RotorStream:
     rate: float
     range: Range | None = None
     outputs: tuple[tuple[Array, Array], ...] = ()
+
+    @cached_property
+    def share_times(self) -> bool:
+        """Whether all rotors have their samples at the same times."""
+        first = self.samples[0][0]
+        return all(t is first or np.array_equal(t, first) for t, _ in self.samples)
 
 
 @dataclass(frozen=True)
@@ -93,7 +100,10 @@ def streams_of(
     joined = {key: _steady(track, boots) for key, track in by_key(tracks).items()}
     starts = [float(track.t[0]) for track in joined.values() if len(track.t)]
     start = min(starts, default=0.0)
-    joined = {key: track.part(track.t < start + _LONGEST) for key, track in joined.items()}
+    end = start + _LONGEST
+    joined = {
+        key: track.part(slice(int(np.searchsorted(track.t, end)))) for key, track in joined.items()
+    }
     plain: dict[Stream, tuple[Array, Array]] = {}
     rotors: dict[tuple[Stream, str], list[Track]] = {}
     for (stream, source, _), track in joined.items():
@@ -139,10 +149,20 @@ def _steady(track: Track, boots: Sequence[int]) -> Track:
             last, first = float(t[~after][-1]), float(t[after][0])
             if first <= last:
                 t = np.where(after, t + last - first + _BOOT_GAP, t)
-    order = np.argsort(t, kind="stable")
-    t, values, at = t[order], track.values[order], track.order[order]
-    new = np.append(True, np.diff(t) > 0.0)
-    return Track(track.stream, t[new], values[new], track.offset, track.source, at[new])
+    steady = replace(track, t=t)
+    steps = np.diff(t)
+    if not (steps >= 0.0).all():
+        order = np.argsort(t, kind="stable")
+        steady = Track(
+            track.stream,
+            t[order],
+            track.values[order],
+            track.offset,
+            track.source,
+            track.order[order],
+        )
+        steps = np.diff(steady.t)
+    return steady if (steps > 0.0).all() else steady.part(np.append(True, steps > 0.0))
 
 
 def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[Array, Array], ...]:
@@ -151,9 +171,13 @@ def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[
     for track in sorted(parts, key=lambda track: track.offset):
         if track.offset != len(out):
             continue
+        t, whole = track.t - start, bool(np.isfinite(track.values).all())
         for column in track.values.T:
-            there = np.isfinite(column)
-            out.append((track.t[there] - start, column[there]))
+            if whole:
+                out.append((t, np.ascontiguousarray(column)))
+            else:
+                there = np.isfinite(column)
+                out.append((t[there], column[there]))
     return tuple(out[:count])
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from gcs_sysid.errors import GcsSysidError, InputError, LinkError
 from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Item, RecordingReport
 from gcs_sysid.live.request_relay import RelayedRequests
+from gcs_sysid.processes import apart
 from gcs_sysid.telemetry.transceiver import LinkReport, Requests
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -71,7 +71,7 @@ class ReceiverProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            **_apart(),
+            **apart(),
         )
         self._orders = cast(BinaryIO, self._process.stdin)
         self._answers = cast(BinaryIO, self._process.stdout)
@@ -252,10 +252,3 @@ class ReceiverProcess:
                 self._messages.append((kind, body))
                 self._size += len(body)
             self._wake.notify_all()
-
-
-def _apart() -> dict[str, Any]:
-    """Not to be reached by the terminal's signals."""
-    if os.name == "nt":
-        return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
-    return {"start_new_session": True}

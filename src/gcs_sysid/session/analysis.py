@@ -54,6 +54,7 @@ def analyze_log(
     anchor: ScaleReference | None = None,
     observer: Observer | None = None,
     keeper: RecordKeeper | None = None,
+    opened: Log | None = None,
 ) -> Result:
     """Identify from a recording.
 
@@ -66,25 +67,26 @@ def analyze_log(
         anchor: sets the scale instead of the airframe's.
         observer: looks on.
         keeper: gets the records as they are read.
+        opened: the log, opened by the caller; where it must be read twice, then from the path.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
     options = options or ChainOptions(history_interval=None)
 
-    def read(options: ChainOptions) -> Pipeline:
+    def read(options: ChainOptions, opened: Log | None = None) -> Pipeline:
         pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
         if observer is not None:
             observer.begin()
             pipeline.chain.observers.append(observer.take)
-        log = open_log(path, wanted)
+        log = opened or open_log(path, wanted)
         if keeper is not None:
             keeper.begin(log)
             pipeline.on_records = keeper.take
         pipeline.take_log(log, progress)
         return pipeline
 
-    pipeline = read(options)
+    pipeline = read(options, opened)
     if pipeline.chain.outdated:
         # A ground station that fetched the parameters after the flight: they held all along.
         known = replace(options, parameters=dict(pipeline.chain.rotor_selector.parameters))

@@ -179,12 +179,18 @@ def by_key(tracks: Iterable[Track]) -> dict[Key, Track]:
 def _joined(parts: Sequence[Track]) -> Track:
     """Tracks of one stream as one: all at once, as a long log has hundreds."""
     order = np.concatenate([part.order for part in parts])
-    rows = np.argsort(order, kind="stable")
-    values = np.full((len(order), max(part.values.shape[1] for part in parts)), np.nan)
-    start = 0
-    for part in parts:
-        stop = start + len(part.t)
-        values[start:stop, : part.values.shape[1]] = part.values
-        start = stop
     t = np.concatenate([part.t for part in parts])
-    return replace(parts[0], t=t[rows], values=values[rows], order=order[rows])
+    widths = {part.values.shape[1] for part in parts}
+    if len(widths) == 1:
+        values = np.concatenate([part.values for part in parts])
+    else:
+        values = np.full((len(order), max(widths)), np.nan)
+        start = 0
+        for part in parts:
+            stop = start + len(part.t)
+            values[start:stop, : part.values.shape[1]] = part.values
+            start = stop
+    if (np.diff(order) < 0).any():
+        rows = np.argsort(order, kind="stable")
+        t, values, order = t[rows], values[rows], order[rows]
+    return replace(parts[0], t=t, values=values, order=order)

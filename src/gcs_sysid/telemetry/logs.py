@@ -118,7 +118,7 @@ class TlogLog:
 
     def records(self) -> Iterator[Record]:
         """As `Log` says."""
-        return _one_by_one(self.blocks(), self._events)
+        return one_by_one(self.blocks(), self._events)
 
     @property
     def share_read(self) -> float:
@@ -205,7 +205,7 @@ class OnboardLog:
 
     def records(self) -> Iterator[Record]:
         """As `Log` says."""
-        for record in _one_by_one(self.blocks(), self._events):
+        for record in one_by_one(self.blocks(), self._events):
             self._given += record.stream is not Stream.PARAMETER
             yield record
 
@@ -276,7 +276,7 @@ class OnboardLog:
         return {"count": 0, "last": []}
 
 
-def _one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Iterator[Record]:
+def one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Iterator[Record]:
     """The records of blocks; events are put into `noted` before the records after them."""
     for block in blocks:
         events = deque(block.events)
