@@ -57,6 +57,8 @@ def main(arguments: list[str]) -> int:
     tests = "--tests" in arguments
     arguments = [a for a in arguments if a != "--tests"]
     os.chdir(ROOT)
+    sys.path[:0] = [str(ROOT / "src"), str(ROOT)]
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path[:2])
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     cost = Cost()
     status = int(pytest.main(["-n", "0", *arguments], plugins=[cost]))

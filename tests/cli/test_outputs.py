@@ -76,7 +76,7 @@ CASES = {
         ("compare", "{a}", "{b}", "--json", "{out}"), ".json", "Ixx", seconds=False
     ),
     ("export", "output"): Case(
-        ("export", "--to", "urdf", "{a}", "-o", "{out}"), ".urdf", seconds=False
+        ("export", "--to", "urdf", "{a}", "-o", "{out}"), ".urdf"
     ),
     ("export", "signals"): Case(
         ("export", *ON_LOG, "--signals", "{out}"), ".csv", dash=False

@@ -15,7 +15,7 @@ from gcs_sysid.estimation.filter_error import (
     likeliest_noise,
     offline_bank,
 )
-from gcs_sysid.estimation.instruments import InstrumentFit, combined, fit_by_instruments
+from gcs_sysid.estimation.instrumental_variables import InstrumentFit, combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import most_passes
 from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import Fit
