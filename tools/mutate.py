@@ -34,16 +34,21 @@ SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 CORE = {
     "estimation": "actuator_dynamics command_noise flight_comparison input_noise normal_equations "
     "priors rigid_body_test rotation scale search sequential_tests translation uncertainty",
-    "signals": "complementary differentiator flight_detection inertial_stream recursions smoothers "
-    "stream_buffer",
+    "signals": "complementary differentiator flight_detection inertial_stream interpolation "
+    "recursions smoothers stream_buffer",
     "telemetry": "clock decode messages",
 }
 ELSEWHERE = {
+    "actuator_dynamics": ["commands", "online"],
+    "clock": ["blocks", "intake"],
     "command_noise": ["input_noise", "commands"],
     "decode": ["blocks"],
     "inertial_stream": ["outliers"],
+    "input_noise": ["commands", "online"],
+    "interpolation": ["time_base"],
     "messages": ["message_arrays"],
-    "rotation": ["priors", "commands"],
+    "normal_equations": ["online"],
+    "rotation": ["priors", "commands", "online"],
     "scale": ["physical_parameters"],
     "search": ["rotation", "priors"],
     "smoothers": ["windows"],
