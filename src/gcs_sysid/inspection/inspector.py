@@ -50,7 +50,7 @@ from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.logs import Telemetry, open_log
-from gcs_sysid.telemetry.message_table import MESSAGES
+from gcs_sysid.telemetry.message_table import MESSAGES, Message, OnboardMessage
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.ulog import TOPICS
 
@@ -58,8 +58,9 @@ SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
 _POLL, _ASK_EVERY = 0.05, 0.2
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
+_ROWS: tuple[Message | OnboardMessage, ...] = (*MESSAGES, *TOPICS, *ENTRIES)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
-    stream: tuple(row.name for row in (*MESSAGES, *TOPICS, *ENTRIES) if row.stream is stream)
+    stream: tuple(row.name for row in _ROWS if row.stream is stream)
     for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY)
 }
 """Stream -> messages that it may come from; records do not say which."""
