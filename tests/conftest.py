@@ -29,6 +29,7 @@ hypothesis.settings.load_profile("seeded")
 AS_THE_ARTICLE = ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "--rate", "20")
 
 
+@pytest.hookimpl(optionalhook=True)  # tools/mutate.py runs tests without xdist
 def pytest_xdist_auto_num_workers() -> int:
     """One worker more than cores: a fifth of the time tests wait for links and processes."""
     return (os.cpu_count() or 1) + 1

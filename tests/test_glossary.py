@@ -4,6 +4,7 @@ import ast
 import io
 import re
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -74,6 +75,11 @@ def test_the_search_finds_what_it_is_for():
     assert [text for _, text in texts('f(f"{a} is known roughly, {b}")')] == [" is known roughly, "]
     assert len(SOURCES) > 200
     assert sum(1 for path in SOURCES for _ in texts(path.read_text("utf-8"))) > 1500
+
+
+def test_no_two_modules_share_a_name():
+    names = Counter(path.stem for path in SOURCES if not path.stem.startswith("__"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def values_of_keys(source: str) -> Iterator[tuple[int, str]]:

@@ -120,6 +120,14 @@ def test_what_passes_is_no_change():
             assert "changed" not in found
 
 
+@pytest.mark.parametrize(("left", "called"), [(0.55, False), (0.85, True)])
+def test_a_step_of_which_half_is_gone_again_is_no_change(left, called):
+    """Both halves of the 3 s since must show it, within three tenths of it."""
+    share = np.where(LATER, 0.2, 0.0) * np.where(TIME < AT + 1.5, 1.0, left)
+    found = looked(fly(1.0 / (1.0 - share), share), 3)
+    assert (found.verdict == "changed") is called
+
+
 @pytest.mark.slow
 def test_the_end_of_a_gust_is_no_change():
     """The vehicle is then what it was in all of the flight before the gust."""

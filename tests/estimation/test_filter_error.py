@@ -8,14 +8,14 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
-from gcs_sysid.estimation import instruments, likelihood, offline
+from gcs_sysid.estimation import instrumental_variables, likelihood, offline
 from gcs_sysid.estimation.filter_error import (
     ResidualRun,
     innovations,
     likeliest_noise,
     offline_bank,
 )
-from gcs_sysid.estimation.instruments import InstrumentFit, combined, fit_by_instruments
+from gcs_sysid.estimation.instrumental_variables import InstrumentFit, combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import most_passes
 from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import Fit
@@ -129,7 +129,7 @@ def test_instruments_are_free_of_what_the_loop_answered():
 def test_setpoints_that_answer_the_vehicle_are_no_instruments():
     found = fit_by_instruments([asked_and_answered(2, answering=True)], fit_with(), T)
     assert not any(by.believed for by in found)
-    assert all(by.strength > instruments.RULES.least_f for by in found)
+    assert all(by.strength > instrumental_variables.RULES.least_f for by in found)
 
 
 def test_without_setpoints_there_are_no_instruments():

@@ -12,6 +12,7 @@ from gcs_sysid.estimation.physical_parameters import (
     timing_values,
     verdict,
 )
+from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import NOTHING, Value
@@ -131,6 +132,22 @@ def test_status_falls_where_the_model_explains_too_little(r_squared, lowered):
         assert values["Ixx"].status == "identified"
 
 
+@pytest.mark.parametrize(("share", "contradicted"), [(1.0, False), (0.0, True)])
+def test_what_gyroscopic_torque_contradicts_is_not_observable(share, contradicted):
+    judged = RigidBodyTest(np.full(3, share), np.full(3, 0.01))
+    anchor = ScaleReference("mass", MASS)
+    values = physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rigid_body_test=judged)
+    usual = physical_parameters(anchor, ROTATION, TRANSLATION, ARM)
+    status = "unobservable" if contradicted else "identified"
+    for name in ("Izz", "k_M", "moment_ratio", "Ixy", "Iyz", "Ixz"):
+        assert values[name].status == status, name
+    for name in ("Ixx", "Iyy"):
+        assert values[name].status == "identified"
+        more = ERRORS.not_rigid * TRUE[name] if contradicted else 0.0
+        assert values[name].std == pytest.approx(np.hypot(usual[name].std, more))
+    assert values["cg_x"] == usual["cg_x"]
+
+
 def test_doubt_never_raises_a_status():
     fit = replace(spread(1.0), r_squared=np.full(3, 0.7))
     values = physical_parameters(ScaleReference("mass", MASS), fit, TRANSLATION, ARM)
@@ -215,6 +232,14 @@ def test_verdict_and_its_reasons(statuses, word, said):
     for text in said:
         assert any(text in reason for reason in reasons)
     assert bool(reasons) is bool(said)
+
+
+@pytest.mark.parametrize(("ratio", "negative"), [(-0.29, False), (-0.31, True)])
+def test_a_rotor_torque_surely_negative_is_a_wrong_spin(ratio, negative):
+    """By more than three standard deviations."""
+    values = parameters() | {"moment_ratio": Value(ratio, 0.1, "identified")}
+    _, reasons = verdict(values)
+    assert any("check spin" in reason for reason in reasons) is negative
 
 
 def test_a_hover_is_not_told_to_separate_what_it_did_not_move():

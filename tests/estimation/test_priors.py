@@ -83,7 +83,9 @@ def test_a_known_moment_ratio_makes_the_yaw_inertia_known():
 
 def test_a_prior_that_says_next_to_nothing_changes_nothing():
     plain = fit(2)
-    wide = fit(2, prior_of({i: (3.0 * THETA[i], 1e6 * THETA[i]) for i in range(rb.N_THETA)}))
+    wide = fit(
+        2, prior_of({i: (3.0 * THETA[i], 1e6 * (THETA[i] or 1.0)) for i in range(rb.N_THETA)})
+    )
     assert np.all(np.abs(wide.theta - plain.theta) < 1e-4 * plain.std)
     np.testing.assert_allclose(wide.std, plain.std, rtol=1e-4)
     np.testing.assert_allclose(plain.data_std, plain.std, rtol=1e-9)

@@ -53,7 +53,7 @@ def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
 
 
 NONE = np.zeros((1, WIDTH, WIDTH))
-SLIGHT = prior_of({i: (THETA[i], 10.0 * abs(THETA[i])) for i in range(rb.N_THETA)})
+SLIGHT = prior_of({i: (THETA[i], 10.0 * (abs(THETA[i]) or 1.0)) for i in range(rb.N_THETA)})
 """Says next to nothing, and takes the way of a prior."""
 
 

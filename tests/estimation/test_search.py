@@ -318,7 +318,9 @@ def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
 def test_a_prior_is_started_from_where_it_fits_better(factor, taken):
     rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=0.5)
     total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0, 0.0, 0.0])
-    vague = prior_of({i: (factor * THETA[i], 10.0 * abs(THETA[i])) for i in range(rb.N_THETA)})
+    vague = prior_of(
+        {i: (factor * THETA[i], 10.0 * (abs(THETA[i]) or 1.0)) for i in range(rb.N_THETA)}
+    )
     guess = first_guess(total, N, at, vague)
     assert np.allclose(guess[: rb.N_THETA], factor * THETA) is taken
     impossible = prior_of({2: (900.0, 1e3)})

@@ -246,3 +246,27 @@ def test_students_factor_is_of_the_share_that_scatter_tells():
     part = student_factor(shares, 2, np.array([1.0, 0.3]))
     assert part[0] == whole[0]
     assert 1.0 < part[1] < 1.0 + 0.2 * (whole[1] - 1.0)
+
+
+@pytest.mark.parametrize(("batches", "size"), [(24, 0.05), (24, 3.0), (5, 0.05), (5, 3.0)])
+def test_shrinking_goes_by_the_equations(batches, size):
+    """Along the axes of the scatter: two thirds of the directions alike, one that stands out."""
+    rng = np.random.default_rng(7)
+    scores = rng.standard_normal((batches, 3)) * np.sqrt(size / batches) * [1.0, 1.0, 6.0]
+    spread, by_scatter = shrunk_inflation(np.eye(3), scores, 0)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(meat(scores, 0)), 0.0)
+    mu, g, trust = eigenvalues.mean(), 3.0 / batches, min(1.0, batches / 6.0)
+    # w = mu^2 (p + 1) / (nu d^2)
+    w = trust * min(1.0, mu**2 * 4.0 / (batches * np.mean((eigenvalues - mu) ** 2)))
+    expected = (1.0 - w) * eigenvalues + w * mu
+    top = eigenvalues[-1]
+    apart = top > mu * (1.0 + np.sqrt(g)) ** 2
+    assert apart or batches == 5
+    if apart:
+        # lambda = l (1 + g mu / (l - mu)), solved for l
+        roots = np.roots([1.0, g * mu - mu - top, mu * top])
+        expected[-1] = max(expected[-1], roots.real.max())
+    floor = 1.0 - trust * (1.0 - min(max(mu, 0.5), 1.0))
+    np.testing.assert_allclose(np.linalg.eigvalsh(spread), np.sort(np.maximum(expected, floor)))
+    known = np.maximum(1.0 - floor / np.diag(spread), 1.0 - trust)
+    np.testing.assert_allclose(by_scatter, known)

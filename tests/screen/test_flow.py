@@ -18,6 +18,11 @@ from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 from . import fake
 
 
+@pytest.fixture(autouse=True)
+def terminal_output():
+    """Every update is drawn here, as in a terminal."""
+
+
 def names_of(result):
     """Of the parameters, from top to bottom."""
     return [parameter.name for parameter, _ in fmt.rows(result)]

@@ -182,6 +182,16 @@ def follow(records, tick=0.1):
     return chain, chain.finish()
 
 
+@pytest.fixture(scope="module")
+def joined(paper_records):
+    return follow(after_a_landing(paper_records))
+
+
+@pytest.fixture(scope="module")
+def changed(paper_records):
+    return follow(after_a_landing(paper_records, second=heavier))
+
+
 def heavier(record):
     """The same motion with a tenth more thrust: all of the vehicle is a tenth heavier."""
     if record.stream is not Stream.ROTOR_SPEED:
@@ -190,8 +200,8 @@ def heavier(record):
 
 
 @pytest.mark.slow
-def test_two_flights_of_one_vehicle_are_joined(paper_records, paper_result):
-    chain, result = follow(after_a_landing(paper_records))
+def test_two_flights_of_one_vehicle_are_joined(joined, paper_result):
+    chain, result = joined
     assert result.segments == ()
     assert not any(event["kind"] != "vehicle" for event in result.events)
     # All of both but their ends, the climb's second and the windows.
@@ -205,8 +215,8 @@ def test_two_flights_of_one_vehicle_are_joined(paper_records, paper_result):
 
 
 @pytest.mark.slow
-def test_another_vehicle_after_a_landing_is_a_segment(paper_records, paper_result):
-    chain, result = follow(after_a_landing(paper_records, second=heavier))
+def test_another_vehicle_after_a_landing_is_a_segment(changed, paper_records, paper_result):
+    chain, result = changed
     (segment,) = result.segments
     (event,) = result.events
     landed = paper_records[-1].t - paper_records[0].t
@@ -228,9 +238,9 @@ def test_another_vehicle_after_a_landing_is_a_segment(paper_records, paper_resul
 
 @pytest.mark.slow
 @pytest.mark.parametrize("second", [None, heavier])
-def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, second):
-    records = after_a_landing(paper_records, second=second)
-    (_, one), (_, other) = follow(records), follow(records, tick=0.7)
+def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, joined, changed, second):
+    _, one = changed if second else joined
+    _, other = follow(after_a_landing(paper_records, second=second), tick=0.7)
     assert len(one.segments) == len(other.segments) == (second is not None)
     for name in ("Ixx", "Izz", "k_T", "mass"):
         estimate = one.parameters[name]

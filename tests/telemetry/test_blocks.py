@@ -239,8 +239,14 @@ def compare_singly(path, wanted=None):
     assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
 
 
+def seeds(first, count):
+    """The first ones have every case once; the others repeat them, in `make test-all` alone."""
+    later = (pytest.param(seed, marks=pytest.mark.thorough) for seed in range(first, count))
+    return pytest.mark.parametrize("seed", [*range(first), *later])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(40))
+@seeds(16, 40)
 def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
     path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 3000))
@@ -258,7 +264,7 @@ def test_frames_that_come_one_at_a_time_make_the_same(tmp_path, make_sender, see
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@seeds(4, 12)
 def test_blocks_go_over_from_a_stray_heartbeat_to_the_vehicle_alike(tmp_path, make_sender, seed):
     path = tmp_path / "stray.tlog"
     stray = struct.pack(">Q", START - 4000) + make_sender(66, 1).heartbeat().raw

@@ -14,7 +14,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
 from gcs_sysid.estimation.input_noise import with_sparse_readings
-from gcs_sysid.estimation.instruments import combined, fit_by_instruments
+from gcs_sysid.estimation.instrumental_variables import combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import (
     LikelihoodFit,
     NoInformationError,

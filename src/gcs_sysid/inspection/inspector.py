@@ -44,27 +44,24 @@ from gcs_sysid.signals.columns import Key, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.telemetry.clock import WRAP_US
+from gcs_sysid.telemetry.dataflash import ENTRIES
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.logs import Telemetry, open_log
+from gcs_sysid.telemetry.message_table import MESSAGES, Message, OnboardMessage
 from gcs_sysid.telemetry.transceiver import Transceiver
+from gcs_sysid.telemetry.ulog import TOPICS
 
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
 _POLL, _ASK_EVERY = 0.05, 0.2
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
+_ROWS: tuple[Message | OnboardMessage, ...] = (*MESSAGES, *TOPICS, *ENTRIES)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
-    Stream.IMU: ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "sensor_combined", "IMU"),
-    Stream.ATTITUDE: (
-        *("ATTITUDE", "ATTITUDE_QUATERNION", "vehicle_attitude"),
-        *("ATT", "XKQ", "XKQ1", "NKQ", "NKQ1"),
-    ),
-    Stream.VELOCITY: (
-        *("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "vehicle_local_position"),
-        *("XKF1", "NKF1", "EKF1"),
-    ),
+    stream: tuple(row.name for row in _ROWS if row.stream is stream)
+    for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY)
 }
 """Stream -> messages that it may come from; records do not say which."""
 

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.link import Address
+from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
 _STATES = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE"))
 """Messages with the vehicle's type, and whether it is armed and flies."""
-_IMU = frozenset(MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
+_IMU = frozenset(MESSAGE_IDS[name] for name in INERTIAL)
 
 
 class Rival(NamedTuple):

@@ -1,4 +1,4 @@
-"""Setpoints as instruments: Ixx and Iyy from what the pilot asked, a second opinion.
+"""Setpoints as instrumental variables: Ixx and Iyy from what the pilot asked, a second opinion.
 
 A rate setpoint turns the vehicle and is independent of gusts. What it explains of torque is free of
 what the rate loop answered to them, however the disturbance is colored. With rows of one axis
