@@ -32,6 +32,8 @@ _CONVERGED = 1e-6
 _UNSEEN = 1e-2
 """Smaller ones are taken without looking at the cost: what they gain is lost in its rounding."""
 _DAMPING = 1e-4
+_SHORTENED = 1.0
+"""Damping that makes a step much shorter than it would be without."""
 _NOISE_STEPS = 10
 """Each leaves of the way that share by which noise adds to the moments, a third at most."""
 _ALIKE = 3e-13
@@ -315,7 +317,9 @@ def _descend(
         if not physical.all():
             candidate = np.where(physical[:, None], candidate, point.unknowns)
         tried = problem.evaluate(candidate)
-        better = physical & ((tried.cost <= point.cost) | (gain < _UNSEEN**2)) & ~converged
+        # A step promises little, too, where much damping has made it short: then the cost decides.
+        unseen = (gain < _UNSEEN**2) & (damping <= _SHORTENED)
+        better = physical & ((tried.cost <= point.cost) | unseen) & ~converged
         point = point.where(better, tried)
         damping = np.where(better, np.maximum(damping * 0.1, 1e-12), damping * 10.0)
         # No step however small helps any more: rounding has the last word.
