@@ -28,7 +28,7 @@ from gcs_sysid.telemetry.blackbox_format import (
 _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
 _LONGEST_NUMBER = 5
-_ONES = np.array([bin(i).count("1") for i in range(256)])
+_ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
 
 
 class ByteWindow:
@@ -50,8 +50,9 @@ class ByteWindow:
         last = raw < 0x80
         # Where the number behind the one begins that ends k-th, from 1 on.
         behind = np.flatnonzero(last[:-1]) + 1
-        self._begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
-        self._rank = np.zeros(len(raw) + 1, np.int64)
+        begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
+        self._begins = begins.astype(np.int32)  # half the size: more of it stays in the cache
+        self._rank = np.zeros(len(raw) + 1, np.int32)
         np.cumsum(last, out=self._rank[1:])
         # A number has five bytes at most; where all five say that it goes on, it is 0.
         over = last[: -_LONGEST_NUMBER + 1].copy()
@@ -69,7 +70,7 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        found: Array = self._begins[self._rank[at] + n]
+        found: Array = self._begins.take(self._rank.take(at) + n)
         if not isinstance(n, int) or n == 0:
             np.copyto(found, at, where=np.equal(n, 0))
         if self._over is not None:
@@ -97,12 +98,13 @@ class ByteWindow:
             return self._behind_tagged(at, self.raw[at], count)
         # Garbage, of which every byte may begin a frame: each tag is looked at once.
         if count not in self._behind_tags:
-            every = np.arange(len(self.raw))
+            every = np.arange(len(self.raw), dtype=np.int32)
             self._behind_tags[count] = self._behind_tagged(every, self.raw, count)
-        return self._behind_tags[count][at]
+        behind: Array = self._behind_tags[count].take(at)
+        return behind
 
     def _behind_tagged(self, at: Array, tag: Array, count: int) -> Array:
-        return self.within(self.nth(at + 1, _ONES[tag & ((1 << count) - 1)]))
+        return self.within(self.nth(at + 1, _ONES.take(tag & ((1 << count) - 1))))
 
     def within(self, at: Array) -> Array:
         """(k,) positions, none behind the last."""
@@ -222,7 +224,7 @@ class _Packed:
         self._places, self._sizes, self._little = places, sizes, little
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return window.within(at + self._sizes[window.raw[at]])
+        return window.within(at + self._sizes.take(window.raw.take(at)))
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -255,7 +257,7 @@ class _Tag2:
         self._starts, self._bits = _VARIABLE if variable else _FIXED
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return window.within(at + _TAG2_SIZES[window.raw[at]])
+        return window.within(at + _TAG2_SIZES.take(window.raw.take(at)))
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -300,10 +302,11 @@ def _old_nibbles(tag: int) -> list[tuple[int, int]]:
 def _table(places: Callable[[int], list[tuple[int, int]]]) -> tuple[Array, Array]:
     """(256, 4, 2) places of the fields for each tag, and (256,) bytes, the tag's included."""
     table = np.array([places(tag) for tag in range(256)])
-    return table, 1 + (table.sum(axis=2).max(axis=1) + 7) // 8
+    sizes = 1 + (table.sum(axis=2).max(axis=1) + 7) // 8
+    return table, sizes.astype(np.int32)
 
 
-_TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)])
+_TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)], np.int32)
 # Where the fields begin in the first three bytes, from the highest bit on, and their bits; the
 # fourth width is separate.
 _FIXED = (
