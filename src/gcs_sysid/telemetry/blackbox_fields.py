@@ -7,6 +7,7 @@ frames and of fields.
 """
 
 from collections.abc import Callable
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,8 @@ from gcs_sysid.telemetry.blackbox_format import (
 _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
 _LONGEST_NUMBER = 5
+CACHED = 2**14
+"""Positions looked at together: their arrays stay in the cache."""
 _ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
 
 
@@ -45,7 +48,7 @@ class ByteWindow:
     def __init__(self, raw: Array) -> None:
         self.raw = raw
         self.crowded = False
-        self._behind_tags: dict[int, Array] = {}
+        self._behind_tags: dict[tuple[int, int], Array] = {}
         self._end = len(raw) - 1
         last = raw < 0x80
         # Where the number behind the one begins that ends k-th, from 1 on.
@@ -92,16 +95,35 @@ class ByteWindow:
             left = left[n[left] > 0]
         return at
 
-    def behind_tagged(self, at: Array, count: int) -> Array:
-        """(k,) positions behind tags at (k,) positions and those of `count` numbers they mark."""
-        if not self.crowded:
-            return self._behind_tagged(at, self.raw[at], count)
-        # Garbage, of which every byte may begin a frame: each tag is looked at once.
-        if count not in self._behind_tags:
-            every = np.arange(len(self.raw), dtype=np.int32)
-            self._behind_tags[count] = self._behind_tagged(every, self.raw, count)
-        behind: Array = self._behind_tags[count].take(at)
-        return behind
+    def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
+        """Where what follows groups of a tag and the numbers that it marks begins.
+
+        Args:
+            at: (k,) positions of the first group's tag.
+            count: of the numbers that a tag can mark.
+            groups: that follow each other.
+        """
+        if self.crowded:  # garbage, of which every byte may begin a frame
+            return self._behind_every_tag(count, groups).take(at)
+        for _ in range(groups):
+            at = self._behind_tagged(at, self.raw[at], count)
+        return at
+
+    def _behind_every_tag(self, count: int, groups: int) -> Array:
+        """The same from every position on: each tag is looked at once, and groups are doubled."""
+        if (count, groups) not in self._behind_tags:
+            found = np.arange(len(self.raw), dtype=np.int32)
+            half = groups // 2
+            halves = [half, groups - half] if half else []
+            tables = [self._behind_every_tag(count, some) for some in halves]
+            for i in range(0, len(found), CACHED):
+                piece = found[i : i + CACHED]
+                if half:
+                    piece[:] = tables[1].take(tables[0][i : i + CACHED])
+                else:
+                    piece[:] = self._behind_tagged(piece, self.raw[i : i + CACHED], count)
+            self._behind_tags[count, groups] = found
+        return self._behind_tags[count, groups]
 
     def _behind_tagged(self, at: Array, tag: Array, count: int) -> Array:
         return self.within(self.nth(at + 1, _ONES.take(tag & ((1 << count) - 1))))
@@ -334,11 +356,16 @@ class Layout:
         self.longest = max(_SMALL_FRAME, _BYTES_A_FIELD * self.fields)
         """Longest plausible frame in bytes, its letter not counted."""
         self._parts = list(_parts(definition, version))
+        runs = (list(run) for _, run in groupby(self._parts, _alike))
+        self._runs = [(run[0], len(run)) for run in runs]
 
     def ends(self, window: ByteWindow, at: Array) -> Array:
         """(k,) positions behind frames whose first fields are at (k,) positions."""
-        for part in self._parts:
-            at = part.behind(window, at)
+        for part, groups in self._runs:
+            if groups > 1:
+                at = window.behind_tagged(at, part.count, groups)
+            else:
+                at = part.behind(window, at)
         return at
 
     def decode(self, window: ByteWindow, at: Array, columns: Array) -> Array:
@@ -360,6 +387,11 @@ class Layout:
             done = stop
             at = part.behind(window, at)
         return out
+
+
+def _alike(part: _Part) -> _Part | int:
+    """Equal for groups of as many tagged numbers."""
+    return part.count if isinstance(part, _TaggedNumbers) else part
 
 
 def _parts(definition: Definition, version: float) -> list[_Part]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.blackbox_fields import ByteWindow, Layout
+from gcs_sysid.telemetry.blackbox_fields import CACHED, ByteWindow, Layout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
 from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
 
@@ -23,8 +23,6 @@ RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
 
 _AT_ONCE = 2**19
 """Bytes searched together."""
-_CACHED = 2**14
-"""Frames that could be, whose ends are searched together: their arrays stay in the cache."""
 _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
@@ -208,8 +206,8 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
     begin = np.flatnonzero(may_begin).astype(np.int32)
     window.crowded = 4 * len(begin) > len(raw)
     parts = [
-        _ends(window, begin[i : i + _CACHED], stop, layouts)
-        for i in range(0, max(len(begin), 1), _CACHED)
+        _ends(window, begin[i : i + CACHED], stop, layouts)
+        for i in range(0, max(len(begin), 1), CACHED)
     ]
     ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
     begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
@@ -231,13 +229,16 @@ def _ends(
     letters = raw.take(begin)
     ends = begin + 1
     over = np.zeros(len(begin), bool)
+    there = np.bincount(letters, minlength=256)
     for letter, layout in layouts.items():
-        if len(mine := np.flatnonzero(letters == letter)):
+        if there[letter]:
+            mine = np.flatnonzero(letters == letter)
             at = ends.take(mine)
             behind = layout.ends(window, at)
             behind[behind - at > layout.longest] = stop + 1
             ends[mine] = behind
-    if len(mine := np.flatnonzero(letters == E)):
+    if there[E]:
+        mine = np.flatnonzero(letters == E)
         at = ends.take(mine)
         behind, over[mine] = _event_ends(window, at)
         behind[behind - at > _LONGEST_EVENT] = stop + 1
