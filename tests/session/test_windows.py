@@ -9,7 +9,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -44,6 +45,33 @@ def in_parts(window):
         tracks = (track.between(first, stop) for track in window.tracks)
         parameters = tuple(told for told in window.parameters if first <= told[0] < stop)
         yield RecordBlock(tuple(track for track in tracks if len(track.t)), parameters)
+
+
+class Counted(tuple):
+    """A tuple that counts how often it is gone through."""
+
+    times = 0
+
+    def __iter__(self):
+        Counted.times += 1
+        return super().__iter__()
+
+
+def test_parameters_cost_no_time_for_each_window():
+    order = np.arange(0, 4000, 4)
+    track = Track(Stream.IMU, 0.01 * order, np.zeros((1000, 6)), order=order)
+    told = [(n, Record(Stream.PARAMETER, 0.01 * n, ("NAME", 1.0))) for n in range(1, 4000, 4)]
+    events = [(n, IntakeEvent(0.01 * n, "reset", "")) for n in range(2, 4000, 40)]
+    block = RecordBlock((track,), Counted(told), Counted(events))
+    Counted.times = 0
+    windows = list(block.windows())
+    assert Counted.times < 10
+    assert [entry for window in windows for entry in window.parameters] == told
+    assert [event for window in windows for event in window.events] == events
+    assert np.concatenate([part.order for w in windows for part in w.tracks]).tolist() == [*order]
+    assert all(len(window.parameters) <= 1 for window in windows)
+    known = [(window.events[0][0], window.tracks) for window in windows if window.events]
+    assert all(part.order[0] > number for number, tracks in known for part in tracks)
 
 
 def assert_same_grid(blocks, others):

@@ -113,6 +113,20 @@ def test_logs_of_every_kind_are_read_as_a_plain_reader_reads_them(seed):
         assert_as_plain(damaged(rng, data, len(writer.header())))
 
 
+@pytest.mark.parametrize("garbage", ["P", "IE", "I", "PH", "drawn"])
+def test_much_garbage_is_read_as_a_plain_reader_reads_it(garbage):
+    """Of which every byte may begin a frame; several groups of tagged numbers in each."""
+    rng = random.Random(garbage)
+    fields = [*bbl.CLOCK]
+    fields += [Field(f"x[{i}]", 1, bbl.ZERO, bbl.TAG8_8SVB, bbl.PREVIOUS) for i in range(27)]
+    writer, data = drawn_log(rng, fields, 40_000)
+    drawn = "".join(rng.choices("IPGHSE\0\1\x7f", k=3000))
+    many = (drawn if garbage == "drawn" else garbage * 2000)[:3000].encode()
+    middle = len(writer.header()) + len(data[len(writer.header()) :]) // 2
+    assert_as_plain(data[:middle] + many + data[middle:])
+    assert_as_plain(data[:middle] + many)
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("predictor", DELTAS)
 def test_what_was_written_is_read(encoding, predictor):

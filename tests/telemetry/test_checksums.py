@@ -5,7 +5,7 @@ import pytest
 from fastcrc import crc16
 
 from gcs_sysid.telemetry import checksums as module
-from gcs_sysid.telemetry.checksums import checksums, rows_of
+from gcs_sysid.telemetry.checksums import RunningChecksum, checksums, checksums_agree, rows_of
 
 
 @pytest.mark.parametrize("rows_at_once", [7, 8192])
@@ -19,6 +19,26 @@ def test_pieces_of_every_length_have_the_checksums_of_the_protocol(monkeypatch, 
     pieces = [data[a : a + n].tobytes() for a, n in zip(at, length, strict=True)]
     expected = [crc16.mcrf4xx(p + bytes([e])) for p, e in zip(pieces, extra, strict=True)]
     assert checksums(data, at, length, extra).tolist() == expected
+
+
+def test_checksums_behind_overlapping_pieces_are_recognized():
+    random = np.random.default_rng(6)
+    data = random.integers(0, 256, 3000, dtype=np.uint8)
+    at = np.arange(len(data) - 280)
+    length = random.integers(0, 270, len(at))
+    extra = random.integers(0, 256, len(at), dtype=np.uint8)
+    for first in range(0, 2500, 300):  # no other piece writes what these cover
+        end = first + length[first]
+        piece = data[first:end].tobytes() + bytes([extra[first]])
+        data[end : end + 2] = np.frombuffer(crc16.mcrf4xx(piece).to_bytes(2, "little"), np.uint8)
+    expected = [
+        crc16.mcrf4xx(data[a : a + n].tobytes() + bytes([e]))
+        == int(data[a + n : a + n + 2].view("<u2")[0])
+        for a, n, e in zip(at, length, extra, strict=True)
+    ]
+    assert sum(expected) >= 8
+    assert checksums_agree(data, at, length, extra).tolist() == expected
+    assert RunningChecksum(data).agree(at, length, extra).tolist() == expected
 
 
 def test_no_pieces_have_no_checksums():

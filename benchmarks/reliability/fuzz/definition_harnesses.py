@@ -27,6 +27,7 @@ SECONDS, SECONDS_PER_MB = 0.5, 0.5
 BYTES, BYTES_PER_BYTE = 64e6, 60.0
 """Memory that a log may take beyond the most that was ever taken before."""
 _LARGEST_FLOOD = 100_000
+_BEGINNINGS = 200
 _FLOODS = 16
 """Inputs for each that may flood."""
 
@@ -285,6 +286,6 @@ def table_seeds() -> list[bytes]:
 
 
 def choices() -> list[bytes]:
-    """Inputs to begin with: choices of several lengths."""
+    """Inputs to begin with: many, as what is drawn near a few would nearly be the same logs."""
     rng = Random(1)
-    return [rng.randbytes(size) for size in (20, 60, 120, 250, 250, 400)]
+    return [rng.randbytes(rng.randrange(20, 400)) for _ in range(_BEGINNINGS)]

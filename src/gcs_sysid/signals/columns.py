@@ -152,12 +152,14 @@ class RecordBlock:
             yield self
             return
         last = max(cuts)
-        for first, stop in pairwise([*sorted(cuts), last + 1]):
+        bounds = np.array([*sorted(cuts), last + 1])
+        parameters, events = (_starts(some, bounds) for some in (self.parameters, self.events))
+        for i, (first, stop) in enumerate(pairwise(bounds.tolist())):
             tracks = (track.between(first, stop) for track in self.tracks)
             window = RecordBlock(
                 tuple(track for track in tracks if len(track.t)),
-                tuple(entry for entry in self.parameters if first <= entry[0] < stop),
-                tuple(event for event in self.events if first <= event[0] < stop),
+                self.parameters[parameters[i] : parameters[i + 1]],
+                self.events[events[i] : events[i + 1]],
             )
             if len(window) or window.events:
                 yield window
@@ -166,6 +168,12 @@ class RecordBlock:
     def imu_samples(self) -> int:
         """How many samples of the IMU there are."""
         return sum(len(track.t) for track in self.tracks if track.stream is Stream.IMU)
+
+
+def _starts(entries: Sequence[tuple[int, object]], bounds: Array) -> list[int]:
+    """Which of some entries, of rising order, is the first in each of the parts by bounds."""
+    starts: list[int] = np.searchsorted([order for order, _ in entries], bounds).tolist()
+    return starts
 
 
 def by_key(tracks: Iterable[Track]) -> dict[Key, Track]:

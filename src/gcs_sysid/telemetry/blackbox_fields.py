@@ -7,6 +7,7 @@ frames and of fields.
 """
 
 from collections.abc import Callable
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -28,7 +29,9 @@ from gcs_sysid.telemetry.blackbox_format import (
 _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
 _LONGEST_NUMBER = 5
-_ONES = np.array([bin(i).count("1") for i in range(256)])
+CACHED = 2**14
+"""Positions looked at together: their arrays stay in the cache."""
+_ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
 
 
 class ByteWindow:
@@ -45,13 +48,14 @@ class ByteWindow:
     def __init__(self, raw: Array) -> None:
         self.raw = raw
         self.crowded = False
-        self._behind_tags: dict[int, Array] = {}
+        self._behind_tags: dict[tuple[int, int], Array] = {}
         self._end = len(raw) - 1
         last = raw < 0x80
         # Where the number behind the one begins that ends k-th, from 1 on.
         behind = np.flatnonzero(last[:-1]) + 1
-        self._begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
-        self._rank = np.zeros(len(raw) + 1, np.int64)
+        begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
+        self._begins = begins.astype(np.int32)  # half the size: more of it stays in the cache
+        self._rank = np.zeros(len(raw) + 1, np.int32)
         np.cumsum(last, out=self._rank[1:])
         # A number has five bytes at most; where all five say that it goes on, it is 0.
         over = last[: -_LONGEST_NUMBER + 1].copy()
@@ -69,7 +73,7 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        found: Array = self._begins[self._rank[at] + n]
+        found: Array = self._begins.take(self._rank.take(at) + n)
         if not isinstance(n, int) or n == 0:
             np.copyto(found, at, where=np.equal(n, 0))
         if self._over is not None:
@@ -91,18 +95,38 @@ class ByteWindow:
             left = left[n[left] > 0]
         return at
 
-    def behind_tagged(self, at: Array, count: int) -> Array:
-        """(k,) positions behind tags at (k,) positions and those of `count` numbers they mark."""
-        if not self.crowded:
-            return self._behind_tagged(at, self.raw[at], count)
-        # Garbage, of which every byte may begin a frame: each tag is looked at once.
-        if count not in self._behind_tags:
-            every = np.arange(len(self.raw))
-            self._behind_tags[count] = self._behind_tagged(every, self.raw, count)
-        return self._behind_tags[count][at]
+    def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
+        """Where what follows groups of a tag and the numbers that it marks begins.
+
+        Args:
+            at: (k,) positions of the first group's tag.
+            count: of the numbers that a tag can mark.
+            groups: that follow each other.
+        """
+        if self.crowded:  # garbage, of which every byte may begin a frame
+            return self._behind_every_tag(count, groups).take(at)
+        for _ in range(groups):
+            at = self._behind_tagged(at, self.raw[at], count)
+        return at
+
+    def _behind_every_tag(self, count: int, groups: int) -> Array:
+        """The same from every position on: each tag is looked at once, and groups are doubled."""
+        if (count, groups) not in self._behind_tags:
+            found = np.arange(len(self.raw), dtype=np.int32)
+            half = groups // 2
+            halves = [half, groups - half] if half else []
+            tables = [self._behind_every_tag(count, some) for some in halves]
+            for i in range(0, len(found), CACHED):
+                piece = found[i : i + CACHED]
+                if half:
+                    piece[:] = tables[1].take(tables[0][i : i + CACHED])
+                else:
+                    piece[:] = self._behind_tagged(piece, self.raw[i : i + CACHED], count)
+            self._behind_tags[count, groups] = found
+        return self._behind_tags[count, groups]
 
     def _behind_tagged(self, at: Array, tag: Array, count: int) -> Array:
-        return self.within(self.nth(at + 1, _ONES[tag & ((1 << count) - 1)]))
+        return self.within(self.nth(at + 1, _ONES.take(tag & ((1 << count) - 1))))
 
     def within(self, at: Array) -> Array:
         """(k,) positions, none behind the last."""
@@ -222,7 +246,7 @@ class _Packed:
         self._places, self._sizes, self._little = places, sizes, little
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return window.within(at + self._sizes[window.raw[at]])
+        return window.within(at + self._sizes.take(window.raw.take(at)))
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -255,7 +279,7 @@ class _Tag2:
         self._starts, self._bits = _VARIABLE if variable else _FIXED
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return window.within(at + _TAG2_SIZES[window.raw[at]])
+        return window.within(at + _TAG2_SIZES.take(window.raw.take(at)))
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -300,10 +324,11 @@ def _old_nibbles(tag: int) -> list[tuple[int, int]]:
 def _table(places: Callable[[int], list[tuple[int, int]]]) -> tuple[Array, Array]:
     """(256, 4, 2) places of the fields for each tag, and (256,) bytes, the tag's included."""
     table = np.array([places(tag) for tag in range(256)])
-    return table, 1 + (table.sum(axis=2).max(axis=1) + 7) // 8
+    sizes = 1 + (table.sum(axis=2).max(axis=1) + 7) // 8
+    return table, sizes.astype(np.int32)
 
 
-_TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)])
+_TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)], np.int32)
 # Where the fields begin in the first three bytes, from the highest bit on, and their bits; the
 # fourth width is separate.
 _FIXED = (
@@ -331,11 +356,16 @@ class Layout:
         self.longest = max(_SMALL_FRAME, _BYTES_A_FIELD * self.fields)
         """Longest plausible frame in bytes, its letter not counted."""
         self._parts = list(_parts(definition, version))
+        runs = (list(run) for _, run in groupby(self._parts, _alike))
+        self._runs = [(run[0], len(run)) for run in runs]
 
     def ends(self, window: ByteWindow, at: Array) -> Array:
         """(k,) positions behind frames whose first fields are at (k,) positions."""
-        for part in self._parts:
-            at = part.behind(window, at)
+        for part, groups in self._runs:
+            if groups > 1:
+                at = window.behind_tagged(at, part.count, groups)
+            else:
+                at = part.behind(window, at)
         return at
 
     def decode(self, window: ByteWindow, at: Array, columns: Array) -> Array:
@@ -357,6 +387,11 @@ class Layout:
             done = stop
             at = part.behind(window, at)
         return out
+
+
+def _alike(part: _Part) -> _Part | int:
+    """Equal for groups of as many tagged numbers."""
+    return part.count if isinstance(part, _TaggedNumbers) else part
 
 
 def _parts(definition: Definition, version: float) -> list[_Part]:

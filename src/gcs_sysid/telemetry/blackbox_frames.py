@@ -13,7 +13,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.blackbox_fields import ByteWindow, Layout
+from gcs_sysid.telemetry.blackbox_fields import CACHED, ByteWindow, Layout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
 from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
 
@@ -23,8 +23,6 @@ RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
 
 _AT_ONCE = 2**19
 """Bytes searched together."""
-_CACHED = 2**14
-"""Frames that could be, whose ends are searched together: their arrays stay in the cache."""
 _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
@@ -37,9 +35,11 @@ _EVENTS = {
 }  # fmt: skip
 """Event -> bytes, numbers of variable length, bytes."""
 _ADJUSTMENT, _FLOAT = 13, 0x80
-_EVENT_SHAPES = np.array([_EVENTS.get(event, (0, 0, 0)) for event in range(256)])
-_IS_USED = np.isin(np.arange(256), [RESUME, DISARM])
+_BEFORE, _NUMBERS, _BEHIND = np.array(
+    [[_EVENTS.get(event, (0, 0, 0))[i] for event in range(256)] for i in range(3)], np.int32
+)
 _IS_MARKER = np.isin(np.arange(256), list(MARKERS))
+_IS_USED = np.isin(np.arange(256), [RESUME, DISARM])
 
 
 @dataclass(frozen=True)
@@ -203,18 +203,20 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
     raw = window.raw
     known = np.isin(np.arange(256), [*layouts, E])
     may_begin = known[raw[: min(_AT_ONCE, stop)]]
-    begin = np.flatnonzero(may_begin)
+    begin = np.flatnonzero(may_begin).astype(np.int32)
     window.crowded = 4 * len(begin) > len(raw)
-    parts = [_ends(window, begin[:0], stop, layouts)] + [
-        _ends(window, begin[i : i + _CACHED], stop, layouts) for i in range(0, len(begin), _CACHED)
+    parts = [
+        _ends(window, begin[i : i + CACHED], stop, layouts)
+        for i in range(0, max(len(begin), 1), CACHED)
     ]
     ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
     begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
     np.cumsum(may_begin, out=begun[1:])
-    leads_to = begun[np.minimum(ends[whole], len(may_begin))]
+    leads_to = begun.take(ends[whole], mode="clip")
     leads_to[over[whole]] = len(begin)
     rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
-    found = _Found(begin[rows], ends[rows], raw[begin[rows]], whole[rows], whole[rows], over[rows])
+    begin, ends = begin[rows].astype(np.int64), ends[rows].astype(np.int64)
+    found = _Found(begin, ends, raw[begin], whole[rows], whole[rows], over[rows])
     behind = raw[np.minimum(found.ends, len(raw) - 1)]
     return replace(found, gap=found.whole & (found.ends < stop) & ~known[behind])
 
@@ -224,18 +226,27 @@ def _ends(
 ) -> tuple[Array, Mask, Mask]:
     """Where frames end that begin at (k,) positions, which are whole, and which end the log."""
     raw = window.raw
-    letters = raw[begin]
+    letters = raw.take(begin)
     ends = begin + 1
-    longest = np.full(256, _LONGEST_EVENT)
     over = np.zeros(len(begin), bool)
+    there = np.bincount(letters, minlength=256)
     for letter, layout in layouts.items():
-        longest[letter] = layout.longest
-        if len(mine := np.flatnonzero(letters == letter)):
-            ends[mine] = layout.ends(window, ends[mine])
-    if len(mine := np.flatnonzero(letters == E)):
-        ends[mine], over[mine] = _event_ends(window, ends[mine])
-    whole = (ends <= stop) & (ends - begin - 1 <= longest[letters])
-    whole &= (ends == stop) | _IS_MARKER[raw[np.minimum(ends, len(raw) - 1)]] | over
+        if there[letter]:
+            mine = np.flatnonzero(letters == letter)
+            at = ends.take(mine)
+            behind = layout.ends(window, at)
+            behind[behind - at > layout.longest] = stop + 1
+            ends[mine] = behind
+    if there[E]:
+        mine = np.flatnonzero(letters == E)
+        at = ends.take(mine)
+        behind, over[mine] = _event_ends(window, at)
+        behind[behind - at > _LONGEST_EVENT] = stop + 1
+        ends[mine] = behind
+    whole = _IS_MARKER.take(raw.take(ends, mode="clip"))
+    whole |= ends == stop
+    whole |= over
+    whole &= ends <= stop
     return ends, whole, over
 
 
@@ -247,14 +258,14 @@ def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
         jumps: (n,) whether a row leads further than to the next one.
         leads_to: where those that do lead.
     """
-    number = np.zeros(len(jumps) + 1, np.intp)  # jumps before each row
+    number = np.zeros(len(jumps) + 1, np.int32)  # jumps before each row
     np.cumsum(jumps, out=number[1:])
     count = len(leads_to)
-    one = np.append(number[leads_to], count)
-    two = one[one]
-    four = two[two]
+    one = np.append(number.take(leads_to), np.int32(count))
+    two = one.take(one)
+    four = two.take(two)
     # Eight jumps at a time, read in place: in garbage there are as many jumps as bytes.
-    eight = four[four].data
+    eight = four.take(four).data
     met: list[int] = []
     take, jump = met.append, int(number[first])
     while jump < count:
@@ -283,11 +294,11 @@ def _event_ends(window: ByteWindow, at: Array) -> tuple[Array, Mask]:
     """(k,) positions behind events whose types are at (k,) positions, and which end the log."""
     raw = window.raw
     event = raw[at]
-    before, numbers, behind = _EVENT_SHAPES[event].T
-    ends = window.nth(at + 1 + before, numbers) + behind
-    changes = event == _ADJUSTMENT
-    whole_number = window.nth(at + 2, 1)
-    ends[changes] = np.where(raw[at + 1] < _FLOAT, whole_number, at + 6)[changes]
+    ends = window.nth(at + 1 + _BEFORE.take(event), _NUMBERS.take(event)) + _BEHIND.take(event)
+    changes = np.flatnonzero(event == _ADJUSTMENT)
+    changed = at[changes]
+    whole_number = window.nth(changed + 2, 1)
+    ends[changes] = np.where(raw[changed + 1] < _FLOAT, whole_number, changed + 6)
     last = event == LOG_END
     ends[last] = at[last] + 1 + len(_END_MESSAGE)
     message = raw[at[last, None] + 1 + np.arange(len(_END_MESSAGE))]

@@ -10,7 +10,7 @@ does to a state, a piece from a to b leaves S_b ^ A^(b - a) (S_a ^ 0xFFFF).
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 
 ROWS_AT_ONCE = 8192
 """Frames worked on together: their bytes, indices and states stay in the processor's cache."""
@@ -86,6 +86,14 @@ def checksums(data: Array, at: Array, length: Array, extra: Array) -> Array:
     return result
 
 
+def checksums_agree(data: Array, at: Array, length: Array, extra: Array) -> Mask:
+    """(n,) whether the two bytes behind pieces are their checksums; see `checksums`."""
+    end = at + length
+    behind = data[end] | data[end + 1].astype(np.uint16) << 8
+    agree: Mask = behind == checksums(data, at, length, extra)
+    return agree
+
+
 def rows_of(data: Array, at: Array, size: int) -> Array:
     """(n, size) copies of the bytes that begin at each position."""
     # Overlapping items of `size` bytes: picking one copies it whole, not byte by byte.
@@ -115,19 +123,32 @@ class RunningChecksum:
 
     def __init__(self, data: Array) -> None:
         self._states = _running_states(data)
+        self._words = np.zeros(len(data) + 1, np.uint16)  # from every byte on
+        self._words[:-1] = data
+        self._words[:-2] |= self._words[1:-1] << 8
 
     def of(self, at: Array, length: Array, extra: Array) -> Array:
         """As `checksums`, of pieces of at most `LONGEST` bytes."""
         made = np.empty(len(at), np.uint16)
         for first in range(0, len(at), ROWS_AT_ONCE):
             rows = slice(first, first + ROWS_AT_ONCE)
-            before = self._states[at[rows]] ^ np.uint16(0xFFFF)
-            state = self._states[at[rows] + length[rows]]
-            table = length[rows].astype(np.int64) << 9  # in which low and high bytes have 256 each
-            state ^= _ADVANCE.take(table + (before & 0xFF))
-            state ^= _ADVANCE.take(table + (before >> 8) + 256)
-            made[rows] = _after(state, extra[rows])
+            made[rows] = self._some(at[rows], at[rows] + length[rows], length[rows], extra[rows])
         return made
+
+    def agree(self, at: Array, length: Array, extra: Array) -> Mask:
+        """As `checksums_agree`, of a few pieces of at most `LONGEST` bytes."""
+        end = at + length
+        agree: Mask = self._some(at, end, length, extra) == self._words.take(end)
+        return agree
+
+    def _some(self, at: Array, end: Array, length: Array, extra: Array) -> Array:
+        before = self._states.take(at) ^ np.uint16(0xFFFF)
+        table = length.astype(np.intp) << 9  # in which low and high bytes have 256 each
+        state = self._states.take(end)
+        state ^= _ADVANCE.take(table + (before & 0xFF))
+        table += 256
+        state ^= _ADVANCE.take(table + (before >> 8))
+        return _after(state, extra)
 
 
 def _after(state: Array, byte: Array) -> Array:

@@ -93,7 +93,7 @@ class _Reader:
     def read(self) -> Recording:
         frame = self._latest.get("FRAME_CLASS", 0.0)
         system = self._latest.get("MAV_SYSID", self._latest.get("SYSID_THISMAV", 1.0))
-        lost = self._log.numbers("DSF").get("Dp")
+        lost = self._column("DSF", "Dp")
         recording = Recording(
             tracks=[],
             system=int(system),
@@ -115,11 +115,18 @@ class _Reader:
         self._add_battery(recording)
         return recording
 
+    def _column(self, name: str, *columns: str) -> Array | None:
+        """(n,) the first of some columns that the entries of a name have."""
+        there = self._log.names(name)
+        column = next((column for column in columns if column in there), None)
+        return None if column is None else self._log.numbers(name, (column,))[column]
+
     def _own_times(self, name: str) -> Array:
-        columns = self._log.numbers(name)
-        if "TimeUS" in columns:
-            return columns["TimeUS"] * 1e-6
-        return columns["TimeMS"] * 1e-3 if "TimeMS" in columns else np.zeros(0)
+        for column, unit in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
+            times = self._column(name, column)
+            if times is not None:
+                return times * unit
+        return np.zeros(0)
 
     def _times(self, name: str) -> Array:
         """(n,) s of all entries of a name: their own, else those of what was written before."""
@@ -132,29 +139,28 @@ class _Reader:
         return t
 
     def _read_parameters(self) -> list[tuple[float, str, float]]:
-        columns = self._log.columns("PARM")
-        values = self._log.numbers("PARM").get("Value")
-        if values is None or "Name" not in columns or columns["Name"].dtype.kind != "S":
+        texts, values = self._log.text("PARM", "Name"), self._column("PARM", "Value")
+        if values is None or texts is None:
             return []
-        names = (name.decode("ascii", "replace") for name in columns["Name"].tolist())
+        names = (name.decode("ascii", "replace") for name in texts.tolist())
         table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
         return [entry for entry in table if np.isfinite(entry[2]) and entry[1].isprintable()]
 
     def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""
-        columns = self._log.numbers(name)
-        if not wanted or not set(wanted) <= set(columns):
+        columns = self._log.numbers(name, wanted)
+        if not wanted or len(columns) < len(set(wanted)):
             return None
         return np.column_stack([columns[column] for column in wanted])
 
     def _primary(self, name: str) -> Mask:
         """(n,) the entries of the first sensor, or of the estimator that the autopilot flies by."""
-        columns = self._log.numbers(name)
-        number = columns.get("I", columns.get("C"))
+        number = self._column(name, "I", "C")
         if number is None:
             return np.ones(len(self._log.places(name)), dtype=bool)
         wanted = number.min()
-        chosen = self._log.numbers(f"{name[:2]}F4").get("PI") if "C" in columns else None
+        by_core = "C" in self._log.names(name)
+        chosen = self._column(f"{name[:2]}F4", "PI") if by_core else None
         if chosen is not None:
             primaries, times = np.unique(chosen, return_counts=True)
             most = primaries[times.argmax()]
@@ -194,14 +200,14 @@ class _Reader:
         return motors if len(motors) >= 4 else []
 
     def _add_outputs(self, recording: Recording) -> None:
-        columns = self._log.numbers("RCOU")
         channels = {
             int(match[1]) - 1: column
-            for column in columns
+            for column in self._log.names("RCOU")
             if (match := _CHANNEL.fullmatch(column)) is not None
         }
         motors = [channel for channel in self._channels() if channel in channels]
         if not motors:
+            columns = self._log.numbers("RCOU", channels.values())
             used = [c for c in sorted(channels) if c < 4 or columns[channels[c]].any()]
             motors = [c for i, c in enumerate(used) if c == i]
         values = self._named("RCOU", [channels[channel] for channel in motors])
@@ -212,16 +218,20 @@ class _Reader:
         """One stream when all ESCs are written at the same times, else one of each."""
         escs: dict[int, tuple[Array, Array]] = {}
         if "ESC" in self._log.counts:
-            columns, t = self._log.numbers("ESC"), self._times("ESC")
-            if {"Instance", "RPM"} <= set(columns):
-                for instance in np.unique(columns["Instance"]).tolist():
-                    rows = columns["Instance"] == instance
-                    escs[int(instance)] = t[rows], _rpm(columns)[rows]
+            number, speed, t = (
+                self._column("ESC", "Instance"),
+                self._speed("ESC"),
+                self._times("ESC"),
+            )
+            if number is not None and speed is not None:
+                for instance in np.unique(number).tolist():
+                    rows = number == instance
+                    escs[int(instance)] = t[rows], speed[rows]
         else:
             for instance in range(16):  # before 4.1
-                columns = self._log.numbers(f"ESC{instance + 1}")
-                if "RPM" in columns:
-                    escs[instance] = self._times(f"ESC{instance + 1}"), _rpm(columns)
+                speed = self._speed(f"ESC{instance + 1}")
+                if speed is not None:
+                    escs[instance] = self._times(f"ESC{instance + 1}"), speed
         # An ESC has the number of its channel; those that drive no motor are left out.
         motors = {channel: motor for motor, channel in enumerate(self._channels())}
         if motors.keys() & escs.keys():
@@ -239,8 +249,18 @@ class _Reader:
         for motor, (t, speed) in sorted(escs.items()):
             recording.add(Stream.ROTOR_SPEED, t, speed, motor, "ESC")
 
+    def _speed(self, name: str) -> Array | None:
+        """(n,) rad/s that ESCs report; the reading itself where the log has it."""
+        columns = self._log.numbers(name, ("RPM", "RawRPM"))
+        if "RPM" not in columns:
+            return None
+        raw = columns.get("RawRPM")
+        rpm = columns["RPM"] if raw is None or not np.any(raw) else raw
+        return np.abs(rpm) * RPM
+
     def _add_rpm(self, recording: Recording) -> None:
-        columns, t = self._log.numbers("RPM"), self._times("RPM")
+        columns = self._log.numbers("RPM", ("I", "RPM", "rpm1", "rpm2"))
+        t = self._times("RPM")
         if "I" in columns and "RPM" in columns:
             sensors = {int(i): (columns["I"] == i, columns["RPM"]) for i in np.unique(columns["I"])}
         else:
@@ -287,15 +307,14 @@ class _Reader:
 
     def _primary_instance(self, name: str) -> Mask:
         """(n,) the entries of the first instance, under any of the names that number had."""
-        columns = self._log.numbers(name)
-        number = next((columns[key] for key in ("Inst", "Instance", "I") if key in columns), None)
+        number = self._column(name, "Inst", "Instance", "I")
         first: Mask = np.ones(len(self._log.places(name)), bool) if number is None else number == 0
         return first
 
     def _pairs(self, name: str, column: str) -> Iterator[tuple[float, float]]:
-        columns = self._log.numbers(name)
-        if column in columns:
-            yield from zip(self._times(name).tolist(), columns[column].tolist(), strict=True)
+        values = self._column(name, column)
+        if values is not None:
+            yield from zip(self._times(name).tolist(), values.tolist(), strict=True)
 
 
 def _state(changes: Mapping[float, bool]) -> Callable[[float], bool]:
@@ -307,11 +326,3 @@ def _state(changes: Mapping[float, bool]) -> Callable[[float], bool]:
         return changes[times[before - 1]] if before else False
 
     return at
-
-
-def _rpm(columns: dict[str, Array]) -> Array:
-    """(n,) rad/s; the reading itself where the log has it."""
-    raw = columns.get("RawRPM")
-    rpm: Array = columns["RPM"] if raw is None or not np.any(raw) else raw
-    speeds: Array = np.abs(rpm) * RPM
-    return speeds

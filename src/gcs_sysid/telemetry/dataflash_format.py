@@ -8,8 +8,10 @@ entry takes twelve.
 
 from array import array
 from bisect import bisect_left
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,37 +100,48 @@ class DataflashLog:
         """Positions in the file of all entries of a name, rising."""
         number = self._by_name.get(name)
         places = self._places.get(-1 if number is None else number, ())
-        return np.array(places, dtype=np.int64)
+        return np.asarray(places, dtype=np.int64)
 
-    def columns(self, name: str) -> dict[str, Array]:
-        """All entries of a name as column -> (n,) values, scaled; {} when there are none.
+    def names(self, name: str) -> list[str]:
+        """Columns of the entries of a name that hold one number each; [] when there are none."""
+        return [column for column, (kind, _, _) in self._layout(name).items() if kind.kind in "iuf"]
 
-        Text comes as bytes, without the zeros at its end.
+    def text(self, name: str, column: str) -> Array | None:
+        """(n,) bytes without the zeros at their end; None when there is no such column."""
+        layout = self._layout(name)
+        is_text = column in layout and layout[column][0].kind == "S"
+        return self._values(name, column) if is_text else None
+
+    def numbers(self, name: str, wanted: Collection[str]) -> dict[str, Array]:
+        """Those wanted of a name's columns that are there, as (n,) floats.
+
+        Integers are scaled; what is damaged may be NaN.
         """
-        places = self.places(name)
-        if not len(places):
-            return {}
-        entry = self._types[self._by_name[name]]
-        kinds = [_TYPES[letter] for letter in entry.letters]
-        row = np.dtype(
-            [(column, kind) for column, (kind, _) in zip(entry.columns, kinds, strict=True)]
-        )
-        raw = np.frombuffer(self._data, np.uint8)
-        windows = np.lib.stride_tricks.sliding_window_view(raw, row.itemsize)
-        rows = windows[places + _HEADER].view(row)[:, 0]
-        return {
-            column: rows[column] if scale is None else rows[column] * scale
-            for column, (_, scale) in zip(entry.columns, kinds, strict=True)
-        }
-
-    def numbers(self, name: str) -> dict[str, Array]:
-        """The columns that hold one number each, as (n,) floats; of damaged entries maybe NaN."""
         with np.errstate(invalid="ignore"):
             return {
-                column: values.astype(float)
-                for column, values in self.columns(name).items()
-                if values.ndim == 1 and values.dtype.kind in "iuf"
+                column: self._values(name, column).astype(float, copy=False)
+                for column in self.names(name)
+                if column in wanted
             }
+
+    def _layout(self, name: str) -> dict[str, tuple[np.dtype[Any], int, float | None]]:
+        """Column -> type, place in the entry and scale; {} when there are no such entries."""
+        if name not in self.counts:
+            return {}
+        entry, at, layout = self._types[self._by_name[name]], _HEADER, {}
+        for column, letter in zip(entry.columns, entry.letters, strict=True):
+            kind, scale = np.dtype(_TYPES[letter][0]), _TYPES[letter][1]
+            layout[column] = kind, at, scale
+            at += kind.itemsize
+        return layout
+
+    def _values(self, name: str, column: str) -> Array:
+        """(n,) of one column: others of a long log would take as much memory for nothing."""
+        kind, at, scale = self._layout(name)[column]
+        size = len(self._data) - kind.itemsize + 1
+        items = np.ndarray((size,), f"V{kind.itemsize}", self._data, strides=(1,))
+        values: Array = items[self.places(name) + at].view(kind)
+        return values if scale is None else values * scale
 
     def _find(self) -> "dict[int, array[int]]":
         """Type number -> positions of its entries; learns the types on the way."""

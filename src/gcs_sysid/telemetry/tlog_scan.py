@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.telemetry.checksums import RunningChecksum, checksums, rows_of
+from gcs_sysid.telemetry.checksums import RunningChecksum, checksums_agree, rows_of
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, FrameBlock
 from gcs_sysid.telemetry.frames import (
     CHECKSUM,
@@ -51,6 +51,8 @@ _TRIED = 4096
 _CROWD = 8
 """Bytes for each candidate, at most, from which on their checksums are taken from those of the
 whole piece."""
+_NOWHERE = 2**30
+"""Behind every piece."""
 _CACHED = 2**14
 """Candidates looked at together: their arrays stay in the cache."""
 ALONE = 2**20
@@ -218,8 +220,8 @@ class _Headers:
         low, middle, high = (head[:, i].astype(np.int32) for i in (7, 8, 9))
         self.message_id = np.where(second, low | middle << 8 | high << 16, head[:, 5])
         extra = _EXTRA[np.minimum(self.message_id, _IDS - 1)]
-        right = data[payload_end] | data[payload_end + 1].astype(np.uint16) << 8
-        right = right == checksums(data, at + 1, payload_end - at - 1, extra.astype(np.uint8))
+        length = payload_end - at - 1
+        right = checksums_agree(data, at + 1, length, extra.astype(np.uint8))
         self.validity = np.where(extra < 0, UNKNOWN, np.where(right, OK, BAD_CRC)).astype(np.uint8)
 
     def first(self, count: int) -> "_Headers":
@@ -237,28 +239,35 @@ def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
     return lambda offset: data[at + offset]
 
 
-def _are_right(data: Array, at: Array, check: Callable[[Array, Array, Array], Array]) -> Mask:
+def _are_right(data: Array, at: Array, agree: Callable[[Array, Array, Array], Mask]) -> Mask:
     """(n,) whether frames at given positions are of known types, with the right checksum.
 
     Args:
         data: in which they lie.
         at: (n,) their magic bytes.
-        check: `checksums` of positions, lengths and extra bytes.
+        agree: `checksums_agree` of positions, lengths and extra bytes.
     """
     behind = _bytes_behind(data, at)
-    second = behind(0) == MAGIC_2
-    extra = _EXTRA[behind(5)]
-    newer = np.flatnonzero(second)
+    length = behind(1) + np.intp(HEADER_1 - 1)  # without the magic byte
+    extra = _EXTRA.take(behind(5))
+    newer = np.flatnonzero(behind(0) == MAGIC_2)
     if len(newer):
+        length[newer] += HEADER_2 - HEADER_1
         low, middle, high = (data[at[newer] + i].astype(np.int32) for i in (7, 8, 9))
         extra[newer] = _EXTRA[np.minimum(low | middle << 8 | high << 16, _IDS - 1)]
     right = extra >= 0
-    known = slice(None) if right.all() else np.flatnonzero(right)
-    length = (behind(1) + np.where(second, HEADER_2, HEADER_1))[known]
-    at, extra = at[known].astype(np.intp), extra[known].astype(np.uint8)
-    words = np.ndarray((len(data) - 1,), "<u2", data, strides=(1,))  # from every byte on
-    right[known] = words[at + length] == check(at + 1, length - 1, extra)
+    if right.all():
+        return agree(at + np.intp(1), length, extra.astype(np.uint8))
+    known = np.flatnonzero(right)
+    extra = extra[known].astype(np.uint8)
+    right[known] = agree(at[known] + np.intp(1), length[known], extra)
     return right
+
+
+def _around(places: Array, at: Array, size: Array) -> tuple[Array, Array]:
+    """(n,) indices of the first of some places inside of frames, and of the first behind them."""
+    starts, stops = (some.astype(places.dtype) for some in (at, at + size))  # else all the places
+    return np.searchsorted(places, starts, side="right"), np.searchsorted(places, stops)
 
 
 class _Chain:
@@ -275,7 +284,7 @@ class _Chain:
         self._data = data
         self._limit = limit
         self._magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
-        at = np.flatnonzero(self._magic[: len(content)])
+        at = np.flatnonzero(self._magic[: len(content)]).astype(np.int32)
         parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
         # Where whole frames could begin, by their headers alone, and where the record after each
         # has its magic byte.
@@ -286,12 +295,15 @@ class _Chain:
     def _led_to(self, at: Array) -> tuple[Array, Array]:
         """Which of some magic bytes may begin a whole frame, and where the next one's would be."""
         behind = _bytes_behind(self._data, at)
-        flags = behind(2)
         second = behind(0) == MAGIC_2
-        stop = at + behind(1) + np.where(second, HEADER_2 + CHECKSUM, HEADER_1 + CHECKSUM)
-        stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
-        fits = np.flatnonzero((stop <= len(self._content)) & ~(second & (flags > FLAG_SIGNED)))
-        return at[fits].astype(np.int32), (stop[fits] + STAMP).astype(np.int32)
+        follows = at + behind(1)
+        follows += HEADER_1 + CHECKSUM + STAMP
+        newer = np.flatnonzero(second)
+        flags = behind(2)[newer]
+        follows[newer] += (HEADER_2 - HEADER_1) + SIGNATURE * (flags == FLAG_SIGNED)
+        follows[newer[flags > FLAG_SIGNED]] = _NOWHERE
+        fits = follows <= len(self._content) + STAMP
+        return (at, follows) if fits.all() else (at[fits], follows[fits])
 
     def good(self) -> Array:
         """(n,) where a frame with a right checksum begins, inside of others too."""
@@ -303,10 +315,10 @@ class _Chain:
         """(n,) whether the checksum of each candidate is right."""
         data = self._data
         if _CROWD * len(at) < len(data):
-            return _are_right(data, at, partial(checksums, data))
-        check = RunningChecksum(data).of
+            return _are_right(data, at, partial(checksums_agree, data))
+        agree = RunningChecksum(data).agree
         pieces = (at[i : i + _CACHED] for i in range(0, len(at), _CACHED))
-        return np.concatenate([_are_right(data, piece, check) for piece in pieces])
+        return np.concatenate([_are_right(data, piece, agree) for piece in pieces])
 
     def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
         """Where the frames begin, and what they say.
@@ -334,46 +346,49 @@ class _Chain:
 
     def _by_length(self, *, hunting: bool) -> Array:
         """The chain by frame lengths, checksums aside."""
-        begins: list[int] = []  # in `linked`, or ~position of a frame that is not of it
-        stops: list[int] = []
+        begins: list[int] = []  # of runs, or ~position of a frame that is not of one
         record: int | None = 0
         if hunting and self._limit >= 0:
             position, record = self._next(0, hunting=True)
             if record is None:
                 return np.empty(0, np.intp)
             begins.append(~position)
-            stops.append(-position)
-        leading = np.flatnonzero(self._magic[self._follows])  # to another record's magic byte
-        linked, follows = self._whole[leading], self._follows[leading]
+        leading = self._magic.take(self._follows)  # to another record's magic byte
+        linked, follows = self._whole, self._follows
+        if not leading.all():
+            linked, follows = linked[leading], follows[leading]
         # Runs of candidates that lead to each other, and where the last of each leads.
-        ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))
-        last = np.flatnonzero(ends)
-        places = np.full(len(self._data), -1, np.int32)
+        last = np.flatnonzero(np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1)))
+        has_runs = len(last) < len(linked)
+        if has_runs:
+            follows = np.repeat(follows[last], np.diff(last, prepend=-1))
+        room = np.zeros(len(self._data), np.int32)
         for first in range(0, len(linked), _CACHED):
-            some = linked[first : first + _CACHED]
-            places[some] = np.arange(first, first + len(some))
-        runs = np.zeros(len(linked) + 1, np.int32)  # that end before each candidate
-        np.cumsum(ends, out=runs[1:])
+            some = slice(first, first + _CACHED)
+            room[linked[some].astype(np.intp)] = follows[some]
         # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
-        index_of, run_of, lasts, leads_to = places.data, runs.data, last.data, follows.data
+        leads_to, take = room.data, begins.append
         while record is not None and record <= self._limit:
-            first = index_of[record + STAMP]
-            if first >= 0:
-                while first >= 0:
-                    end = lasts[run_of[first]]
-                    begins.append(first)
-                    stops.append(end + 1)
-                    following = leads_to[end]
-                    first = index_of[following]
-                record = following - STAMP
+            at = record + STAMP
+            following = leads_to[at]
+            if following:
+                while following:
+                    take(at)
+                    at = following
+                    following = leads_to[at]
+                record = at - STAMP
             else:
                 position, record = self._next(record, hunting=False)
                 if record is not None:
-                    begins.append(~position)
-                    stops.append(-position)
-        begin, stop = np.array(begins, np.intp), np.array(stops, np.intp)
-        count = stop - begin
-        index = np.repeat(begin - np.cumsum(count) + count, count) + np.arange(count.sum())
+                    take(~position)
+        begin = np.array(begins, np.intp)
+        alone = begin < 0
+        if not has_runs:
+            return np.where(alone, ~begin, begin)
+        start = np.where(alone, begin, np.searchsorted(linked, begin.astype(np.int32)))
+        count = np.ones(len(begin), np.intp)
+        count[~alone] = last[np.searchsorted(last, start[~alone])] + 1 - start[~alone]
+        index = np.repeat(start - np.cumsum(count) + count, count) + np.arange(count.sum())
         chain = ~index
         chain[index >= 0] = linked[index[index >= 0]]
         return chain
@@ -426,12 +441,12 @@ class _Chain:
         bad = np.flatnonzero(head.validity == BAD_CRC)
         if not len(bad):
             return bad
-        first = np.searchsorted(self._whole, chain[bad], side="right")
-        count = np.searchsorted(self._whole, chain[bad] + head.size[bad]) - first
+        first, behind = _around(self._whole, chain[bad], head.size[bad])
+        count = behind - first
         if int(count.sum()) > len(self._whole) // 2:
             good = self.good()
-            before = np.searchsorted(good, chain[bad], side="right")
-            rejected: Array = bad[np.searchsorted(good, chain[bad] + head.size[bad]) > before]
+            first, behind = _around(good, chain[bad], head.size[bad])
+            rejected: Array = bad[behind > first]
             return rejected
         owner = np.repeat(np.arange(len(bad)), count)
         nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)

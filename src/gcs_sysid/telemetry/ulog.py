@@ -51,6 +51,7 @@ READ = {
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
 }  # fmt: skip
 """Topics that are read at all."""
+_NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
 
 
 def read_ulog(path: Path) -> Recording:
@@ -85,7 +86,10 @@ def read_ulog(path: Path) -> Recording:
         dropouts=log.dropouts,
     )
     recording.dropped |= {f"{name}: {why}": 0 for name, why in log.faults.items() if name in READ}
-    for (name, multi_id), topic in topics.items():
+    for name, multi_id in list(topics):
+        # What no other topic needs is let go: its rows take as much memory as its track.
+        take = topics.get if name in _NEEDED_BY_OTHERS else topics.pop
+        topic = take((name, multi_id), {})
         t = topic["timestamp"] * 1e-6
         try:
             _add_topic(recording, name, multi_id, t, topic, topics, first.get("THR_MDL_FAC", 0.0))
