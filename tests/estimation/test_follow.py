@@ -61,8 +61,8 @@ def assert_same(fits, others):
             assert a.rotation.leak == b.rotation.leak, k
             difference = np.abs(a.rotation.unknowns - b.rotation.unknowns)
             std = np.sqrt(np.diag(b.rotation.full_covariance))
-            # Sums in another order, which differs between processors: a search stops where less than
-            # 1e-4 of the likelihood is to be gained, 0.01 deviations.
+            # Sums in another order, which differs between processors. A search stops where it can
+            # gain less than 1e-4 of the likelihood: 0.01 deviations.
             assert np.all(difference <= 1e-3 * std), (k, difference, std)
             assert a.rotation.std == pytest.approx(b.rotation.std, rel=1e-4)
         assert (a.translation is None) == (b.translation is None), k
