@@ -213,6 +213,7 @@ def test_where_no_process_can_be_started_one_does_it(flight, tmp_path, beside, m
 
 
 _ANALYSIS = """
+import signal
 import sys
 from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.program import run
@@ -225,6 +226,8 @@ class Shown(reader_process.ReaderProcess):
         print(self._process.pid, flush=True)
 
 if __name__ == "__main__":
+    # A shell has what it starts in the background ignore this one.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     analyze_command._LONG_LOG = 0
     analyze_command._processors = lambda: 2
     reader_process.ReaderProcess = Shown
