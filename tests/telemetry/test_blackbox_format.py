@@ -343,6 +343,10 @@ class TestOrangebox:
         ((b"P interval:1/1", b"P interval:0/9"), "nothing is logged"),
         ((b"Field P predictor:6,2", b"Field P predictor:6,5"), "predicted by no motor"),
         ((b"Field I", b"Field J"), "does not describe the frames"),
+        (
+            (b"H Field P predictor", b"H Field P name:time,loopIteration\nH Field P predictor"),
+            "share",
+        ),
         ((b"Field I name:loop", b"Field I name:" + b"x," * 600 + b"loop"), "more than 512"),
     ],
 )

@@ -170,6 +170,8 @@ def read_header(data: bytes, start: int, stop: int) -> Header:
         raise InputError("its header does not describe the frames: it is damaged, or cut short")
     fields["P"] = {**fields["I"], **fields["P"]}
     frames = {letter: _definition(letter, f) for letter, f in fields.items() if letter in "IPGHS"}
+    if frames["P"].names != frames["I"].names:
+        raise InputError("its header gives I frames and P frames, which share columns, other names")
     interval, logged = _intervals(values)
     return Header(values, frames, at, interval, logged)
 
