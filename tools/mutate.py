@@ -48,7 +48,7 @@ ELSEWHERE = {
     "interpolation": ["time_base"],
     "messages": ["message_arrays"],
     "normal_equations": ["online"],
-    "rotation": ["priors", "commands", "online"],
+    "rotation": ["rotation_elements", "priors", "commands", "online"],
     "scale": ["physical_parameters"],
     "search": ["rotation", "priors"],
     "smoothers": ["windows"],

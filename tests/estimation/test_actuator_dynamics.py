@@ -77,6 +77,15 @@ def test_rows_of_one_step_hold_motion_to_a_thousandth(delay, lag):
     np.testing.assert_allclose(weights @ response(omega, delays, lags), wanted, atol=1e-3)
 
 
+@pytest.mark.parametrize("dt", [0.0, 0.008, 0.02])
+def test_rows_of_one_step_hold_delays_at_any_rate(dt):
+    basis = ActuatorDynamics(Tuning().delays, half_width=None, dt=dt)
+    omega, delay = 2.0 * np.pi * np.linspace(0.0, 6.0, 61), 0.004
+    weights = basis.maps(np.array([[delay, 0.0, 1.0]]))[0, 0, 0, : basis.late : SIGNALS]
+    made = weights @ np.exp(1j * np.outer(basis.delays, omega))
+    np.testing.assert_allclose(made, np.exp(1j * omega * delay), atol=3e-3)
+
+
 @pytest.mark.parametrize("lag", [0.02, 0.033, 0.05, 0.07])
 def test_squares_of_the_elements_make_up_the_square(lag):
     """The thrust curve rests on what is of second order; of weights that heed only the first, 0.1
@@ -159,6 +168,21 @@ def test_bends_are_at_every_other_lag_from_the_longest_down():
     assert [bent(n) for n in (2, 3, 4, 7)] == [(1,), (2,), (1, 3), (2, 4, 6)]
     # Of commands every 20 ms, squares between samples are not known.
     assert bent(7, dt=0.02) == ()
+
+
+def test_products_with_speeds_take_the_past_of_twenty_and_forty_milliseconds():
+    def shifts(delays, dt, coupled=True):
+        basis = ActuatorDynamics(delays, dt=dt, coupled=coupled)
+        # Of q H and p H each, the present is a column of the body.
+        assert basis.products == 2 * max(len(basis.coupled_shifts) - 1, 0)
+        return basis.coupled_shifts
+
+    two, three = (0.0, 0.01), (-0.01, 0.0, 0.01)
+    assert shifts(two, 0.005) == shifts(three, 0.005) == (0, 4, 8)
+    assert shifts(three, 0.0025) == (0, 8, 16)
+    assert shifts(three, 0.05) == (0, 1, 2)
+    # A delay that is given needs no mixture.
+    assert shifts((0.01,), 0.005) == shifts(three, 0.005, coupled=False) == ()
 
 
 @pytest.mark.parametrize("hover", [0.02, 0.05, 0.4])

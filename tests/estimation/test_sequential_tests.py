@@ -1,5 +1,7 @@
 """The sequential tests and what normalizes them, number by number."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -184,3 +186,12 @@ def test_a_baseline_looks_ahead_without_taking_what_it_sees():
         ahead[:-1], taken.update(values, np.full(2, -10.0), np.full(2, 10.0)), rtol=1e-12
     )
     np.testing.assert_allclose(ahead[-1], taken.last, rtol=1e-12)
+
+
+def test_lengths_of_blocks_do_not_matter_to_a_baseline():
+    values = np.random.default_rng(7).normal(size=(21, 1))
+    whole, parts = Baseline(1, 5.0), Baseline(1, 5.0)
+    expected = whole.update(values, LOW, HIGH)
+    edges = np.cumsum([0, 1, 5, 4, 4, 5, 2])
+    found = [parts.update(values[a:b], LOW, HIGH) for a, b in pairwise(edges)]
+    np.testing.assert_allclose(np.concatenate(found), expected, rtol=1e-12)
