@@ -12,6 +12,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
     WIDTH,
     ActuatorDynamics,
     Element,
+    LagPlace,
     motor_filter,
     response,
 )
@@ -61,6 +62,28 @@ def test_elements_make_up_any_delay_and_lag(basis, half_width, error):
     passed = np.cos(np.outer(SLOW, np.linspace(-half_width, half_width, 201))) @ window.average
     wanted = response(SLOW, delay, lag)
     np.testing.assert_allclose(passed * (weights @ own), passed * wanted, atol=error)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.004, 0.03), (-0.01, 0.1), (0.01, 0.06)])
+def test_rows_of_one_step_hold_motion_to_a_thousandth(delay, lag):
+    """Up to 6 Hz, above which torque falls off: there is no window that takes the rest away."""
+    basis = commands(None)
+    omega = 2.0 * np.pi * np.linspace(0.0, 6.0, 61)
+    weights = basis.maps(np.array([[delay, lag, 0.0]]))[0, 0, 0]
+    weights = weights[np.flatnonzero(weights)]
+    delays = np.array([basis.delays[e.delay] for e in basis.elements])
+    lags = np.array([basis.lags[e.lag] for e in basis.elements])
+    wanted = response(omega, np.array([delay]), np.array([lag]))[0]
+    np.testing.assert_allclose(weights @ response(omega, delays, lags), wanted, atol=1e-3)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.008, 0.02])
+def test_rows_of_one_step_hold_delays_at_any_rate(dt):
+    basis = ActuatorDynamics(Tuning().delays, half_width=None, dt=dt)
+    omega, delay = 2.0 * np.pi * np.linspace(0.0, 6.0, 61), 0.004
+    weights = basis.maps(np.array([[delay, 0.0, 1.0]]))[0, 0, 0, : basis.late : SIGNALS]
+    made = weights @ np.exp(1j * np.outer(basis.delays, omega))
+    np.testing.assert_allclose(made, np.exp(1j * omega * delay), atol=3e-3)
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.033, 0.05, 0.07])
@@ -135,6 +158,43 @@ def test_elements_are_the_lags_at_the_middle_delay_and_the_delays_at_a_usual_lag
     assert two.elements == (Element(0, 1), Element(1, 1), Element(1, 0))
 
 
+def test_bends_are_at_every_other_lag_from_the_longest_down():
+    def bent(n, dt=0.005):
+        lags = np.linspace(0.0, 0.1, n)
+        basis = ActuatorDynamics((0.0, 0.01), lags, (0.0, 1.0), commands=True, dt=dt, coupled=True)
+        assert basis.bends == 4 * len(basis.bent_lags)
+        return basis.bent_lags
+
+    assert [bent(n) for n in (2, 3, 4, 7)] == [(1,), (2,), (1, 3), (2, 4, 6)]
+    # Of commands every 20 ms, squares between samples are not known.
+    assert bent(7, dt=0.02) == ()
+
+
+def test_products_with_speeds_take_the_past_of_twenty_and_forty_milliseconds():
+    def shifts(delays, dt, coupled=True):
+        basis = ActuatorDynamics(delays, dt=dt, coupled=coupled)
+        # Of q H and p H each, the present is a column of the body.
+        assert basis.products == 2 * max(len(basis.coupled_shifts) - 1, 0)
+        return basis.coupled_shifts
+
+    two, three = (0.0, 0.01), (-0.01, 0.0, 0.01)
+    assert shifts(two, 0.005) == shifts(three, 0.005) == (0, 4, 8)
+    assert shifts(three, 0.0025) == (0, 8, 16)
+    assert shifts(three, 0.05) == (0, 1, 2)
+    # A delay that is given needs no mixture.
+    assert shifts((0.01,), 0.005) == shifts(three, 0.005, coupled=False) == ()
+
+
+@pytest.mark.parametrize("hover", [0.02, 0.05, 0.4])
+@pytest.mark.parametrize("curve", [0.1, 0.4, 0.9])
+def test_a_bend_near_no_thrust_comes_with_its_derivative(hover, curve):
+    """Where a rotor all but stands, the root of thrust is held at its least."""
+    place = LagPlace("speed", hover, 0.03)
+    (ahead, _), (behind, _) = (place.bend(np.array([curve + h])) for h in (1e-6, -1e-6))
+    _, slope = place.bend(np.array([curve]))
+    np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
 def test_searches_start_from_nodes_over_the_whole_range():
     dynamics = ActuatorDynamics(
         (-0.02, 0.0, 0.06), np.linspace(0.0, 0.1, 9), (-0.2, 1.2), commands=True
@@ -198,7 +258,7 @@ def test_moments_and_noise_of_commands_are_mapped_alike():
 def test_thrust_is_mixed_of_lags_and_sets_without_delay():
     dynamics = commands(0.2)
     assert speeds(0.1).thrust_weights(np.zeros(3)).tolist() == [1.0]
-    at = np.array([0.03, 0.05, 0.4])
+    at = np.array([0.03, 0.05, 0.4, 0.0, 0.0])
     weights = dynamics.thrust_weights(at).reshape(len(dynamics.lags), 2)
     np.testing.assert_allclose(weights.sum(axis=0), [0.6, 0.4])
     own = response(SLOW, np.zeros_like(dynamics.lags), dynamics.lags)
@@ -239,5 +299,5 @@ def test_what_is_not_told_is_as_for_speeds_at_high_rates():
     at = np.array([[0.004, 0.02, 0.5]])
     np.testing.assert_array_equal(
         ActuatorDynamics(*lagged, commands=True).maps(at),
-        ActuatorDynamics(*lagged, commands=True, half_width=0.1, dt=0.0).maps(at),
+        ActuatorDynamics(*lagged, commands=True, half_width=0.1, dt=0.0, coupled=False).maps(at),
     )

@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics, motor_filter
 from gcs_sysid.estimation.command_noise import CommandNoise, missed_and_seen
-from gcs_sysid.estimation.input_noise import ROUNDING_STD, SpeedNoise
+from gcs_sysid.estimation.input_noise import (
+    ROUNDING_STD,
+    SpeedNoise,
+    is_sparse,
+    with_sparse_readings,
+)
+from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.smoothers import WindowSmoother
+from gcs_sysid.signals.smoothers import WindowSmoother, leaky
 
 GEOMETRY = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1, 1, -1, -1]])
 LEVEL = 130.0
@@ -117,6 +125,66 @@ def test_rows_show_noise_of_speeds_as_told(memory):
     assert not said[:4, dH].any()
 
 
+def test_noise_of_speeds_in_one_sample_is_what_signals_scatter():
+    """Roll, pitch, thrust and yaw torque, and H, of samples of noise alone."""
+    speeds = LEVEL + STD * np.random.default_rng(3).standard_normal((60_000, 4))
+    found = SpeedNoise(GEOMETRY, 0.004)
+    for empty in found.of_signals:
+        assert not np.any(empty)
+    torques, across, H = found.of_signals
+    assert (torques.shape, across.shape, H) == ((4, 4), (4,), 0.0)
+    found.update(speeds)
+    torques, across, H = found.of_signals
+    seen = np.cov(np.column_stack([speeds**2 @ rb.mixer(GEOMETRY), speeds @ GEOMETRY[2]]).T)
+    said = np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
+    scale = np.outer(*2 * [np.sqrt(np.diag(seen))])
+    # 60 000 samples tell a covariance to 0.4 % of the scatter, half of it by third differences.
+    np.testing.assert_allclose(said / scale, seen / scale, atol=0.04)
+
+
+def fit_with_a_delay(std=1e-4):
+    """A fit whose delay is known to so many s, and correlated with damping."""
+    n = rb.N_THETA
+    rng = np.random.default_rng(5)
+    mixed = rng.normal(size=(N_UNKNOWNS, N_UNKNOWNS))
+    full = mixed @ mixed.T
+    full *= std**2 / full[DELAY, DELAY]
+    theta = np.arange(1.0, n + 1.0)
+    theta[:2] = 80.0, 110.0
+    return RotationFit(theta, full[:n, :n], np.eye(3), np.ones(3), 100, True, full_covariance=full)
+
+
+@pytest.mark.parametrize(("interval", "late"), [(0.016, 1.6e-4), (0.04, 4e-4 * 2.0**1.5)])
+def test_what_sparse_speeds_miss_moves_delay_and_damping_together(interval, late):
+    """Of late torque, damping takes up t I <w'^2> / <w^2>, with the opposite sign."""
+    fit, n = fit_with_a_delay(), rb.N_THETA
+    rng = np.random.default_rng(2)
+    rates, slope = rng.normal(size=(50, 3)), 7.0 * rng.normal(size=(50, 3))
+    rows = np.zeros((50, rb.N_SIGNALS + 3))
+    rows[:, [rb.SIGNALS.index(name) for name in "pqr"]] = rates
+    rows[:, -3:] = slope
+    wider = with_sparse_readings(fit, interval, rows.T @ rows)
+    off = np.zeros(N_UNKNOWNS)
+    off[DELAY] = late
+    off[rb.DAMPING] = -late * 95.0 * (slope[:, :2] ** 2).sum() / (rates[:, :2] ** 2).sum()
+    expected = fit.full_covariance + np.outer(off, off)
+    np.testing.assert_allclose(wider.full_covariance, expected)
+    np.testing.assert_allclose(wider.extended_covariance, expected)
+    np.testing.assert_allclose(wider.covariance, expected[:n, :n])
+    np.testing.assert_allclose(wider.data_std, np.sqrt(np.diag(expected)[:n]))
+    np.testing.assert_array_equal(wider.theta, fit.theta)
+    # Nothing is said of what hardly turned, or of a delay that was given.
+    assert with_sparse_readings(fit, interval, 0.0 * rows.T @ rows) is fit
+    given = fit_with_a_delay(0.0)
+    assert with_sparse_readings(given, interval, rows.T @ rows) is given
+    assert with_sparse_readings(fit, 0.011, rows.T @ rows) is fit
+
+
+def test_speeds_are_sparse_between_eighty_and_twenty_two_a_second():
+    sparse = [is_sparse(interval) for interval in (0.0, 0.0119, 0.0121, 0.0449, 0.0451, 0.1)]
+    assert sparse == [False, False, True, True, False, False]
+
+
 def test_all_of_white_noise_is_missed_without_a_low_pass():
     np.testing.assert_array_equal(missed_and_seen(0.02, None), [1.0, 1.0])
 
@@ -202,3 +270,61 @@ def test_torques_of_noise_of_commands_are_in_rows_of_motors_without_lag():
     np.testing.assert_allclose(said[:4, :4], average * mixer.T @ found.covariance @ mixer)
     assert not said[4:].any()
     assert not said[:, 4:].any()
+
+
+def test_level_and_gains_of_commands_are_those_of_the_samples():
+    """Each rotor about its own mean; thrust of w^2 goes with twice the mean command."""
+    rng = np.random.default_rng(4)
+    values = np.array([0.3, 0.4, 0.5, 0.8]) + rng.normal(size=(900, 4)) * [0.01, 0.02, 0.03, 0.1]
+    found = CommandNoise(GEOMETRY, 0.02)
+    assert found.level == (0.0, 0.0)
+    for start in range(0, 900, 70):
+        found.update(values[start : start + 70])
+    mean, std = found.level
+    assert mean == pytest.approx(values.mean())
+    assert std == pytest.approx(np.sqrt(values.var(axis=0).mean()))
+    torques, gains = found.of_signals
+    assert np.all(np.diag(torques) > 0.0)
+    mixer = rb.mixer(GEOMETRY)
+    np.testing.assert_allclose(torques, mixer.T @ found.covariance @ mixer)
+    np.testing.assert_allclose(gains, [1.0, 2.0 * values.mean()])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.3])
+def test_elements_hold_white_noise_through_lag_window_and_leak(memory):
+    """Impulse responses written out, sample by sample."""
+    dt, half = 0.02, 10
+    basis = ActuatorDynamics((0.0, 0.02), (0.0, 0.05), (0.0, 1.0), commands=True, dt=dt)
+    smoother = WindowSmoother(dt, half, delays=basis.delays)
+    found = CommandNoise(GEOMETRY, dt)
+    assert not found.element_moments(basis, smoother, memory).any()
+    rng = np.random.default_rng(6)
+    found.update(0.6 + 0.01 * rng.standard_normal((5000, 4)))
+    said = found.element_moments(basis, smoother, memory)
+    assert said[0, 0] > 0.0
+    again = found.element_moments(basis, smoother, memory)
+    np.testing.assert_array_equal(again, said)
+    n = 400
+    responses = []
+    for element in basis.elements:
+        taps = smoother.late_taps[element.delay]
+        a, b0, b1 = motor_filter(dt, basis.lags[element.lag])
+        out, w, u = np.zeros(n), 0.0, 0.0
+        for k in range(n):
+            now = taps[k] if k < len(taps) else 0.0
+            w = a * w + b0 * now + b1 * u
+            u = now
+            out[k] = w
+        responses.append(out)
+    summed = leaky(np.array(responses), smoother.step, dt, memory)
+    gains = np.array([1.0, 2.0 * found.level[0]])
+    torques = np.zeros((5, 5))
+    torques[:4, :4] = found.of_signals[0]
+    sets = np.outer(gains, gains)
+    expected = np.einsum("ef,st,ij->esiftj", summed @ summed.T, sets, torques)
+    late = expected.shape[0] * 10
+    np.testing.assert_allclose(
+        said[:late, :late], expected.reshape(late, late), rtol=1e-3, atol=1e-6 * said.max()
+    )
+    assert not said[late:].any()
+    assert not said[:, late:].any()

@@ -124,6 +124,50 @@ def test_a_copy_goes_its_own_way():
     close(moments.batches[3], z[30:35].T @ z[30:35])
 
 
+def test_sums_that_stay_together_fill_batches_as_rows_do():
+    z = rows(100)
+    moments = NormalEquations((4, 4), 10, max_batches=4)
+    # Four rows are no full batch, four and six are, and so are twelve at once.
+    for start, end, counts in (
+        (0, 4, [4]),
+        (4, 10, [10]),
+        (10, 22, [10, 12]),
+        (22, 32, [10, 12, 10]),
+        (32, 42, [10, 12, 10, 10]),
+        (42, 61, [22, 20, 19]),  # no room is left: neighbors are merged, batches hold twice as much
+        (61, 62, [22, 20, 20]),
+        (62, 63, [22, 20, 20, 1]),
+    ):
+        part = z[start:end]
+        moments.add_sum(part.T @ part, end - start)
+        assert moments.counts.tolist() == counts
+        assert moments.rows == end
+        close(moments.total, z[:end].T @ z[:end])
+        edges = np.concatenate([[0], np.cumsum(counts)])
+        for k, batch in enumerate(moments.batches):
+            close(batch, z[edges[k] : edges[k + 1]].T @ z[edges[k] : edges[k + 1]])
+
+
+def test_some_columns_alone_are_what_their_rows_would_have_given():
+    z = np.random.default_rng(4).normal(size=(3, 57, 5))
+    moments, expected = NormalEquations((3, 5, 5), 10, 8), NormalEquations((2, 3, 3), 10, 8)
+    moments.add(z[:, :35])
+    expected.add(z[[0, 2]][:, :35, [4, 0, 1]])
+    narrow = moments.narrowed([0, 2], [4, 0, 1])
+    for found in (narrow, deepcopy(narrow)):
+        assert found.counts.tolist() == [10, 10, 10, 5]
+        assert found.rows == 35
+        close(found.total, expected.total)
+        close(found.batches, expected.batches)
+    # What comes next goes to one of them alone.
+    narrow.add(z[[0, 2]][:, 35:, [4, 0, 1]])
+    expected.add(z[[0, 2]][:, 35:, [4, 0, 1]])
+    close(narrow.batches, expected.batches)
+    close(narrow.total, expected.total)
+    assert moments.counts.tolist() == [10, 10, 10, 5]
+    close(moments.total, np.swapaxes(z[:, :35], 1, 2) @ z[:, :35])
+
+
 def test_leaky_sum_is_the_recursion():
     z = rows(60)
     leak = LeakySums(row_time=0.05, memories=[0.3])

@@ -123,3 +123,33 @@ def test_a_third_off_and_four_deviations_contradict(off, contradicted, sign):
     # The same bar in deviations: 0.4 off is 4.2 or 3.8 of them.
     for std, sure in ((0.095, True), (0.105, False)):
         assert RigidBodyTest(np.array([1.0 + sign * 0.4]), np.array([std])).contradicted is sure
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_units_of_acceleration_do_not_matter(unit):
+    x, y, rows = colored()
+
+    def judged(unit):
+        z = np.column_stack([x, unit * y]).reshape(-1, rows, x.shape[1] + 3)
+        return judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, unit * rb.forward_matrix(THETA))
+
+    found, usual = judged(unit), judged(1.0)
+    np.testing.assert_allclose(found.share, usual.share, rtol=1e-9)
+    np.testing.assert_allclose(found.std, usual.std, rtol=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_gyroscopic_torque_that_follows_a_rotor_torque_tells_nothing(axis):
+    """All of it is explained by the roll torque: rounding is left, whatever else moves the axis."""
+    x, _, rows = colored()
+    Q = rb.forward_matrix(THETA)
+    x[:, PRODUCTS] = 0.0
+    y = x @ Q.T
+    y[:, axis] -= 5.0 * y[:, axis].std() * x[:, rb.N_SIGNALS - max(axis, 1)]
+    # A thousandth of the axis' acceleration: far above what counts as none.
+    strength = np.sqrt(1e-3 * (y[:, axis] ** 2).mean() / (x[:, 0] ** 2).mean())
+    x[:, PRODUCTS[0]] = strength / np.abs(Q[axis, PRODUCTS[0]]) * x[:, 0]
+    z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
+    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, Q)
+    assert np.isnan(found.share[axis])
+    assert np.isnan(found.std[axis])

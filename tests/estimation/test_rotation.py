@@ -10,7 +10,8 @@ from gcs_sysid.estimation import rotation
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior, prior_of
-from gcs_sysid.estimation.rotation import RotationFit, fit_rotation, follow_rotation
+from gcs_sysid.estimation.rotation import Outcome, RotationFit, fit_rotation, follow_rotation
+from gcs_sysid.estimation.search import Problem
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 
@@ -205,6 +206,7 @@ def test_a_fit_by_hand_has_what_it_was_given():
     assert not fit.full_covariance[rb.N_THETA :].any()
     np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0, 0.0, 0.0])
     assert (fit.leak, fit.warm_start) == (0, None)
+    assert np.isnan(fit.disturbance).tolist() == [True] * 3
     full = fit.full_covariance.copy()
     full[rb.N_THETA, rb.N_THETA] = 4e-6
     late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5, 0.0, 0.0]), full_covariance=full)
@@ -251,3 +253,48 @@ def test_a_fit_that_follows_weighs_its_prior_as_the_fit_does():
         )
         assert np.all(np.abs(found.theta - fit.theta) < 0.1 * fit.std)
         np.testing.assert_allclose(found.std, fit.std, rtol=0.02)
+
+
+def test_instants_are_followed_as_each_would_be_alone():
+    """Of these starts the first is near enough for a blind step, the others are searched."""
+    batches, _, _ = moments_of(sigma=0.3)
+    rows = np.array([40, 2000, 3000, 4000])
+    totals = np.stack([batches[: n // 40, 0].sum(axis=0) for n in rows])
+    start = fit_rotation(batches, np.full(len(batches), 40), PLAIN, NONE)
+    start = moved_fit(start, 12.0)
+    noise = np.repeat(NONE, 4, axis=0)
+    together = follow_rotation(totals, rows, PLAIN, noise, start)
+    for i, fit in enumerate(together):
+        (alone,) = follow_rotation(totals[i : i + 1], rows[i : i + 1], PLAIN, NONE, start)
+        np.testing.assert_allclose(fit.theta, alone.theta, rtol=1e-9)
+        np.testing.assert_allclose(fit.covariance, alone.covariance, rtol=1e-6, atol=1e-12)
+        assert fit.rows == rows[i]
+
+
+@pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
+def test_factors_on_deviations_are_on_them_once_with_a_prior_too(prior):
+    batches, _, _ = moments_of()
+    problem = Problem(batches.sum(axis=0), ROWS, PLAIN, prior)
+    outcome, p = (
+        Outcome(problem, problem.evaluate(np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None]), NONE),
+        problem.p,
+    )
+    factors = np.linspace(1.0, 3.0, p)
+    plain, wide = (outcome.fits(np.eye(p), f, [True], [0])[0] for f in (np.ones(p), factors))
+    # The prior is ten times as wide as what it says: it takes a little of the widest.
+    np.testing.assert_allclose(wide.std, plain.std * factors, rtol=0.01)
+
+
+def test_what_deviations_leave_open_is_what_knowing_them_would_take_away():
+    rng = np.random.default_rng(10)
+    mixed = rng.normal(size=(N_UNKNOWNS + 2, 40))
+    every = mixed @ mixed.T
+    n = rb.N_THETA
+    fit = replace(
+        fit_of(1.0), deviations=np.zeros(2), covariance=every[:n, :n], extended_covariance=every
+    )
+    both = np.r_[0:n, N_UNKNOWNS : N_UNKNOWNS + 2]
+    # Known: the covariance of theta is the inverse of its part of the information.
+    known = np.linalg.inv(np.linalg.inv(every[np.ix_(both, both)])[:n, :n])
+    np.testing.assert_allclose(fit.open_covariance, fit.covariance - known, atol=1e-8)
+    assert not fit_of(1.0).open_covariance.any()

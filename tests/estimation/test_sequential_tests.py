@@ -1,5 +1,7 @@
 """The sequential tests and what normalizes them, number by number."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -119,6 +121,24 @@ def test_a_level_that_is_forgotten_starts_from_medians_again():
     assert level.mean[1] == pytest.approx(1.0 + 0.25 * 0.04)
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 5])
+def test_a_level_moves_by_sums_as_by_the_frame_itself(frames):
+    """Mean and mean square say the same of a frame that nothing is clipped of."""
+    rng = np.random.default_rng(3)
+    by_frame, by_sums = Level(2, least_gain=0.25), Level(2, least_gain=0.25)
+    for level in (by_frame, by_sums):
+        for seed in range(frames):
+            first = np.random.default_rng(seed).normal([5.0, -2.0], [1.0, 0.1], size=(50, 2))
+            level.update(first, np.full(2, 0.01))
+    for _ in range(4):
+        frame = rng.uniform([4.0, -2.1], [6.5, -1.8], size=(50, 2))
+        by_frame.update(frame, np.full(2, 0.01))
+        by_sums.move(frame.mean(axis=0), (frame**2).mean(axis=0))
+        np.testing.assert_allclose(by_sums.mean, by_frame.mean, rtol=1e-12)
+        np.testing.assert_allclose(by_sums.variance, by_frame.variance, rtol=1e-9)
+        assert by_sums.frames.tolist() == by_frame.frames.tolist()
+
+
 LOW, HIGH = np.full(1, -10.0), np.full(1, 10.0)
 
 
@@ -152,3 +172,26 @@ def test_a_channel_of_a_baseline_that_is_silent_stays_unknown():
     np.testing.assert_allclose(found[:, 0], 1.0)
     assert np.isnan(found[:, 1]).all()
     assert np.isnan(baseline.last[1])
+
+
+def test_a_baseline_looks_ahead_without_taking_what_it_sees():
+    values = np.random.default_rng(2).normal(size=(6, 2))
+    seen, taken = Baseline(2, 5.0), Baseline(2, 5.0)
+    for baseline in (seen, taken):
+        baseline.update(np.array([[3.0, -1.0], [2.0, 0.5]]), np.full(2, -10.0), np.full(2, 10.0))
+    last = seen.last.copy()
+    ahead = seen.ahead(values)
+    np.testing.assert_array_equal(seen.last, last)
+    np.testing.assert_allclose(
+        ahead[:-1], taken.update(values, np.full(2, -10.0), np.full(2, 10.0)), rtol=1e-12
+    )
+    np.testing.assert_allclose(ahead[-1], taken.last, rtol=1e-12)
+
+
+def test_lengths_of_blocks_do_not_matter_to_a_baseline():
+    values = np.random.default_rng(7).normal(size=(21, 1))
+    whole, parts = Baseline(1, 5.0), Baseline(1, 5.0)
+    expected = whole.update(values, LOW, HIGH)
+    edges = np.cumsum([0, 1, 5, 4, 4, 5, 2])
+    found = [parts.update(values[a:b], LOW, HIGH) for a, b in pairwise(edges)]
+    np.testing.assert_allclose(np.concatenate(found), expected, rtol=1e-12)

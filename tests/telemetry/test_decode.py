@@ -197,6 +197,8 @@ def test_position_gives_velocity_then_position(decoder, sender):
 def test_states_without_a_stamp_take_the_latest_time(decoder, sender):
     armed = sender.heartbeat(base_mode=mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     assert decoder.decode(armed) is None  # no time heard yet
+    assert decoder.decode(landed(sender, 2)) is None
+    assert decoder.dropped["no time"] == 1
     decoder.decode(sender.imu(7.0))
     assert decoder.decode(armed) == Record(Stream.ARMED, 7.0, (1.0,))
     assert decoder.decode(sender.heartbeat()).values == (0.0,)
