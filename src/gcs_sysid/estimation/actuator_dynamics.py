@@ -142,6 +142,50 @@ def _second_order(passed: Array, change: Array | None = None) -> Array:
     return _SHARE * np.concatenate([both.real, both.imag], axis=-1)
 
 
+class _Targets:
+    """What filters are to approximate, for all spans of a basis: made once, where it is asked for.
+
+    Args:
+        omega: (n,) rad/s.
+        passed: (n,) how much reaches a row.
+        delay: (K,) s.
+        lag: (K,) s.
+    """
+
+    def __init__(self, omega: Array, passed: Array, delay: Array, lag: Array) -> None:
+        self._omega, self._passed, self._at = omega, passed, (delay, lag)
+        self._responses: dict[str, Array] = {}
+        self._made: dict[tuple[int | None, bool], Array] = {}
+
+    def by(self, place: int | None, *, squared: bool) -> Array:
+        """(K, m) responses, with their products or not, differentiated by delay, lag or nothing."""
+        if (place, squared) not in self._made:
+            if squared:
+                paired = self._response("paired", _PAIRED)
+                change = None if place is None else self._differentiated(paired, _PAIRED, place)
+                parts = self.by(place, squared=False), _second_order(paired, change)
+                made = np.concatenate(parts, axis=-1)
+            else:
+                passed = self._response("all", self._omega)
+                made = _stacked(self._differentiated(passed, self._omega, place), self._passed)
+            self._made[place, squared] = made
+        return self._made[place, squared]
+
+    def _response(self, name: str, omega: Array) -> Array:
+        if name not in self._responses:
+            self._responses[name] = response(omega, *self._at)
+        return self._responses[name]
+
+    def _differentiated(self, passed: Array, omega: Array, by: int | None) -> Array:
+        return _differentiated(passed, omega, self._at[1], by)
+
+
+def _stacked(passed: Array, share: Array) -> Array:
+    """(..., 2 n) real and imaginary parts of (..., n) responses, of which a share reaches a row."""
+    weighed = passed * share
+    return np.concatenate([weighed.real, weighed.imag], axis=-1)
+
+
 class _Span:
     """Weights with which some filters approximate another one.
 
@@ -166,7 +210,7 @@ class _Span:
     ) -> None:
         self.omega, self._passed = _passed(half_width, dt)
         self._squared = squared
-        A = self._stacked(self._made(self.omega, delays, lags, dt)).T
+        A = _stacked(self._made(self.omega, delays, lags, dt), self._passed).T
         if squared:
             A = np.concatenate([A, _second_order(self._made(_PAIRED, delays, lags, dt)).T])
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
@@ -177,30 +221,27 @@ class _Span:
         self._of_sum = even / even.sum()
         self._of_target = free - np.outer(self._of_sum, free.sum(axis=0))
 
-    def weights_by(self, delay: Array, lag: Array, by: Sequence[int | None]) -> list[Array]:
-        """(K, k) for (K,) delays and lags, differentiated by each of some coordinates or none.
+    def targets(self, delay: Array, lag: Array) -> _Targets:
+        """What spans of the same window and samples approximate at (K,) delays and lags."""
+        return _Targets(self.omega, self._passed, delay, lag)
+
+    def weights_by(self, targets: _Targets, by: Sequence[int | None]) -> list[Array]:
+        """(K, k) differentiated by each of some coordinates or none.
 
         No other than delay and lag changes them: by it they are not differentiated.
         """
-        passed = response(self.omega, delay, lag)
-        paired = response(_PAIRED, delay, lag) if self._squared else None
         made: dict[int | None, Array] = {}
         for place in by:
             own = place if place in (DELAY, LAG) else None
-            if own in made:
-                continue
-            target = self._stacked(_differentiated(passed, self.omega, lag, own))
-            if paired is not None:
-                change = None if own is None else _differentiated(paired, _PAIRED, lag, own)
-                target = np.concatenate([target, _second_order(paired, change)], axis=-1)
-            made[own] = target @ self._of_target.T
-            if own is None:
-                made[own] += self._of_sum
+            if own not in made:
+                made[own] = targets.by(own, squared=self._squared) @ self._of_target.T
+                if own is None:
+                    made[own] += self._of_sum
         return [made[place if place in (DELAY, LAG) else None] for place in by]
 
     def weights(self, delay: Array, lag: Array) -> Array:
         """(K, k) for (K,) delays and lags."""
-        return self.weights_by(delay, lag, (None,))[0]
+        return self.weights_by(self.targets(delay, lag), (None,))[0]
 
     @staticmethod
     def _made(omega: Array, delays: Array, lags: Array, dt: float) -> Array:
@@ -213,10 +254,6 @@ class _Span:
         moved = np.exp(1j * omega * delays[:, None])
         made: Array = moved * (b0 + b1 * late) / (1.0 - a * late)
         return made
-
-    def _stacked(self, passed: Array) -> Array:
-        weighed = passed * self._passed
-        return np.concatenate([weighed.real, weighed.imag], axis=-1)
 
 
 LagOf = Literal["speed", "command", "thrust"]
@@ -397,8 +434,8 @@ class ActuatorDynamics:
         free coordinates.
         """
         K, by = len(at), (None, *self.free)
-        delay, lag = at[:, DELAY], at[:, LAG]
-        filters = np.stack(self._span.weights_by(delay, lag, by), axis=1)
+        targets = self._span.targets(at[:, DELAY], at[:, LAG])
+        filters = np.stack(self._span.weights_by(targets, by), axis=1)
         mixtures = np.stack([self._mixture(at[:, CURVE], i) for i in by], axis=1)
         rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
         maps = np.zeros((K, len(by), WIDTH, self.width))
@@ -406,26 +443,25 @@ class ActuatorDynamics:
             maps[:, :, column, place : self.late : SIGNALS] = rotors
         maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
         if self._coupled_span is not None:
-            filters = np.stack(self._coupled_span.weights_by(delay, lag, by), axis=1)
+            filters = np.stack(self._coupled_span.weights_by(targets, by), axis=1)
             forms = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
             for place, column in enumerate(_COUPLED):
                 first = self.width - BODY + _BODY_COLUMNS.index(column)
                 further = range(self.late + place, self.late + self.products, len(_COUPLED))
                 maps[:, :, column, [first, *further]] = forms
         if self.bends:
-            bent = np.stack(self._bent(at, by), axis=1)
+            bent = np.stack(self._bent(at, by, targets), axis=1)
             start = self.late + self.products
             for place, column in enumerate(ROTOR_COLUMNS[:N_BENT]):
                 maps[:, :, column, start + place : start + self.bends : N_BENT] = bent
         return maps
 
-    def _bent(self, at: Array, by: Sequence[int | None], delayed: bool = True) -> list[Array]:
+    def _bent(self, at: Array, by: Sequence[int | None], targets: _Targets) -> list[Array]:
         """(K, bent lags) weights of the bends at (K, 3) coordinates, or their derivatives."""
         if self._bent_span is None:
             return [np.empty((len(at), 0)) for _ in by]
-        delay = at[:, DELAY] if delayed else np.zeros(len(at))
         k, change = self.lag_place.bend(at[:, CURVE])
-        every = self._bent_span.weights_by(delay, at[:, LAG], by)
+        every = self._bent_span.weights_by(targets, by)
         return [
             (change if i == CURVE else k)[:, None] * weights[:, 1:]
             for i, weights in zip(by, every, strict=True)
@@ -458,9 +494,10 @@ class ActuatorDynamics:
         """(thrusts,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
         if not self.commands:
             return np.ones(1)
-        weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])
+        targets = self._lag_span.targets(np.zeros(1), at[LAG : LAG + 1])
+        weights = self._lag_span.weights_by(targets, (None,))[0]
         mixture = self._mixture(at[CURVE : CURVE + 1], None)
-        bent = self._bent(at[None], (None,), delayed=False)[0][0]
+        bent = self._bent(at[None], (None,), targets)[0][0]
         return np.concatenate([np.outer(weights, mixture).ravel(), bent])
 
     @property
