@@ -184,9 +184,10 @@ class WhitenedRecord:
         known = WhitenedMoments(
             (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
         )
-        # Early fits are poor, and what is narrowed to rests on the latest.
-        narrow = self._columns is not None
-        shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=narrow)
+        # Early fits are poor, and what is narrowed to rests on the latest. Those of commands are made
+        # again, and never narrowed.
+        quick = self._columns is not None or self.basis.commands
+        shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=quick)
         half = _RECENT // 2
         for i in range(half):
             if not shocks[i]:
