@@ -184,8 +184,8 @@ class WhitenedRecord:
         known = WhitenedMoments(
             (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
         )
-        # Early fits are poor, and what is narrowed to rests on the latest. Those of commands are made
-        # again, and never narrowed.
+        # Early fits are poor, and what is narrowed to rests on the latest. Records of commands are
+        # made again, and never narrowed.
         quick = self._columns is not None or self.basis.commands
         shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=quick)
         half = _RECENT // 2
