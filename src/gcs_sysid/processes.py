@@ -1,15 +1,25 @@
-"""Processes of our own beside this one."""
+"""Processes of our own, and how many threads they compute in."""
 
 import os
-import subprocess
 from typing import Any
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables: processes that share a machine do not each take all of it for their linear algebra."""
 
 
+def compute_in_one_thread() -> None:
+    """Have linear algebra take one thread, unless the user says otherwise; before NumPy is loaded.
+
+    Matrices are small here: more threads wait for each other, at twice the processor time.
+    """
+    if not any(name in os.environ for name in ONE_THREAD):
+        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+
+
 def apart() -> dict[str, Any]:
     """Options of `Popen`: not to be reached by the terminal's signals."""
     if os.name == "nt":
+        import subprocess
+
         return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     return {"start_new_session": True}
