@@ -16,6 +16,11 @@ def compute_in_one_thread() -> None:
         os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
 
 
+def one_thread_environment() -> dict[str, str]:
+    """Of a process whose linear algebra takes one thread, but for what the user says."""
+    return {**dict.fromkeys(ONE_THREAD, "1"), **os.environ}
+
+
 def apart() -> dict[str, Any]:
     """Options of `Popen`: not to be reached by the terminal's signals."""
     if os.name == "nt":

@@ -16,25 +16,9 @@ from gcs_sysid.health.health_trend import trend_text
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
+from tests.health.conftest import HOVER
 
-HOVER = (
-    "--mission",
-    "gentle",
-    "--duration",
-    "45",
-    "--rate",
-    "25",
-    "--noise",
-    "mems",
-    "--seed",
-    "3",
-)
 QUANTITY = {"value", "std", "ci95", "unit", "std_given"}
-
-
-@pytest.fixture(scope="module")
-def flight(fly):
-    return fly(*HOVER)
 
 
 @pytest.fixture(scope="module")

@@ -21,18 +21,6 @@ from gcs_sysid.telemetry import tlog
 
 pytestmark = pytest.mark.slow
 
-HOVER = (
-    "--mission",
-    "gentle",
-    "--duration",
-    "45",
-    "--rate",
-    "25",
-    "--noise",
-    "mems",
-    "--seed",
-    "3",
-)
 LONGEST = 60.0
 SMALL = 2**16
 """Bytes of a window, so that a log has several."""
@@ -51,11 +39,6 @@ def counted(self, what):
 object_pipe.ObjectSender.put = counted
 """
 """A process that ends itself after so many parts."""
-
-
-@pytest.fixture(scope="module")
-def flight(fly):
-    return fly(*HOVER)
 
 
 @pytest.fixture

@@ -314,9 +314,8 @@ class ChangeDetector:
         mean_x = x.reshape(k, size, -1).mean(axis=1)
         gain = self.tuning.frame / self.tuning.memory
         most, most_of_mean = min(CLIPPED, self.tuning.fast[0]), self.tuning.slow[0]
-        floors, i = self._floors, 0
         for i in range(k):
-            reach = most * levels.std(floors)
+            reach = most * levels.std(self._floors)
             if (top[i] - levels.mean > reach).any() or (levels.mean - low[i] > reach).any():
                 break
             moved = self._mean_x + gain * (mean_x[i] - self._mean_x)

@@ -290,13 +290,13 @@ def shocks_in(
         The mask, and what the next ones are judged by.
     """
     kept = np.ones(len(data.counts), dtype=bool)
-    fresh = start is not None and start.age < _JUDGED_ALIKE
-    if start is not None and fresh and quick and _is_calm(start, data, basis):
-        return ~kept, replace(start, age=start.age + 1)
+    before = start if start is not None and start.age < _JUDGED_ALIKE else None
+    if before is not None and quick and _is_calm(before, data, basis):
+        return ~kept, replace(before, age=before.age + 1)
     total, rows = data.total(kept), int(data.counts.sum())
     age, limit = 0, _TRY
-    if start is not None and fresh:
-        pick, unknowns, age, limit = start.pick, start.unknowns[None], start.age + 1, _JUDGES
+    if before is not None:
+        pick, unknowns, age, limit = before.pick, before.unknowns[None], before.age + 1, _JUDGES
     else:
         if start is None:
             trial = _scanned(total, rows, data, basis, None)

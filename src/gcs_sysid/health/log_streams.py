@@ -152,15 +152,7 @@ def _steady(track: Track, boots: Sequence[int]) -> Track:
     steady = replace(track, t=t)
     steps = np.diff(t)
     if not (steps >= 0.0).all():
-        order = np.argsort(t, kind="stable")
-        steady = Track(
-            track.stream,
-            t[order],
-            track.values[order],
-            track.offset,
-            track.source,
-            track.order[order],
-        )
+        steady = steady.part(np.argsort(t, kind="stable"))
         steps = np.diff(steady.t)
     return steady if (steps > 0.0).all() else steady.part(np.append(True, steps > 0.0))
 

@@ -1,7 +1,6 @@
 """A long log read by another process, which assesses hover while the log is learned from here."""
 
 import contextlib
-import os
 import pickle
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from gcs_sysid.health.vehicle_health import Given, Health
-from gcs_sysid.processes import ONE_THREAD, apart
+from gcs_sysid.processes import apart, one_thread_environment
 from gcs_sysid.telemetry.log_relay import RelayedLog
 from gcs_sysid.telemetry.object_pipe import read_object
 
@@ -47,7 +46,7 @@ class ReaderProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=dict.fromkeys(ONE_THREAD, "1") | os.environ,
+            env=one_thread_environment(),
             pipesize=_PIPE,
             **apart(),
         )

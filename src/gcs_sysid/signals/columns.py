@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.records import Record, Stream
@@ -41,7 +42,7 @@ class Track:
         """Which stream it is."""
         return self.stream, self.source, self.offset
 
-    def part(self, rows: slice | Mask) -> "Track":
+    def part(self, rows: slice | Mask | NDArray[np.intp]) -> "Track":
         """Some of the samples."""
         return Track(
             self.stream,

@@ -14,7 +14,7 @@ from gcs_sysid.telemetry.object_pipe import ObjectSender
 from gcs_sysid.telemetry.vehicles import Vehicle
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class LogFigures:
     """All that a `Log` says of itself, at one moment of its reading."""
 
@@ -69,8 +69,10 @@ def relayed(log: Log, sender: ObjectSender) -> Iterator[RecordBlock]:
     sender.put(RelayedPart(LogFigures.of(log), last=True))
 
 
-class RelayedLog:
+class RelayedLog(LogFigures):
     """A `Log` that another process reads; where that one ends early, it is read here.
+
+    It says of itself what the log said when the block given last was read.
 
     Args:
         path: as of `open_log`.
@@ -78,17 +80,6 @@ class RelayedLog:
         receive: the next thing that the other process handed over; raises `EOFError` when it has
             ended.
     """
-
-    kind: str
-    recorded: float | None
-    vehicle: Vehicle | None
-    systems: list[Vehicle]
-    parameters: dict[str, float]
-    drift: ClockDrift
-    drift_ppm: float | None
-    problems: tuple[str, ...]
-    share_read: float
-    telemetry: dict[str, Any]
 
     def __init__(
         self, path: Path, wanted: tuple[int, int | None] | None, receive: Callable[[], Any]

@@ -3,16 +3,16 @@
 import asyncio
 import contextlib
 import json
-import os
 import sys
 from collections.abc import AsyncGenerator, Mapping
 from typing import Any, TypeVar
+
+from gcs_sysid.processes import one_thread_environment
 
 T = TypeVar("T")
 
 _LONGEST_LINE = 1 << 20
 """Bytes that a worker says at once."""
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class WorkerPool:
@@ -50,7 +50,7 @@ class WorkerPool:
                     stdout=asyncio.subprocess.PIPE,
                     stderr=asyncio.subprocess.DEVNULL,
                     limit=_LONGEST_LINE,
-                    env={**dict.fromkeys(_ONE_THREAD, "1"), **os.environ},
+                    env=one_thread_environment(),
                 )
             )
             try:
