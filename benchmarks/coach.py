@@ -25,10 +25,14 @@ from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.summary import values_of
-from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
+from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.frames import FrameScanner
+from gcs_sysid.telemetry.intake import Intake
 from sim_bridge.ensemble import Flight as EmulatedFlight
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS, Mission
@@ -85,9 +89,10 @@ class Flight:
         self.simulation = Simulation(self.vehicle, mission, gusts)
         self._autopilot = Px4(self.simulation, "mems", 0.02, rate, sensors)
         self._scanner = FrameScanner()
-        self.pipeline = Pipeline(
-            self.airframe, "emulator", options=ChainOptions(history_interval=0.5)
-        )
+        intake = Intake()
+        options, origin = ChainOptions(history_interval=0.5), Origin(intake, "emulator")
+        self.chain = Chain(self.airframe, options, origin=origin)
+        self._link = FrameGathering(intake, lambda: self.chain.until_tick)
 
     def fly(self, seconds: float) -> None:
         """Fly on for a while."""
@@ -95,12 +100,17 @@ class Flight:
         for _ in range(ticks):
             frames = self._autopilot.poll(self.simulation.tick)
             if frames:
-                self.pipeline.take(self._scanner.feed(b"".join(frames)))
+                self.chain.take(self._link.take(self._scanner.feed(b"".join(frames))))
             self.simulation.step()
+
+    def finish(self) -> Result:
+        """The final result."""
+        self.chain.take(self._link.rest())
+        return self.chain.finish()
 
     def errors(self) -> dict[str, float]:
         """% of the truth."""
-        chain, truth = self.pipeline.chain, self.vehicle.truth()
+        chain, truth = self.chain, self.vehicle.truth()
         values = chain.values(chain.fit)
         return {
             name: 100.0 * abs((values[name].value or np.nan) / truth[name] - 1.0) for name in CORE
@@ -108,7 +118,7 @@ class Flight:
 
     def shares(self) -> dict[str, float | None]:
         """Half of each interval over its reference value, as the coach and the screen see it."""
-        chain = self.pipeline.chain
+        chain = self.chain
         return shares(chain.values(chain.fit), self.airframe.arm, chain.rotor_input)
 
 
@@ -138,7 +148,7 @@ def coached(seed: int, airframe: str, limits: Limits | None = None) -> Flown:
     """What the coach says, until it says that it is enough and every interval is."""
     mission = ManoeuvreMission()
     flight = Flight(airframe, mission, seed)
-    chain = flight.pipeline.chain
+    chain = flight.chain
     coach = Coach(chain, CoachOptions(TARGET, limits or Limits()))
     flown = Flown()
     promised: dict[str, float | None] | None = None

@@ -18,12 +18,14 @@ from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.ensemble import fly_ensemble
@@ -96,11 +98,14 @@ def frame_rates(log: Path) -> dict[str, float]:
     rates = {}
     for name, seconds in _BLOCKS[1:]:
         size = max(round(seconds * RATE * len(frames) / samples), 1)
-        pipeline = Pipeline(load_airframe("paper"), "")
+        intake = Intake()
+        chain = Chain(load_airframe("paper"), origin=Origin(intake, ""))
+        link = FrameGathering(intake, lambda chain=chain: chain.until_tick)
         began = time.process_time()
         for i in range(0, len(frames), size):
-            pipeline.take(frames[i : i + size], 1.7e9)
-        pipeline.finish()
+            chain.take(link.take(frames[i : i + size], 1.7e9))
+        chain.take(link.rest())
+        chain.finish()
         rates[name] = samples / (time.process_time() - began)
     return rates
 

@@ -21,7 +21,8 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import History
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.tlog import read_tlog

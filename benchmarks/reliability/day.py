@@ -12,7 +12,7 @@ The vehicle's clock begins two hours before its 32-bit milliseconds wrap. It goe
 are changed, but for two changes that switch the autopilot off: then it begins at zero. The 32-bit
 microseconds of SERVO_OUTPUT_RAW wrap each 71.6 min besides.
 
-The frames go into the same `Pipeline` that a live session feeds, 0.2 s of them at a time, without
+The frames go into the same `Chain` that a live session feeds, 0.2 s of them at a time, without
 a socket and without waiting; blocks are of 1 s and an estimate is made each 10 s of the vehicle's
 clock, instead of 0.1 and 0.5 s, which changes when numbers are renewed and not what they are.
 """
@@ -22,7 +22,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,10 +34,13 @@ from benchmarks.reliability.watched import resident
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame, read_frame
+from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.missions import MISSIONS, Mission, Reference
@@ -212,7 +215,12 @@ def template(folder: Path, pack: int) -> tuple[list[Message], dict[str, float]]:
     return messages_of(path), json.loads(path.with_suffix(".truth.json").read_text())
 
 
-def fly(pipeline: Pipeline, replayer: Replayer, messages: list[Message], seconds: float) -> None:
+def fly(
+    take: Callable[[Sequence[Frame]], None],
+    replayer: Replayer,
+    messages: list[Message],
+    seconds: float,
+) -> None:
     """Take off, fly turns for so long, land."""
     begin = GROUND + CLIMB + 2.0 + TURN
     end = begin + (TURNS - 1) * TURN
@@ -224,7 +232,7 @@ def fly(pipeline: Pipeline, replayer: Replayer, messages: list[Message], seconds
         left -= parts[-1][1] - begin
     for part in (*parts, (end, last)):
         for frames in replayer.send(messages, *part):
-            pipeline.take(frames)
+            take(frames)
 
 
 def errors(result: Result, truth: dict[str, float]) -> dict[str, tuple[float, float]]:
@@ -251,7 +259,16 @@ def main() -> int:
     parser.add_argument("--packs", type=int, default=6, help="flights (default: 6)")
     options = parser.parse_args()
     airframe = load_airframe("paper")
-    pipeline = Pipeline(airframe, "day", None, ChainOptions(history_interval=10.0, tick=1.0))
+    intake = Intake()
+    chain = Chain(
+        airframe,
+        ChainOptions(history_interval=10.0, tick=1.0),
+        origin=Origin(intake, "day"),
+    )
+
+    def take(frames: Sequence[Frame]) -> None:
+        chain.take(intake.block(FrameBlock.of(frames)))
+
     replayer = Replayer(1, (1 << 32) * 1e-3 - TO_WRAP)
     print(f"{'flight':<8}{'flown':>8}{'clock':>12}{'MB':>8}  errors in % (+- half width of 95 %)")
     memory, spent, bad = [], time.process_time(), 0
@@ -260,18 +277,18 @@ def main() -> int:
             messages, truth = template(Path(folder), pack)
             if pack in REBOOTS:
                 replayer.reboot()
-            fly(pipeline, replayer, messages, 3600.0 * options.hours / options.packs)
-            result = pipeline.chain.refit()
+            fly(take, replayer, messages, 3600.0 * options.hours / options.packs)
+            result = chain.refit()
             memory.append(1e-6 * resident())
             found = errors(result, truth)
             bad += sum(not abs(error) < BAR for error, _ in found.values())
             words = "  ".join(f"{name} {e:+.2f}±{w:.2f}" for name, (e, w) in found.items())
-            hours = pipeline.chain.t / 3600.0
+            hours = chain.t / 3600.0
             print(
                 f"{pack + 1:<8}{hours:>6.2f} h{replayer.clock:>10.0f} s{memory[-1]:>8.1f}  {words}",
                 flush=True,
             )
-    final = pipeline.finish()
+    final = chain.finish()
     told = final.telemetry
     print(
         f"\nmessages sent {replayer.sent}, lost {told['lost']}, dropped {told['dropped']}, "

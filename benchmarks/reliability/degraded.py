@@ -25,8 +25,10 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.origin import Origin
+from gcs_sysid.telemetry.frame_gathering import FrameGathering
+from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
@@ -202,8 +204,9 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"
         record(fly(flight, seed), case.line, seed, path)
-        pipeline = Pipeline(load_airframe(AIRFRAME), "", None, ChainOptions())
-        chain = pipeline.chain
+        intake = Intake()
+        chain = Chain(load_airframe(AIRFRAME), origin=Origin(intake, ""))
+        link = FrameGathering(intake, lambda: chain.until_tick)
         waiting = ends.tolist()
         used, back = None, np.inf
         for time_us, frame in read_tlog(path):
@@ -215,10 +218,11 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
                 if used is not None and seconds > used and back == np.inf:
                     back = now - waiting[0]
                 if now >= waiting[0] + BACK_WITHIN:
-                    then = outcome_of(pipeline.result())
+                    chain.take(link.rest())
+                    then = outcome_of(chain.result())
                     found.append(Return(waiting.pop(0), back, then))
                     used, back = None, np.inf
-            pipeline.take([frame])
+            chain.take(link.take([frame]))
     return found
 
 

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from benchmarks.reliability.stamped_receiver import ARRIVAL
 from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.live import receiver_process
-from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.live.live_estimate import LiveEstimate
+from gcs_sysid.telemetry.receiver import Batch
 
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
 SAMPLED_EVERY = 0.5
@@ -121,15 +121,16 @@ def resident() -> int:
 
 
 def watch(times: Times) -> None:
-    """Have the tool's pipeline keep times from now on."""
-    take = Pipeline.take
+    """Have the tool's estimate keep times from now on."""
+    learn = LiveEstimate.learn
 
-    def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> bool:
-        renewed = take(pipeline, frames, wall)
-        times.take(sum(len(frame.raw) for frame in frames), time.time_ns(), renewed=renewed)
-        return renewed
+    def timed(estimate: LiveEstimate, batch: Batch, garbage_bytes: int) -> None:
+        before = estimate.chain.renewals
+        learn(estimate, batch, garbage_bytes)
+        size = sum(len(frame.raw) for frame in batch.frames)
+        times.take(size, time.time_ns(), renewed=estimate.chain.renewals > before)
 
-    Pipeline.take = timed  # type: ignore[method-assign, assignment]
+    LiveEstimate.learn = timed  # type: ignore[method-assign]
 
 
 def read_arrivals(path: Path, times: Times) -> None:

@@ -19,7 +19,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 
 FLIGHTS = tuple(f"LOG00{number}.tlog" for number in (259, 264, 267, 269, 271, 277, 281))
 OPEN_LOOP = {"Ixx": 5.8e-4, "Iyy": 7.4e-4}

@@ -27,7 +27,8 @@ from gcs_sysid.results.result import Estimate, IdentifiedEstimate, Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
+from gcs_sysid.session.chain import WINDOW, Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.twin.held_out_flight import TwinFlight, fly_held_out

@@ -6,7 +6,6 @@ import pytest
 
 from gcs_sysid.cli.live_command import status_line
 from gcs_sysid.cli.result_table import result_table
-from gcs_sysid.live import live_estimate
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.live_estimate import LiveEstimate
 from gcs_sysid.live.live_options import LiveOptions
@@ -61,7 +60,7 @@ def test_a_wrong_airframe_is_no_reason_to_fly(estimate, monkeypatch):
     monkeypatch.setattr(Coach, "think", lambda self: None)
     monkeypatch.setattr(Coach, "look", lambda self: advice())
     wrong = ("wrong airframe paper: it has 4 rotors, the vehicle 6",)
-    monkeypatch.setattr(live_estimate.Pipeline, "airframe_problems", property(lambda self: wrong))
+    monkeypatch.setattr(LiveEstimate, "airframe_problems", property(lambda self: wrong))
     estimate.think()
     said = estimate.snapshot(result(), link())
     assert said.advice is None

@@ -31,7 +31,7 @@ def test_the_coach_needs_less_time_than_the_articles_modes():
 def test_progress_is_of_motion_and_not_of_time():
     mission = ManoeuvreMission()
     flight = Flight("px4-sih", mission, 2)
-    coach = Coach(flight.pipeline.chain, CoachOptions(TARGET))
+    coach = Coach(flight.chain, CoachOptions(TARGET))
     assert coach.advise() is None
     flight.fly(4.5)
     first = coach.advise()
@@ -62,7 +62,7 @@ def test_progress_is_of_motion_and_not_of_time():
 def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
     mission = ManoeuvreMission()
     flight = Flight("px4-sih", mission, 2)
-    coach = Coach(flight.pipeline.chain, CoachOptions(TARGET))
+    coach = Coach(flight.chain, CoachOptions(TARGET))
     flight.fly(4.5)
     assert coach.advise() is not None
     assert coach.choice is not None
@@ -97,10 +97,10 @@ def test_estimates_are_the_same_with_a_coach_and_without():
     ends = []
     for led in (False, True):
         flight = Flight("paper", MISSIONS["all-axes"], 4, rate=100.0)
-        coach = Coach(flight.pipeline.chain) if led else None
+        coach = Coach(flight.chain) if led else None
         for _ in range(8):
             flight.fly(1.0)
             if coach is not None:
                 coach.advise()
-        ends.append(flight.pipeline.finish().dumps())
+        ends.append(flight.finish().dumps())
     assert ends[0] == ends[1]

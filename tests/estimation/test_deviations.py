@@ -16,7 +16,8 @@ from gcs_sysid.estimation.whitened_fit import fit_whitened
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from tests.feeding import feed
 
 T = 0.004

@@ -135,11 +135,11 @@ def test_parameters_fetched_after_the_flight_have_it_read_again(
     monkeypatch.setattr(
         "gcs_sysid.session.chain.Chain.outdated", property(lambda self: len(readings) < 2)
     )
-    begin = analysis.Pipeline.take_log
+    begin = analysis.take_log
     monkeypatch.setattr(
-        analysis.Pipeline,
+        analysis,
         "take_log",
-        lambda self, log, progress: readings.append(type(log)) or begin(self, log, progress),
+        lambda chain, log, *others: readings.append(type(log)) or begin(chain, log, *others),
     )
     alone = analyzed(flight.tlog, tmp_path / "alone.json")
     beside()

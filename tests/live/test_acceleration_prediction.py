@@ -5,7 +5,8 @@ import pytest
 
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction, Model, Motion, Predictor
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from tests.feeding import feed
 
 

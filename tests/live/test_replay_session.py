@@ -101,7 +101,7 @@ def near(result, expected, share=1e-6):
 
 def own(stage):
     """What the replay's own chain says, where its snapshots show the analysis."""
-    return stage.session._playback.pipeline.result()
+    return stage.session._playback.chain.result()
 
 
 MORE_LOGS = [
@@ -232,9 +232,9 @@ def test_it_goes_back_from_a_state_it_kept(recorded):
     assert all(b - a >= 10.0 for a, b in zip([0.0, *kept], kept, strict=False))
     playback.go_back(kept[-1] + 2.0)
     assert playback.log_segments.position == pytest.approx(kept[-1])
-    assert playback.pipeline.chain.t == pytest.approx(kept[-1], abs=0.4)
+    assert playback.chain.t == pytest.approx(kept[-1], abs=0.4)
     playback.go_back(kept[0] - 1.0)
-    assert playback.log_segments.position == playback.pipeline.chain.t == 0.0
+    assert playback.log_segments.position == playback.chain.t == 0.0
 
 
 def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
@@ -322,7 +322,7 @@ def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     result = analyze_log(path, load_airframe("paper"))
     stage = Stage(path)
     stage.play(20.0)
-    assert stage.session._playback.pipeline.chain.gyro_cutoff == 40.0
+    assert stage.session._playback.chain.gyro_cutoff == 40.0
     stage.run_to_end()
     assert stage.snapshot.result.dumps() == result.dumps()
     near(own(stage), result)

@@ -284,7 +284,7 @@ def test_a_defect_costs_the_estimate_and_not_the_recording(running, where, name,
     session.start()
     first = flown(link, 50)
     until(session, lambda s: s.link.received == 50)
-    setattr(getattr(session._estimate.pipeline, where), name, broken)
+    setattr(getattr(session._estimate, where), name, broken)
     second = flown(link, 50, start=50)
     until(session, lambda s: any("a defect" in event.text for event in s.events))
     third = flown(link, 50, start=100)

@@ -13,7 +13,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.report.data import AXES, Provenance, Recorder, gather
 from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 
 MADE = Provenance(("gcs-sysid",), {}, 0, "")
 

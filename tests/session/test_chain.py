@@ -10,7 +10,8 @@ from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results import snapshot as course_module
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
@@ -320,8 +321,8 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
         block = SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, rotors)
         chain.learn(block)
-    assert {event["kind"] for event in chain.input_events} == {"rotor_input"}
-    died, again, other = (event["text"] for event in chain.input_events)
+    assert {event["kind"] for event in chain.log.of_rotors} == {"rotor_input"}
+    died, again, other = (event["text"] for event in chain.log.of_rotors)
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
     assert again == "ESC_STATUS is usable again: the estimate continues"
     assert other.endswith("estimate restarts")

@@ -6,12 +6,12 @@ import pytest
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt, is_simulated
-from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog
+from tests.feeding import linked
 
 
 @pytest.fixture(scope="module")
@@ -80,10 +80,11 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, undisturbed):
 
 @pytest.mark.slow
 def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
-    pipeline = Pipeline(airframe, "", None, ChainOptions(history_interval=None))
+    chain, link = linked(airframe, ChainOptions(history_interval=None))
     for time_us, frame in read_tlog(received(8000.0)):
-        pipeline.take([frame], time_us * 1e-6)
-    live = pipeline.finish()
+        chain.take(link.take([frame], time_us * 1e-6))
+    chain.take(link.rest())
+    live = chain.finish()
     assert (live.verdict, live.reasons) == (fast.verdict, fast.reasons)
     assert live.telemetry["clock_doubt"] == fast.telemetry["clock_doubt"]
     for name, value in live.parameters.items():

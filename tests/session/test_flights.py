@@ -9,11 +9,11 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.tlog import read_tlog
-from tests.feeding import feed
+from tests.feeding import feed, linked
 
 AS_THE_ARTICLE = ("--noise", "paper", "--sigma", "0.02", "--rate", "20")
 
@@ -87,10 +87,11 @@ def test_mems_noise_at_250_hz(fly, airframe):
 
 @pytest.mark.slow
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
-    pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(history_interval=None))
+    chain, link = linked(airframe, ChainOptions(history_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
-        pipeline.take([frame])
-    result = pipeline.finish()
+        chain.take(link.take([frame]))
+    chain.take(link.rest())
+    result = chain.finish()
     # A log has wall-clock times, which frames alone do not have.
     whole, clock = dict(paper_result.telemetry), paper_result.telemetry["clock_drift_ppm"]
     assert abs(clock) < 1.0

@@ -7,8 +7,10 @@ import pytest
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.analysis import take_log
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.logs import open_log
@@ -25,14 +27,14 @@ def analyzed(path, airframe, *, windows, mass=None, history=None):
     """The result, the chain, and the blocks of samples that it learnt from."""
     anchor = None if mass is None else ScaleReference("mass", mass)
     options = ChainOptions(history_interval=history)
-    pipeline = Pipeline(load_airframe(airframe), str(path), None, options, anchor)
-    chain = pipeline.chain
+    log = open_log(path)
+    chain = Chain(load_airframe(airframe), options, anchor, Origin(log, str(path)))
     take, grid = chain.take, []
     chain.observers.append(grid.append)
     if not windows:
         chain.take = lambda window: [take(part) for part in in_parts(window)]
-    pipeline.take_log(open_log(path))
-    return pipeline.finish(), chain, grid
+    take_log(chain, log)
+    return chain.finish(), chain, grid
 
 
 def in_parts(window):

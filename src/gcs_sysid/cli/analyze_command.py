@@ -20,7 +20,7 @@ from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log, analyze_pair
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.telemetry.logs import Log
 
 _LONG_LOG = 40_000_000

@@ -20,7 +20,7 @@ from gcs_sysid.cli.reporting import Reporter
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 
 FAILURE = "gcs-sysid/failure/1"
 """Schema of the document of a log that cannot be read."""

@@ -15,8 +15,12 @@ from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Snapshot
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
+from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.telemetry.frame_gathering import FrameGathering
+from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.vehicles import Vehicle
@@ -33,7 +37,7 @@ class Duty(IntEnum):
 
 
 class LiveEstimate:
-    """A fresh pipeline, its prediction and its coach.
+    """Frames in, estimates out: a fresh chain, its prediction and its coach.
 
     A defect in what identifies costs the estimate, which stays what it was; a defect in what
     watches the link, that as well.
@@ -58,22 +62,27 @@ class LiveEstimate:
         self._options = options
         self._on_defect = on_defect
         own = ChainOptions(history_interval=options.refit_interval, reserve=True)
-        self.pipeline = Pipeline(airframe, source, wanted, own)
+        self.intake = Intake(wanted)
+        """From frames to records."""
+        self._origin = Origin(self.intake, source, wanted)
+        self.chain = chain = Chain(airframe, own, origin=self._origin)
+        """From records to estimates."""
+        self._gathering = FrameGathering(self.intake, lambda: chain.until_tick)
+        self._contradicted: tuple[str, ...] = ()
         self._prediction = LivePrediction(self.chain)
         if options.predict:
             self.chain.observers.append(self._prediction.take)
         self._coach = None if options.coach is None else Coach(self.chain, options.coach)
         self._advised: Advice | None = None
-        self._hover: HoverWatch | None = HoverWatch(self.pipeline.intake, source)
-        self.pipeline.on_records = self._hover.take
+        self._hover: HoverWatch | None = HoverWatch(self.intake, source)
         self._health: dict[str, Any] | None = None
         self.relieved = False
         """Whether the estimate is not renewed on the way."""
 
     @property
-    def chain(self) -> Chain:
-        """From records to estimates."""
-        return self.pipeline.chain
+    def airframe_problems(self) -> tuple[str, ...]:
+        """What the airframe says otherwise than the vehicle; empty where they agree."""
+        return self._origin.airframe_problems(self.chain.airframe)
 
     def learn(self, batch: Batch, garbage_bytes: int) -> None:
         """Learn from frames, or count them at least.
@@ -85,12 +94,24 @@ class LiveEstimate:
         wall = 1e-6 * batch.time_us
         try:
             if self.duty is Duty.IDENTIFY:
-                self.pipeline.intake.garbage_bytes = garbage_bytes
-                self.pipeline.take(batch.frames, wall)
+                self.intake.garbage_bytes = garbage_bytes
+                self._take(self._gathering.take(batch.frames, wall))
             elif self.duty is Duty.WATCH:
-                self.pipeline.intake.frames(batch.frames, wall)
+                self.intake.frames(batch.frames, wall)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self.retreat(defect)
+
+    def _take(self, records: RecordBlock) -> None:
+        if not len(records) and not records.events:
+            return
+        if self._hover is not None:
+            self._hover.take(records)
+        self.chain.take(records)
+
+    def result(self) -> Result:
+        """The latest estimate, from all that was taken."""
+        self._take(self._gathering.rest())
+        return self.chain.result()
 
     def retreat(self, defect: Exception) -> None:
         """Do less from now on: what has failed once would fail again."""
@@ -113,7 +134,7 @@ class LiveEstimate:
         """Do what the recording says at this place."""
         try:
             self.need()
-            self.pipeline.take([reset_mark()], 1e-6 * time_us)
+            self._take(self._gathering.take([reset_mark()], 1e-6 * time_us))
         except InputError as error:
             self.note(f"not done: {error}")
         except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
@@ -144,7 +165,7 @@ class LiveEstimate:
             return
         try:
             # What is wrong on the ground is not mended by flying.
-            wrong = bool(self.pipeline.airframe_problems)
+            wrong = bool(self.airframe_problems)
             if not wrong:
                 self._coach.think()
             self._advised = None if wrong else self._coach.look()
@@ -156,9 +177,9 @@ class LiveEstimate:
         if self._hover is None:
             return
         try:
-            news = self._hover.look(self.chain.airframe, self.pipeline.result)
+            news = self._hover.look(self.chain.airframe, self.result)
         except Exception as defect:  # noqa: BLE001 - the flight goes on without it
-            self._hover = self.pipeline.on_records = None
+            self._hover = None
             self.note(f"{in_words(defect)}: health is no longer updated")
             return
         if news is not None:
@@ -178,7 +199,8 @@ class LiveEstimate:
         if self.duty is Duty.IDENTIFY:
             try:
                 self._look_at_hover()
-                return replace(complete(self.pipeline.finish()), health=self._health)
+                self._take(self._gathering.rest())
+                return replace(complete(self.chain.finish()), health=self._health)
             except Exception as defect:  # noqa: BLE001 - handed to the main thread, which reports it
                 self.retreat(defect)
                 problem = problem or defect
@@ -193,13 +215,20 @@ class LiveEstimate:
             result: the latest, with what only the link knows.
             link: health of it.
         """
-        self.pipeline.check_airframe()
+        self._check_airframe()
         acceleration = self._prediction.acceleration()
         target = (self._options.coach or CoachOptions()).target
         # No advice to fly what is not received.
         advised = self._advised if link.state is LinkState.CONNECTED else None
         seen = picture(self.chain, result, link, acceleration, target, advised)
         return replace(seen, health=self._health)
+
+    def _check_airframe(self) -> None:
+        """Enter what the airframe says otherwise in the event log, when that becomes known."""
+        found = self.airframe_problems
+        if found != self._contradicted:
+            self._contradicted = found
+            self.note_all(found)
 
     def advised(self, result: Result) -> Result:
         """A result with what the coach says now, and the vehicle's health."""
@@ -208,11 +237,12 @@ class LiveEstimate:
 
     def know(self, others: Sequence[Vehicle]) -> None:
         """Keep other vehicles in mind, to be chosen."""
-        selector = self.pipeline.intake.selector
+        selector = self.intake.selector
         for known in others:
             selector.systems[known.address], selector.frames[known.address] = known, 0
 
     def drop(self) -> None:
         """Let go of whom it knows: each would outlive the session by the other."""
-        self.pipeline.drop()
+        self.chain.observers.clear()
+        self._hover = None
         self._on_defect = lambda _: None

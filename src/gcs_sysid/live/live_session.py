@@ -297,7 +297,7 @@ class LiveSession:
         """Answer the vehicle."""
         if self._estimate.duty is Duty.RECORD or self._choice is not None:
             return
-        station, intake = self._station, self._estimate.pipeline.intake
+        station, intake = self._station, self._estimate.intake
         try:
             station.follow(now, intake)
             if now - self._asked >= _ASK_EVERY:
@@ -351,7 +351,7 @@ class LiveSession:
             return
         self._result_reported_at = t
         try:
-            result = estimate.advised(self._complete(estimate.pipeline.result()))
+            result = estimate.advised(self._complete(estimate.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             estimate.retreat(defect)
             return
@@ -389,7 +389,7 @@ class LiveSession:
         self._estimate = self._new_estimate(vehicle.address)
         self._estimate.relieve(on=before.relieved)
         before.drop()
-        self._estimate.know(before.pipeline.intake.selector.autopilots)
+        self._estimate.know(before.intake.selector.autopilots)
         self._result_reported_at = 0.0
         self._estimate.note(f"chosen: {vehicle.name}; the session restarts")
         path = self._source.recording_report.path
@@ -413,10 +413,10 @@ class LiveSession:
             recording = self._source.recording_report.path
             link = replace(before.link, state=state, recording=recording)
         else:
-            intake, too_slow = estimate.pipeline.intake, self._backlog.too_slow
+            intake, too_slow = estimate.intake, self._backlog.too_slow
             link = link_status(state, self._source, self._station, intake, too_slow=too_slow)
         if before is not None and self._estimate.duty is not Duty.IDENTIFY:
             result, events = self.final or before.result, estimate.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
-        result = self.final or self._complete(estimate.pipeline.result())
+        result = self.final or self._complete(estimate.result())
         return estimate.snapshot(result, link)

@@ -12,8 +12,9 @@ from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.logs import Telemetry, open_log
@@ -36,7 +37,6 @@ class LogSegments:
     Args:
         path: of the log.
         wanted: system and perhaps component; None: the first autopilot in it.
-        pipeline: that will take the parts; it is given the log.
 
     Raises:
         InputError: the file cannot be read as a log.
@@ -48,12 +48,14 @@ class LogSegments:
         telemetry: of the log, beside its records.
     """
 
-    def __init__(self, path: Path, wanted: tuple[int, int | None] | None, pipeline: Pipeline):
+    def __init__(self, path: Path, wanted: tuple[int, int | None] | None) -> None:
         log = open_log(path, wanted)
         self.telemetry: Telemetry = log
         self.position = 0.0
         self.windows_taken = 0
-        self._windows: Iterator[RecordBlock] = pipeline.windows(log, _WINDOW)
+        self._windows: Iterator[RecordBlock] = (
+            window for block in log.blocks() for window in block.windows(_WINDOW)
+        )
         self._parts: deque[RecordBlock] = deque()
         self._newest: float | None = None
         self._recent: deque[tuple[float, float, Counter[str]]] = deque()
@@ -219,7 +221,7 @@ class _Checkpoint:
     """s"""
     windows: int
     """Of the log, taken before it."""
-    pipeline: Pipeline
+    chain: Chain
 
 
 class LogPlayback:
@@ -233,8 +235,8 @@ class LogPlayback:
         InputError: the file can no longer be read.
 
     Attributes:
-        pipeline: that takes it; another one after `go_back`.
-        log: where the parts come from; another one after `go_back`.
+        chain: that takes it; another one after `go_back`.
+        log_segments: where the parts come from; another one after `go_back`.
     """
 
     def __init__(self, recorded: Recorded, history_interval: float) -> None:
@@ -245,12 +247,12 @@ class LogPlayback:
 
     def take(self) -> None:
         """Take the next part, which must be there."""
-        self.pipeline.take_window(self.log_segments.take())
+        self.chain.take(self.log_segments.take())
         apart = max(_APART, self._recorded.duration / (_CHECKPOINTS + 1))
         position = self.log_segments.position
         last = self._checkpoints[-1].position if self._checkpoints else 0.0
         if self.log_segments.whole and position - last >= apart:
-            state = _Checkpoint(position, self.log_segments.windows_taken, self.pipeline.copy())
+            state = _Checkpoint(position, self.log_segments.windows_taken, self.chain.copy())
             self._checkpoints.append(state)
 
     def go_back(self, position: float) -> None:
@@ -261,12 +263,11 @@ class LogPlayback:
         """
         recorded = self._recorded
         known = [state for state in self._checkpoints if state.position <= position]
+        self.log_segments = LogSegments(recorded.path, recorded.wanted)
+        origin = Origin(self.log_segments.telemetry, str(recorded.path), recorded.wanted)
         if known:
-            self.pipeline = known[-1].pipeline.copy()
-        else:
-            self.pipeline = Pipeline(
-                recorded.airframe, str(recorded.path), recorded.wanted, self._options
-            )
-        self.log_segments = LogSegments(recorded.path, recorded.wanted, self.pipeline)
-        if known:
+            self.chain = known[-1].chain.copy()
+            self.chain.origin = origin
             self.log_segments.skip(known[-1].windows)
+        else:
+            self.chain = Chain(recorded.airframe, self._options, origin=origin)

@@ -25,7 +25,7 @@ from gcs_sysid.results.snapshot import (
     Snapshot,
     speed_text,
 )
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 
 SPEEDS = (1.0, 10.0, math.inf)
@@ -179,7 +179,7 @@ class ReplaySession:
             self.problem = problem
         finally:
             try:
-                self.final = self._recorded.result if self._ended else self._pipeline.finish()
+                self.final = self._recorded.result if self._ended else self._chain.finish()
             except Exception as problem:  # noqa: BLE001 - as above
                 self.problem = self.problem or problem
             self._ended = True
@@ -220,7 +220,7 @@ class ReplaySession:
             return 0.0
         silence = end - log_segments.position
         if silence > _LONGEST_SILENCE + _PIECE * self._speed:
-            self._pipeline.chain.note(f"no data for {silence:.0f} s: skipped")
+            self._chain.note(f"no data for {silence:.0f} s: skipped")
             self._anchor = (self._clock(), end)
             return 0.0
         return max((end - until) / self._speed, _LEAST_WAIT)
@@ -254,8 +254,8 @@ class ReplaySession:
     def _begin(self) -> None:
         """Go on from where the playback stands now."""
         self._ended = False
-        self._prediction = LivePrediction(self._pipeline.chain)
-        self._pipeline.chain.observers[:] = [self._look]
+        self._prediction = LivePrediction(self._chain)
+        self._chain.observers[:] = [self._look]
         self._result_reported_at = self._position
         self._anchor = (self._clock(), self._position)
 
@@ -266,7 +266,7 @@ class ReplaySession:
             self._prediction.take(block)
 
     def _end(self) -> None:
-        self._pipeline.finish()
+        self._chain.finish()
         self._ended = True
         self._arrive()
 
@@ -279,25 +279,24 @@ class ReplaySession:
         return self._recorded.duration
 
     @property
-    def _pipeline(self) -> Pipeline:
-        return self._playback.pipeline
+    def _chain(self) -> Chain:
+        return self._playback.chain
 
     # -- what others see
 
     def _report_result(self) -> None:
         if self._on_result is not None and self._position - self._result_reported_at >= 1.0:
             self._result_reported_at = self._position
-            self._on_result(self._pipeline.result())
+            self._on_result(self._chain.result())
 
     def _is_publishing_due(self) -> bool:
         return self._clock() - self._published >= _PUBLISH_EVERY
 
     def _publish(self) -> None:
-        chain = self._pipeline.chain
-        result = self._recorded.result if self._ended else self._pipeline.result()
+        result = self._recorded.result if self._ended else self._chain.result()
         seen = self._prediction.acceleration()
         self._latest = replace(
-            picture(chain, self.final or result, self._link(), seen, self._target, None),
+            picture(self._chain, self.final or result, self._link(), seen, self._target, None),
             playback=Playback(
                 position=self._position,
                 duration=self._duration,

@@ -10,8 +10,9 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.chain import WINDOW, Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.logs import Log, open_log
@@ -74,27 +75,52 @@ def analyze_log(
     """
     options = options or ChainOptions(history_interval=None)
 
-    def read(options: ChainOptions, opened: Log | None = None) -> Pipeline:
-        pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
+    def read(options: ChainOptions, opened: Log | None = None) -> Chain:
+        log = opened or open_log(path, wanted)
+        chain = Chain(airframe, options, anchor, Origin(log, str(path), wanted))
         if observer is not None:
             observer.begin()
-            pipeline.chain.observers.append(observer.take)
-        log = opened or open_log(path, wanted)
+            chain.observers.append(observer.take)
         if keeper is not None:
             keeper.begin(log)
-            pipeline.on_records = keeper.take
-        pipeline.take_log(log, progress)
-        return pipeline
+        take_log(chain, log, keeper, progress)
+        return chain
 
-    pipeline = read(options, opened)
-    if pipeline.chain.outdated:
+    chain = read(options, opened)
+    if chain.outdated:
         # A ground station that fetched the parameters after the flight: they held all along.
-        known = replace(options, parameters=dict(pipeline.chain.rotor_selector.parameters))
-        pipeline = read(known)
-    result = pipeline.finish()
+        chain = read(replace(options, parameters=dict(chain.rotor_selector.parameters)))
+    result = chain.finish()
     if observer is not None:
-        observer.end(pipeline.chain)
+        observer.end(chain)
     return result
+
+
+def take_log(
+    chain: Chain,
+    log: Log,
+    keeper: RecordKeeper | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Give a chain a whole recording.
+
+    Args:
+        chain: that takes it.
+        log: not yet read.
+        keeper: gets the records first.
+        progress: called with the share of the log done, 0 to 1, now and then.
+    """
+    done = 0.0
+    for block in log.blocks():
+        if keeper is not None:
+            keeper.take(block)
+        for window in block.windows(WINDOW):
+            if progress and log.share_read > done:
+                done = log.share_read
+                progress(done)
+            chain.take(window)
+    if progress:
+        progress(1.0)
 
 
 def analyze_pair(

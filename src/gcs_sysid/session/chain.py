@@ -5,16 +5,15 @@ frames or minutes of a log. Its state depends on the records and their order alo
 of a recording ends with the numbers that the live session ended with.
 """
 
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from copy import deepcopy
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.evidence import Evidence, evidence_of
 from gcs_sysid.estimation.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
@@ -24,59 +23,30 @@ from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning, tuning_for_commands
+from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event, History, HistoryRecorder
-from gcs_sysid.sanitize import one_line
+from gcs_sysid.session.chain_events import ChainEvents
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.chain_result import Findings
-from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline import OfflineFit
+    from gcs_sysid.session.origin import Origin
 
 WINDOW = 8192
 """IMU samples that are best taken at once."""
-_MAX_EVENTS = 300
 
 Cutoffs = tuple[float | None, float | None]
 """Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
-
-
-@dataclass(frozen=True)
-class ChainOptions:
-    """What a user may set.
-
-    Attributes:
-        tuning: of the estimator with rotor speeds; with commands it has its own.
-        changes: of the change detector; None: changes in flight are not looked for.
-        history_interval: s between refits for the estimate's history; None: only at the end.
-        tick: s of vehicle time between blocks; the estimate does not depend on it.
-        start: s after the first record; earlier records are not used.
-        end: s after the first record; later ones are not used.
-        offline: whether the final estimate is the offline one.
-        progress: called with the offline estimator's current step and the share of it that is done.
-        reserve: whether the memory of a long flight is taken at once, so that a session does not
-            find it wanting; a log takes what it needs.
-        parameters: of the autopilot, as far as they are known beforehand.
-    """
-
-    tuning: Tuning = field(default_factory=Tuning)
-    changes: ChangeTuning | None = field(default_factory=ChangeTuning)
-    history_interval: float | None = 0.5
-    tick: float = 0.1
-    start: float = 0.0
-    end: float = float("inf")
-    offline: bool = False
-    progress: Callable[[str, float], None] | None = None
-    reserve: bool = False
-    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Chain:
@@ -86,6 +56,7 @@ class Chain:
         airframe: with the anchor that sets the scale.
         options: settings.
         anchor: sets the scale instead of the airframe's.
+        origin: the link or log behind the records; None: they have neither, as arrays of a caller.
 
     Raises:
         ValueError: there is no anchor.
@@ -96,6 +67,7 @@ class Chain:
         airframe: Airframe,
         options: ChainOptions | None = None,
         anchor: ScaleReference | None = None,
+        origin: "Origin | None" = None,
     ) -> None:
         own = airframe.anchor()
         if anchor is None and own is not None:
@@ -103,6 +75,7 @@ class Chain:
         if anchor is None:
             raise ValueError("the airframe has no scale reference (mass, k_T or T_max)")
         self.airframe = airframe
+        self.origin = origin
         self.options = options = options or ChainOptions()
         selected = airframe
         if options.tuning.method != "forward":
@@ -118,9 +91,6 @@ class Chain:
             options.end,
             airframe.imu_arm,
         )
-        self.clock_error = 0.0
-        """Share by which the vehicle's clock may be wrong, set by the owner; affects results
-        alone."""
         self.offline: OfflineFit | str | None = None
         """The offline estimate where it was asked for, or why there is none."""
         self.observers: list[Callable[[SampleBlock], None]] = []
@@ -137,14 +107,11 @@ class Chain:
         """The latest."""
         self.renewals = 0
         """How often it was renewed."""
-        self.input_events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
-        """Of rotor streams that died, came again or were replaced, as in a result."""
+        self.log = ChainEvents()
+        """What happened so far."""
         self._history = HistoryRecorder()
-        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._events_reported = 0
         self._rotors_lost = False
-        self._usable = True
-        self._spiked = self._stood_still = False
         self._history_number = 0.0
         self._interval = options.history_interval
 
@@ -156,6 +123,8 @@ class Chain:
         """
         before = self.renewals
         for part in block.windows():
+            for _, event in part.events:
+                self._take_event(event)
             for _, parameter in part.parameters:
                 self.rotor_selector.learn(parameter.source, parameter.values[0])
             for samples in self.sampler.take(part.tracks):
@@ -169,13 +138,28 @@ class Chain:
         if self.tracker is not None:
             self.tracker.finish()
             self._report_events(self.tracker, self.t)
-        result = self.refit()
+        self._fit_now()
         if self.options.offline:
             self.offline = self._fit_offline()
             if not isinstance(self.offline, str):
                 self.fit = self.offline.fit
-            result = self.result()
-        return result
+        return self.result()
+
+    def copy(self) -> "Chain":
+        """One in the same state, that goes its own way; origin and observers are the same."""
+        shared = (self.origin, *self.observers)
+        return deepcopy(self, {id(thing): thing for thing in shared})
+
+    def _take_event(self, event: IntakeEvent) -> None:
+        """Take what a link or log says between its records."""
+        if event.kind == "reset":
+            self.reset()
+        else:
+            self.note(event.text)
+        if event.kind != "vehicle":
+            self.log.note_origin(self.t, event)
+        elif self.origin is not None and self.origin.autopilot is not None:
+            self.rotor_selector.autopilot = self.origin.autopilot
 
     def _fit_offline(self) -> "OfflineFit | str":
         """The offline estimate, or why there is none."""
@@ -233,28 +217,42 @@ class Chain:
 
     def note(self, text: str) -> None:
         """Add a line to the event log."""
-        self._note(self.t, text)
-
-    def _note(self, t: float, text: str) -> None:
-        self._events.append(Event(t, one_line(text)))
+        self.log.note(self.t, text)
 
     def refit(self) -> Result:
         """Fit now and give the result."""
+        self._fit_now()
+        return self.result()
+
+    def _fit_now(self) -> None:
         if self.tracker is not None:
             fit = self.tracker.fit()
             # Only for a result: it costs more than the fit where the layout is wrong.
             other = self.tracker.estimator.other_layout(fit.rotation)
             self.fit = replace(fit, other_layout=other)
-        return self.result()
 
     def result(self) -> Result:
         """The latest fit as a result."""
-        return Findings(self).result()
+        result = Findings(self).result()
+        if self.origin is None:
+            return result
+        return self.origin.complete(result, self.airframe, self.log.of_origin)
 
     @property
     def t(self) -> float:
         """Seconds of the vehicle's clock since the first record."""
         return self.sampler.t
+
+    @property
+    def until_tick(self) -> float:
+        """Seconds of the vehicle's clock until records change what anybody sees."""
+        return self.sampler.time_base.until_tick
+
+    @property
+    def clock_error(self) -> float:
+        """Share by which the vehicle's clock may be wrong."""
+        doubt = None if self.origin is None else self.origin.clock_doubt
+        return 0.0 if doubt is None else abs(doubt.share)
 
     @property
     def rotor_selector(self) -> RotorSourceSelector:
@@ -298,7 +296,7 @@ class Chain:
     @property
     def events(self) -> tuple[Event, ...]:
         """Event log, the latest last."""
-        return tuple(self._events)
+        return self.log.notes
 
     @property
     def history(self) -> History:
@@ -351,7 +349,7 @@ class Chain:
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 text = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
-                self._note(block.newest_at, text)
+                self.log.note(block.newest_at, text)
             tracker = self.tracker = self._new_tracker(self.rotors, block.dt)
             if self.options.reserve:
                 tracker.reserve()
@@ -360,7 +358,7 @@ class Chain:
         elif block.fresh:
             tracker.restart(rebooted=block.rebooted)
         now = max(block.newest_at, float(block.t[-1]))
-        self._report_imu(now)
+        self.log.note_imu(now, self.sampler.time_base)
         stops = self._stops(block.t)
         points = tracker.update(block.t, block.samples, block.flying, stops)
         self._report_events(tracker, now)
@@ -427,12 +425,12 @@ class Chain:
         self.rotors, self._rotors_lost = rotors, False
         text = f"rotors from {rotors.name}, {rotors.why}"
         if before is None:
-            self._note(t, text)
+            self.log.note(t, text)
         elif lost and rotors.reads_as(before):
-            self._report_input(t, f"{rotors.name} is usable again: the estimate continues")
+            self.log.note_rotors(t, f"{rotors.name} is usable again: the estimate continues")
             return
         else:
-            self._report_input(t, f"{text}: estimate restarts")
+            self.log.note_rotors(t, f"{text}: estimate restarts")
         self.tracker = None
         self._forget_fit()
 
@@ -440,33 +438,10 @@ class Chain:
         """Say that the rotors' input is not sound any more, and nothing else is."""
         self._rotors_lost = True
         why = self.rotor_selector.refused.get(name, "stopped")
-        self._report_input(
+        self.log.note_rotors(
             t,
             f"{name} {why}, and no other input is usable: the estimate is that of earlier data",
         )
-
-    def _report_input(self, t: float, text: str) -> None:
-        self._note(t, text)
-        self.input_events.append({"t": t, "kind": "rotor_input", "text": text})
-
-    def _report_imu(self, t: float) -> None:
-        """Say when the IMU becomes too slow for the grid, and when it no longer is; when the first
-        gyro spike was replaced, and when rotor speeds first stood still.
-
-        How many there were is in the result.
-        """
-        base = self.sampler.time_base
-        if base.is_usable != self._usable:
-            self._usable = base.is_usable
-            consequence = "the estimate continues" if self._usable else "too slow for the estimate"
-            rate = f"at {1.0 / base.imu_interval:.0f} Hz" if base.imu_interval else "again"
-            self._note(t, f"IMU data {rate}: {consequence}")
-        if base.faults.spikes and not self._spiked:
-            self._spiked = True
-            self._note(t, "gyro spikes: replaced by interpolation")
-        if base.still_speeds and not self._stood_still:
-            self._stood_still = True
-            self._note(t, "rotor speeds frozen under new timestamps: not used")
 
     def _report_events(self, tracker: Tracker, t: float) -> None:
         reported, self._events_reported = (
@@ -474,12 +449,14 @@ class Chain:
             tracker.forgotten + len(tracker.events),
         )
         for event in tracker.events[max(reported - tracker.forgotten, 0) :]:
-            self._note(t, summary.note_of(event, self.rotor_input))
+            self.log.note(t, summary.note_of(event, self.rotor_input))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
                 self.fit = tracker.fit(quick=True)
                 if len(tracker.segments) == TRACKING.most_segments:
-                    self._note(t, f"{TRACKING.most_segments} changes: no further ones are detected")
+                    self.log.note(
+                        t, f"{TRACKING.most_segments} changes: no further ones are detected"
+                    )
 
     def _go_on_after(self, segment: Segment) -> None:
         """Find the anchor of what follows a segment."""

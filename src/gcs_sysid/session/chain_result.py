@@ -87,7 +87,7 @@ class Findings:
             estimator="online" if isinstance(self.chain.offline, str | None) else "offline",
             method="" if isinstance(self.chain.offline, str | None) else self.chain.offline.method,
             timing=self._timing(),
-            events=(*self.chain.input_events, *self._changes([*past, values])),
+            events=(*self.chain.log.of_rotors, *self._changes([*past, values])),
             segments=self._segments(past),
             validation=summary.validation_of(self.chain.fit),
             priors={

@@ -88,7 +88,7 @@ class RecordBlock:
         events: (order, event), rising; each was known before the sample of the same order.
     """
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[Track, ...] = ()
     parameters: tuple[tuple[int, Record], ...] = ()
     events: tuple[tuple[int, IntakeEvent], ...] = ()
 

@@ -52,6 +52,9 @@ class Intake:
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
+    recorded: float | None = None
+    """As `Telemetry` says; a reader of files knows it."""
+
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.selector = VehicleSelector(wanted)
         self.decoder = RecordDecoder()

@@ -43,6 +43,10 @@ from gcs_sysid.telemetry.vehicles import Vehicle
 class Telemetry(Protocol):
     """What a link or a log has beside its records."""
 
+    recorded: float | None
+    """When a log begins, seconds of Unix time; None when it does not say, is not yet read, or it is
+    a link."""
+
     @property
     def vehicle(self) -> Vehicle | None:
         """The chosen vehicle; None until it is found."""
@@ -75,9 +79,6 @@ class Log(Telemetry, Protocol):
 
     kind: str
     """"tlog", "ulog", "dataflash", "blackbox" or "table"."""
-
-    recorded: float | None
-    """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
 
     def blocks(self) -> Iterator[RecordBlock]:
         """The records of the chosen vehicle, once, as columns; blocks follow each other.

@@ -20,7 +20,7 @@ from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.health_picture import health_picture
 from gcs_sysid.report.page import render
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
