@@ -1,6 +1,6 @@
 """Whether two flights were flown by one vehicle."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -217,6 +217,11 @@ class Learner:
         return f"{fit} by {rotors}"
 
 
+@dataclass(frozen=True)
+class Drift:
+    thrust_doubt: float
+
+
 def samples_of(n):
     return Samples(*(np.arange(float(n * width)).reshape(n, width) for width in (3, 3, 4, 4, 3, 3)))
 
@@ -237,6 +242,13 @@ def test_a_trial_keeps_what_it_is_told_until_there_is_enough():
     assert [None if part is None else len(part[0]) for part in trial.parts] == [6, None, 10]
     assert learner.calls == ["restart", 6, "restart", "restart", 10]
     assert trial.fit(Fit("the rotors", None, 0.0)) == "the fit by the rotors"
+
+
+@pytest.mark.parametrize(("drift", "doubt"), [(None, 0.0), (Drift(0.07), 0.07)])
+def test_only_a_battery_that_is_followed_may_have_changed_thrust(drift, doubt):
+    learner = Learner()
+    learner.drift = drift
+    assert Trial(learner, 90.0, 100.0).battery_doubt == doubt
 
 
 def test_a_trial_without_its_landing():

@@ -272,6 +272,13 @@ def test_torques_of_noise_of_commands_are_in_rows_of_motors_without_lag():
     assert not said[:, 4:].any()
 
 
+def test_one_sample_is_its_own_level():
+    found = CommandNoise(GEOMETRY, 0.02)
+    found.update(np.full((1, 4), 0.4))
+    assert found.level == pytest.approx((0.4, 0.0))
+    np.testing.assert_allclose(found.of_signals[1], [1.0, 0.8])
+
+
 def test_level_and_gains_of_commands_are_those_of_the_samples():
     """Each rotor about its own mean; thrust of w^2 goes with twice the mean command."""
     rng = np.random.default_rng(4)

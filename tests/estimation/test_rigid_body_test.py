@@ -45,6 +45,17 @@ def test_share_is_found(share):
     assert found.contradicted == (share < 1.0)
 
 
+def test_each_axis_may_have_moments_of_its_own():
+    """Roll without gyroscopic torque, the others with it."""
+    none, whole = batches(0.0), batches(1.0)
+    found = judge_rigid_body(
+        np.stack([none, whole, whole], axis=1), PLAIN, rb.forward_matrix(THETA)
+    )
+    roll, all_ = (judge_rigid_body(b, PLAIN, rb.forward_matrix(THETA)) for b in (none, whole))
+    np.testing.assert_array_equal(found.share, [roll.share[0], *all_.share[1:]])
+    np.testing.assert_array_equal(found.std, [roll.std[0], *all_.std[1:]])
+
+
 def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
     found = judge_rigid_body(batches(0.0, activity=3e-3), PLAIN, rb.forward_matrix(THETA))
     assert np.all(found.std > 0.2)
