@@ -72,6 +72,39 @@ def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
     np.testing.assert_allclose(again.theta, fit.theta, atol=1e-3 * fit.std.min())
 
 
+def test_a_search_that_gets_nowhere_is_begun_again_four_times(monkeypatch):
+    batches, counts = moments_of_elements(COMMANDS, AT)
+    off = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS)).warm_start.unknowns.copy()
+    off[0] *= 1.1
+    nowhere, begun = astray(off[None]), []
+    monkeypatch.setattr(rotation, "search", nowhere)
+    monkeypatch.setattr(
+        rotation, "minimize", lambda problem, at, _: begun.append(at) or nowhere(problem, at)
+    )
+    fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
+    assert len(begun) == 4
+    assert fit.warm_start.stuck
+    assert not fit.converged
+
+
+def test_away_from_the_minimum_the_common_pull_is_no_scatter():
+    """Scores of batches sum up to nothing, each without its share by rows."""
+    batches, counts = moments_of_elements(COMMANDS, AT)
+    counts = np.where(np.arange(len(counts)) < 10, 2, 1) * counts
+    unknowns = np.append(1.1 * THETA, AT)[None]
+    problem = Problem(batches.sum(axis=0), int(counts.sum()), COMMANDS, None)
+    outcome = Outcome(problem, problem.evaluate(unknowns), quiet(COMMANDS))
+    scores = outcome.scores(0, batches[:, 0], counts)
+    alone = outcome.scores(0, batches[:1, 0], counts[:1])
+    np.testing.assert_allclose(scores.sum(axis=0), 0.0, atol=1e-9 * np.abs(scores).max())
+    # Of one batch the pull is all that there is.
+    np.testing.assert_allclose(alone, 0.0, atol=1e-9 * np.abs(scores).max())
+    twice = outcome.scores(0, np.repeat(batches[:2, 0], 2, axis=0), np.array([3, 1, 1, 1]))
+    pull = (twice[1] - twice[0]) / (2.0 / 6.0)
+    np.testing.assert_allclose(twice[2] - twice[3], 0.0, atol=1e-9 * np.abs(pull).max())
+    np.testing.assert_allclose(twice.sum(axis=0), 0.0, atol=1e-9 * np.abs(pull).max())
+
+
 @pytest.mark.parametrize("bad", [0, 1])
 def test_a_memory_whose_search_got_stuck_is_not_chosen(monkeypatch, bad):
     batches, counts = moments_of_elements(COMMANDS, AT)

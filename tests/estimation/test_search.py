@@ -348,6 +348,9 @@ def test_a_fit_without_any_noise_keeps_its_weights_finite():
     point, _ = minimize(problem, guess[None], MAX_ITERATIONS)
     assert np.isfinite(point.W).all()
     np.testing.assert_allclose(point.unknowns[0, : rb.N_THETA], THETA, rtol=1e-4)
+    # At the truth rounding alone is left, of either sign.
+    exact = problem.evaluate(np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None])
+    assert np.linalg.eigvalsh(exact.W).min() > 0.0
 
 
 def test_every_hypothesis_takes_the_best_of_its_own_starts():

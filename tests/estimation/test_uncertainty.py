@@ -248,16 +248,30 @@ def test_students_factor_is_of_the_share_that_scatter_tells():
     assert 1.0 < part[1] < 1.0 + 0.2 * (whole[1] - 1.0)
 
 
-@pytest.mark.parametrize(("batches", "size"), [(24, 0.05), (24, 3.0), (5, 0.05), (5, 3.0)])
-def test_shrinking_goes_by_the_equations(batches, size):
-    """Along the axes of the scatter: two thirds of the directions alike, one that stands out."""
+@pytest.mark.parametrize(
+    ("batches", "size", "p", "reach", "spiked"),
+    [
+        (24, 0.05, 3, 0, False),
+        (24, 3.0, 3, 0, False),
+        (5, 0.05, 3, 0, False),
+        (5, 3.0, 3, 0, False),
+        (57, 1.0, 12, 0, True),
+        (57, 1.0, 12, 2, True),
+    ],
+)
+def test_shrinking_goes_by_the_equations(batches, size, p, reach, spiked):
+    """Along the axes of the scatter: all directions alike but one that stands out."""
     rng = np.random.default_rng(7)
-    scores = rng.standard_normal((batches, 3)) * np.sqrt(size / batches) * [1.0, 1.0, 6.0]
-    spread, by_scatter = shrunk_inflation(np.eye(3), scores, 0)
-    eigenvalues = np.maximum(np.linalg.eigvalsh(meat(scores, 0)), 0.0)
-    mu, g, trust = eigenvalues.mean(), 3.0 / batches, min(1.0, batches / 6.0)
+    scores = rng.standard_normal((batches, p)) * np.sqrt(size / batches)
+    scores[:, -1] *= 6.0
+    spread, by_scatter = shrunk_inflation(np.eye(p), scores, reach)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(meat(scores, reach)), 0.0)
+    mu, trust = eigenvalues.mean(), min(1.0, batches / (2.0 * p))
+    # Of batches that correlate fewer count: Bartlett's weights are 2/3 and 1/3.
+    nu = batches / (1.0 + 2.0 * (4.0 + 1.0) / 9.0) if reach else batches
+    g = p / nu
     # w = mu^2 (p + 1) / (nu d^2)
-    w = trust * min(1.0, mu**2 * 4.0 / (batches * np.mean((eigenvalues - mu) ** 2)))
+    w = trust * min(1.0, mu**2 * (p + 1.0) / (nu * np.mean((eigenvalues - mu) ** 2)))
     expected = (1.0 - w) * eigenvalues + w * mu
     top = eigenvalues[-1]
     apart = top > mu * (1.0 + np.sqrt(g)) ** 2
@@ -265,6 +279,7 @@ def test_shrinking_goes_by_the_equations(batches, size):
     if apart:
         # lambda = l (1 + g mu / (l - mu)), solved for l
         roots = np.roots([1.0, g * mu - mu - top, mu * top])
+        assert (roots.real.max() > expected[-1]) == spiked
         expected[-1] = max(expected[-1], roots.real.max())
     floor = 1.0 - trust * (1.0 - min(max(mu, 0.5), 1.0))
     np.testing.assert_allclose(np.linalg.eigvalsh(spread), np.sort(np.maximum(expected, floor)))
