@@ -8,8 +8,9 @@ import pytest
 from pymavlink import mavutil
 
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
 from gcs_sysid.telemetry.frames import Validity
-from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_dtype
+from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_arrays, message_dtype
 from gcs_sysid.telemetry.tlog import TlogReader, read_messages, read_tlog
 
 START = 1_750_000_000_000_000
@@ -54,6 +55,14 @@ def assert_same(name, rows, messages):
             assert texts == [value.split("\0", 1)[0] for value in theirs], (name, field)
         else:
             np.testing.assert_array_equal(ours, np.array(theirs, ours.dtype), f"{name}.{field}")
+
+
+def test_only_the_frames_asked_for_with_a_right_checksum(make_sender):
+    sender = make_sender()
+    frames = FrameBlock.of([sender.heartbeat(custom_mode=i) for i in range(4)])
+    frames.validity[1] = BAD_CRC
+    found = message_arrays(frames, ("HEARTBEAT",), np.array([True, True, False, True]))
+    assert found["HEARTBEAT"]["custom_mode"].tolist() == [0, 3]
 
 
 def test_every_type_is_read_as_pymavlink_reads_it(tmp_path, make_sender, make_message):
