@@ -10,6 +10,7 @@ estimates are requested.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.thrust_drift import Drift, hindsight
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.estimation.whitening import Whitener, bank_for_commands
 
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
@@ -45,6 +46,13 @@ _GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
 nothing of the rows."""
 _AT_ONCE = 1000
 """Samples made into rows at a time."""
+_NEAR = 1.1
+"""Times the least innovation power of an axis, up to which a whitener may be the likeliest with
+another place of the lag. Where places compete, their residuals are alike."""
+_NO_RIVAL, _CLOSE = 0.2, 2.0
+"""Nats a row by which a place of the lag must be less likely, and steps of the linearization within
+which its motors must be, for its rows not to be made again: on recorded flights that brought at
+most half as much."""
 
 _BETWEEN = 0.006
 """s between commands, above which what was commanded in between counts: noise of the gyro that no
@@ -71,6 +79,7 @@ class _Tuned:
         white: their moments.
         fit: to these, when they were made.
         away: (N_UNKNOWNS,) remaining error where the motors moved away.
+        samples: that they were made of at once.
     """
 
     basis: LocalDynamics
@@ -78,6 +87,7 @@ class _Tuned:
     white: WhitenedRecord
     fit: WhitenedFit
     away: Array
+    samples: int
 
     @property
     def trusted(self) -> bool:
@@ -189,9 +199,8 @@ class CommandRecord:
             left -= n
         self._kept.append(None)
         if self._now is not None:
-            basis = self._now.basis
-            maker, white = self._made(basis, self._now.maker.hover)
-            self._now = replace(self._now, maker=maker, white=white)
+            maker, white = self._made(self._now.basis, self._now.maker.hover)
+            self._now = replace(self._now, maker=maker, white=white, samples=self._samples)
 
     def tune(self, window: RotationFit | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
@@ -250,19 +259,26 @@ class CommandRecord:
         Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
         motion see differently are not of first order: by half of that they may be off too.
         """
-        every = [self._converged(at, of, hover) for at, of in starts]
+        # Starts that are rounded to the same motors lead to the same.
+        apart = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
+        every = [self._converged(at, of, hover) for at, of in apart.values()]
         first = min((tuned for tuned in every if tuned is not None), key=_rank, default=None)
         if first is None:
             return None
         found, start = [first], first.fit.rotation.coordinates
+        rival = _Rival(_near(first), _cost(first))
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
+                tuned = self._converged(start, other, hover, rival)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in found if tuned.trusted] or found[:1]
         cost = np.array([_cost(tuned) for tuned in found])
+        likeliest = int(np.argmin(cost))
+        if found[likeliest] is not first:
+            found[likeliest] = self._with_all_whiteners(found[likeliest])
+            cost[likeliest] = _cost(found[likeliest])
         weight = np.exp(cost.min() - cost)
         unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
         best = int(np.argmin(cost))
@@ -282,18 +298,29 @@ class CommandRecord:
         return found[best], doubt
 
     def _converged(
-        self, at: Array, of: LagOf, hover: float, rounds: int = _ROUNDS
+        self, at: Array, of: LagOf, hover: float, rival: "_Rival | None" = None
     ) -> _Tuned | None:
+        """Rows about the motors of one place of the lag; None while there is no fit.
+
+        Args:
+            at: motors to start from.
+            of: what lags.
+            hover: mean command.
+            rival: place that this one is but compared with.
+        """
         tuned = None
-        for _ in range(rounds):
+        for _ in range(_ROUNDS if rival is None else _ROUNDS_OF_OTHERS):
             if tuned is not None:
                 far = _TRUSTED * tuned.basis.moved
                 at = np.clip(at, tuned.basis.at - far, tuned.basis.at + far)
-            at = np.rint(at / _GRID) * _GRID
-            if self._curve is not None:
-                at[CURVE] = self._curve
-            basis = LocalDynamics(at, of, self._dt, curve=self._curve is None)
-            maker, white = self._made(basis, hover)
+            basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
+            now = self._now
+            if rival is not None:
+                maker, white = self._made(basis, hover, rival.whiteners)
+            elif now is not None and self._holds(now, basis, hover):
+                basis, maker, white = now.basis, now.maker, now.white
+            else:
+                maker, white = self._made(basis, hover)
             found = fit_whitened(white.moments(white.silence), basis)
             if found is None:
                 return tuned
@@ -302,32 +329,52 @@ class CommandRecord:
             away = np.zeros(N_UNKNOWNS)
             if not stayed and tuned is not None:
                 away = found.rotation.unknowns - tuned.fit.rotation.unknowns
-            tuned = _Tuned(basis, maker, white, found, away)
-            if stayed:
+            tuned = _Tuned(basis, maker, white, found, away, self._samples)
+            if stayed or (rival is not None and rival.is_far_likelier_than(tuned)):
                 break
         return tuned
 
-    def _made(self, basis: LocalDynamics, hover: float) -> tuple[MotorRows, WhitenedRecord]:
+    def _rounded(self, at: Array) -> Array:
+        rounded: Array = np.rint(at / _GRID) * _GRID
+        if self._curve is not None:
+            rounded[CURVE] = self._curve
+        return rounded
+
+    def _with_all_whiteners(self, tuned: _Tuned) -> _Tuned:
+        """The same of rows that can be gone on with."""
+        maker, white = self._made(tuned.basis, tuned.maker.hover)
+        fit = fit_whitened(white.moments(white.silence), tuned.basis)
+        return replace(tuned, maker=maker, white=white, fit=fit or tuned.fit)
+
+    def _holds(self, made: _Tuned, basis: LocalDynamics, hover: float) -> bool:
+        """Whether rows of all samples, were they made now, would be those there are."""
+        same = made.samples == self._samples and made.maker.hover == hover
+        of = made.basis.lag_place.of == basis.lag_place.of
+        return same and of and bool((made.basis.at == basis.at).all())
+
+    def _made(
+        self, basis: LocalDynamics, hover: float, whiteners: Sequence[Whitener] | None = None
+    ) -> tuple[MotorRows, WhitenedRecord]:
         """All samples kept, as rows."""
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
-        bank = bank_for_commands(step.time)
+        bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
         latest = next((part for part in reversed(self._kept) if part is not None), None)
-        some: list[_Samples] = []
-        for samples in (*self._kept, None):
-            if samples is not None:
-                some.append(samples)
+        for joined, run in groupby(self._kept, lambda part: part is not None):
+            if not joined:
+                maker.restart()
+                white.restart()
                 continue
-            if some and latest is not None:
-                inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
-                factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
-                _add(maker, white, inputs * factors[:, None], gyro, rates)
-            maker.restart()
-            white.restart()
-            some = []
+            assert latest is not None
+            some = [part for part in run if part is not None]
+            inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
+            factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
+            _add(maker, white, inputs * factors[:, None], gyro, rates)
+        maker.restart()
+        white.restart()
         return maker, white
 
 
@@ -343,13 +390,47 @@ def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
         white.add(maker.update(*some), lambda: white.silence)
 
 
+@dataclass(frozen=True)
+class _Rival:
+    """The place of the lag that others are compared with.
+
+    Attributes:
+        whiteners: that are enough for it.
+        cost: nats.
+    """
+
+    whiteners: Sequence[Whitener]
+    cost: float
+
+    def is_far_likelier_than(self, tuned: _Tuned) -> bool:
+        """Whether rows about the motors found would not change which is likelier, nor how far."""
+        off = np.abs(tuned.fit.rotation.coordinates - tuned.basis.at)
+        close = bool((off <= _CLOSE * tuned.basis.moved).all())
+        return close and _cost(tuned) - self.cost > _NO_RIVAL * tuned.white.rows
+
+
+def _near(tuned: _Tuned) -> list[Whitener]:
+    """Whiteners of which some axis' innovations are nearly as weak as of the likeliest."""
+    power = _power(tuned)
+    near = (power < _NEAR * power.min(axis=0)).any(axis=1)
+    # A disturbance shows by what whiteners without one leave.
+    calm = [i for i, whitener in enumerate(tuned.white.whiteners) if not whitener.disturbed]
+    near[np.array(calm)[power[calm].argmin(axis=0)]] = True
+    return [tuned.white.whiteners[i] for i in np.flatnonzero(near)]
+
+
 def _rank(tuned: _Tuned) -> tuple[bool, float]:
     return not tuned.trusted, _cost(tuned)
 
 
 def _cost(tuned: _Tuned) -> float:
     """Nats of all rows, shocks included: what is left out differs from one to another."""
+    return 0.5 * tuned.white.rows * float(np.log(_power(tuned).min(axis=0)).sum())
+
+
+def _power(tuned: _Tuned) -> Array:
+    """(bank, 3) of the innovations of all rows, times their number."""
     white, fit = tuned.white, tuned.fit.rotation
     TP = residual_maker(fit.Q) @ tuned.basis.map_at(fit.coordinates)
-    power = np.einsum("ai,bij,aj->ba", TP, white.total, TP).min(axis=0)
-    return 0.5 * white.rows * float(np.log(power).sum())
+    power: Array = np.einsum("ai,bij,aj->ba", TP, white.total, TP)
+    return power
