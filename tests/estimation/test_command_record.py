@@ -9,6 +9,7 @@ from gcs_sysid.estimation import command_record
 from gcs_sysid.estimation.command_record import CommandRecord
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import COMMANDS
+from gcs_sysid.estimation.whitened_fit import fit_whitened
 
 DT = 0.005
 LAG = 0.05
@@ -110,3 +111,23 @@ def test_starts_that_are_rounded_to_the_same_motors_are_one(truth, samples, maki
     makings.clear()
     commands._found([(at, "speed")], hover, ())
     assert len(makings) == alone
+
+
+def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(truth, samples):
+    white = flown(truth, samples)._record.commands.white
+    data = white.moments(white.silence)
+    whole, bare = (fit_whitened(data, white.basis, scatter=scatter) for scatter in (True, False))
+    np.testing.assert_array_equal(bare.rotation.unknowns, whole.rotation.unknowns)
+    np.testing.assert_array_equal(bare.rotation.r_squared, whole.rotation.r_squared)
+    np.testing.assert_allclose(bare.rotation.std, whole.bound)
+    assert (bare.cost, bare.rows_left_out) == (whole.cost, whole.rows_left_out)
+    assert (whole.rotation.std > bare.rotation.std).any()
+
+
+def test_the_window_is_needed_until_the_motors_are_known(truth, samples, monkeypatch):
+    commands = flown(truth, samples)._record.commands
+    assert commands.needs_window
+    monkeypatch.setattr(command_record, "LAST", 10.0)
+    assert not commands.needs_window
+    commands._now = None
+    assert commands.needs_window

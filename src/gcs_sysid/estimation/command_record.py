@@ -152,6 +152,11 @@ class CommandRecord:
         """Whether the motors are to be looked for now."""
         return self._kept is not None and self._samples * self._dt >= self._next
 
+    @property
+    def needs_window(self) -> bool:
+        """Whether looking for the motors takes a fit of the symmetric window."""
+        return self._now is None or self._samples * self._dt < LAST
+
     def take(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
         """Take samples.
 
@@ -321,7 +326,7 @@ class CommandRecord:
                 basis, maker, white = now.basis, now.maker, now.white
             else:
                 maker, white = self._made(basis, hover)
-            found = fit_whitened(white.moments(white.silence), basis)
+            found = self._fitted(white, basis)
             if found is None:
                 return tuned
             at = found.rotation.coordinates
@@ -334,6 +339,10 @@ class CommandRecord:
                 break
         return tuned
 
+    def _fitted(self, white: WhitenedRecord, basis: LocalDynamics) -> WhitenedFit | None:
+        """The motors; their standard deviations count for slow commands alone."""
+        return fit_whitened(white.moments(white.silence), basis, scatter=self._dt > _BETWEEN)
+
     def _rounded(self, at: Array) -> Array:
         rounded: Array = np.rint(at / _GRID) * _GRID
         if self._curve is not None:
@@ -343,7 +352,7 @@ class CommandRecord:
     def _with_all_whiteners(self, tuned: _Tuned) -> _Tuned:
         """The same of rows that can be gone on with."""
         maker, white = self._made(tuned.basis, tuned.maker.hover)
-        fit = fit_whitened(white.moments(white.silence), tuned.basis)
+        fit = self._fitted(white, tuned.basis)
         return replace(tuned, maker=maker, white=white, fit=fit or tuned.fit)
 
     def _holds(self, made: _Tuned, basis: LocalDynamics, hover: float) -> bool:

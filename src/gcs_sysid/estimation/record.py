@@ -299,7 +299,7 @@ class FlightRecord:
     def _tune(self, commands: CommandRecord) -> None:
         noise, window = self.input_noise, None
         assert isinstance(noise, CommandNoise)
-        if self.rotation.rows:
+        if self.rotation.rows and commands.needs_window:
             before = self.basis.lag_place
             silence = np.stack([self.noise(i) for i in range(len(self.memories))])
             window = fit_lag_places(
