@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import command_record
+from gcs_sysid.estimation import command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
 from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
 
@@ -58,7 +59,7 @@ def test_other_places_need_few_whiteners(truth, samples, makings, monkeypatch):
     few = [number for number in makings if number is not None]
     assert few
     assert max(few) < 10
-    monkeypatch.setattr(command_record, "_NEAR", np.inf)
+    monkeypatch.setattr(tuned_motors, "_NEAR", np.inf)
     makings.clear()
     expected, std_of_all = outcome(truth, samples)
     assert max(number for number in makings if number is not None) > 15
@@ -70,7 +71,7 @@ def test_a_place_far_less_likely_is_made_once(truth, samples, makings, monkeypat
     found, std = outcome(truth, samples)
     once = len(makings)
     makings.clear()
-    monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)
+    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
     expected, std_of_all = outcome(truth, samples)
     assert len(makings) > once
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-9)
@@ -124,10 +125,39 @@ def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(truth, s
     assert (whole.rotation.std > bare.rotation.std).any()
 
 
-def test_the_window_is_needed_until_the_motors_are_known(truth, samples, monkeypatch):
-    commands = flown(truth, samples)._record.commands
-    assert commands.needs_window
+def test_the_window_is_fitted_where_it_is_asked_for(truth, samples, monkeypatch):
+    """The outcome is the same as if it were fitted at every look."""
+    monkeypatch.setattr(command_record, "_SURE", 8.0)
+    fitted = []
+
+    def outcome_of(window):
+        monkeypatch.setattr(FlightRecord, "_window", window)
+        fitted.clear()
+        estimator = flown(truth, samples)
+        before = len(fitted)
+        return estimator.fit().rotation, before, len(fitted)
+
+    make = FlightRecord._window
+
+    def later(self):
+        fit = make(self)
+        return lambda: fitted.append(self.seconds) or fit()
+
+    def at_once(self):
+        fitted.append(self.seconds)
+        found = make(self)()
+        return lambda: found
+
+    lazy, looks, all_of_them = outcome_of(later)
+    assert (looks, all_of_them) == (1, 2)
+    eager, *_ = outcome_of(at_once)
+    np.testing.assert_array_equal(lazy.unknowns, eager.unknowns)
+    np.testing.assert_array_equal(lazy.full_covariance, eager.full_covariance)
+
+
+def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch):
     monkeypatch.setattr(command_record, "LAST", 10.0)
-    assert not commands.needs_window
-    commands._now = None
-    assert commands.needs_window
+    monkeypatch.setattr(command_record, "_SURE", 8.0)
+    commands = flown(truth, samples)._record.commands
+    assert commands._kept is None
+    assert commands._to_compare is None

@@ -7,9 +7,9 @@ are known, rows are formed once and the samples are dropped. The samples alone d
 estimates are requested.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -20,8 +20,8 @@ from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, 
 from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotor_signals import low_pass_for
-from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.thrust_drift import Drift, hindsight
+from gcs_sysid.estimation.tuned_motors import TRUSTED, FirstPlace, TunedRows
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import Whitener, bank_for_commands
@@ -34,9 +34,6 @@ _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
 """Times that rows are made again, at most, until the motors stay; and where something else lags."""
-_TRUSTED = 4.0
-"""Steps of the linearization that a round goes at most: farther off the rows are not what motors
-there make. A curve of 0.85 went to 0.23 in one round, to where its residual only seemed less."""
 _STAYED = 0.3
 """Of the steps of the linearization; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
@@ -46,13 +43,6 @@ _GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
 nothing of the rows."""
 _AT_ONCE = 1000
 """Samples made into rows at a time."""
-_NEAR = 1.1
-"""Times the least innovation power of an axis, up to which a whitener may be the likeliest with
-another place of the lag. Where places compete, their residuals are alike."""
-_NO_RIVAL, _CLOSE = 0.2, 2.0
-"""Nats a row by which a place of the lag must be less likely, and steps of the linearization within
-which its motors must be, for its rows not to be made again: on recorded flights that brought at
-most half as much."""
 
 _BETWEEN = 0.006
 """s between commands, above which what was commanded in between counts: noise of the gyro that no
@@ -65,35 +55,10 @@ deviation: each falls anywhere between two, and a flight has some twenty. Dampin
 delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
 
 _TIMING = np.array([DELAY, LAG])
+FitWindow = Callable[[], RotationFit | None]
+"""Fits the symmetric window of some instant."""
 _Samples = tuple[Array, Array, Array, Array, Array]
 """Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
-
-
-@dataclass(frozen=True)
-class _Tuned:
-    """Rows about one set of motors.
-
-    Attributes:
-        basis: the motors.
-        maker: of the rows.
-        white: their moments.
-        fit: to these, when they were made.
-        away: (N_UNKNOWNS,) remaining error where the motors moved away.
-        samples: that they were made of at once.
-    """
-
-    basis: LocalDynamics
-    maker: MotorRows
-    white: WhitenedRecord
-    fit: WhitenedFit
-    away: Array
-    samples: int
-
-    @property
-    def trusted(self) -> bool:
-        """Whether the motors found are those that the rows are made about, nearly."""
-        off = np.abs(self.fit.rotation.coordinates - self.basis.at)
-        return bool((off <= _TRUSTED * self.basis.moved).all())
 
 
 class CommandRecord:
@@ -121,13 +86,14 @@ class CommandRecord:
         self._kept: list[_Samples | None] | None = []
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
-        self._now: _Tuned | None = None
+        self._now: TunedRows | None = None
         self._next, self._curve_doubt = FIRST, 0.0
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
         self._apart = np.zeros(N_UNKNOWNS)
-        """By which estimates differ from those of the symmetric window."""
-        self._settled: tuple[int, _Tuned, Array] | None = None
+        self._to_compare: tuple[FitWindow, Array] | None = None
+        """The window and estimates of the latest look, until it is asked how they differ."""
+        self._settled: tuple[int, TunedRows, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """Error of an estimate from not knowing what lags."""
 
@@ -151,11 +117,6 @@ class CommandRecord:
     def due(self) -> bool:
         """Whether the motors are to be looked for now."""
         return self._kept is not None and self._samples * self._dt >= self._next
-
-    @property
-    def needs_window(self) -> bool:
-        """Whether looking for the motors takes a fit of the symmetric window."""
-        return self._now is None or self._samples * self._dt < LAST
 
     def take(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
         """Take samples.
@@ -182,7 +143,7 @@ class CommandRecord:
         if self._kept:
             self._kept.append(None)
         if self._now is not None:
-            _restart(self._now)
+            self._now.restart()
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record."""
@@ -190,7 +151,7 @@ class CommandRecord:
         if self._kept is None:
             if self._now is not None:
                 self._now.white.forget_last(seconds)
-                _restart(self._now)
+                self._now.restart()
             return
         left = int(np.ceil(seconds / self._dt))
         while left > 0 and self._kept:
@@ -207,11 +168,12 @@ class CommandRecord:
             maker, white = self._made(self._now.basis, self._now.maker.hover)
             self._now = replace(self._now, maker=maker, white=white, samples=self._samples)
 
-    def tune(self, window: RotationFit | None, hover: float) -> None:
+    def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
 
         Args:
-            window: a fit of the symmetric window, from which the first search starts.
+            window: gives what fits the symmetric window, from which the first search starts; None:
+                it holds nothing.
             hover: mean command.
         """
         seconds = self._samples * self._dt
@@ -221,23 +183,24 @@ class CommandRecord:
             basis = self._now.basis
             starts.append((basis.at, basis.lag_place.of))
         sought = self._now is None or seconds < _SURE
-        if window is not None and sought and float(window.r_squared[:2].min()) > _BELIEVED:
-            at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
-            starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
+        slow = window()() if sought and window is not None else None
+        if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
+            at = np.rint(slow.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
+            starts.append((at, "speed" if slow.lag_place is None else slow.lag_place.of))
         last = seconds >= LAST
         found = self._found(starts, hover, LAGS_OF if sought or last else ())
         if found is not None:
-            self._now = found[0]
-            if sought or last:
-                self.doubt = found[1]
+            self._now, self.doubt = found
             rotation = self._now.fit.rotation
             if float(rotation.r_squared[:2].min()) < _BELIEVED:
                 self._now = None
-            elif window is not None:
-                self._apart = rotation.unknowns - window.unknowns
+            elif slow is not None:
+                self._apart, self._to_compare = rotation.unknowns - slow.unknowns, None
+            elif not (sought or last) and window is not None:
+                self._to_compare = window(), rotation.unknowns
             self.narrowed = True
         if last:
-            self._kept = None
+            self._kept = self._to_compare = None
 
     @contextmanager
     def settled(self) -> Iterator[None]:
@@ -255,44 +218,60 @@ class CommandRecord:
         finally:
             self._now, self.doubt = before, doubt
 
+    def _apart_from_window(self) -> Array:
+        """(N_UNKNOWNS,) by which estimates differ from those of the symmetric window."""
+        if self._to_compare is not None:
+            (fit, unknowns), self._to_compare = self._to_compare, None
+            slow = fit()
+            if slow is not None:
+                self._apart = unknowns - slow.unknowns
+        return self._apart
+
     def _found(
         self, starts: Sequence[tuple[Array, LagOf]], hover: float, places: Sequence[LagOf]
-    ) -> tuple[_Tuned, Array] | None:
-        """Rows about the likeliest motors, and what the other places of the lag differ by.
+    ) -> tuple[TunedRows, Array] | None:
+        """Rows about the likeliest motors, and what the other places of the lag, if any, differ by.
 
         By that much they may be off with these places' probability (Bayesian model averaging:
         Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
         motion see differently are not of first order: by half of that they may be off too.
         """
         # Starts that are rounded to the same motors lead to the same.
-        apart = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
-        every = [self._converged(at, of, hover) for at, of in apart.values()]
-        first = min((tuned for tuned in every if tuned is not None), key=_rank, default=None)
+        unlike = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
+        every = [self._converged(at, of, hover) for at, of in unlike.values()]
+        first = min(
+            (tuned for tuned in every if tuned is not None),
+            key=lambda tuned: tuned.rank,
+            default=None,
+        )
         if first is None:
             return None
+        if not places:
+            return first, self.doubt
         found, start = [first], first.fit.rotation.coordinates
-        rival = _Rival(_near(first), _cost(first))
+        leading = FirstPlace(first.near, first.cost)
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, rival)
+                tuned = self._converged(start, other, hover, leading)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in found if tuned.trusted] or found[:1]
-        cost = np.array([_cost(tuned) for tuned in found])
+        cost = np.array([tuned.cost for tuned in found])
         likeliest = int(np.argmin(cost))
         if found[likeliest] is not first:
             found[likeliest] = self._with_all_whiteners(found[likeliest])
-            cost[likeliest] = _cost(found[likeliest])
+            cost[likeliest] = found[likeliest].cost
         weight = np.exp(cost.min() - cost)
         unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
         best = int(np.argmin(cost))
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt += np.outer(found[best].away, found[best].away)
-        doubt[_TIMING, _TIMING] += (0.5 * self._apart[_TIMING]) ** 2
+        apart = self._apart_from_window()
+        doubt[_TIMING, _TIMING] += (0.5 * apart[_TIMING]) ** 2
         if self._dt > _BETWEEN:
-            doubt += np.outer(self._apart, self._apart)
+            doubt += np.outer(apart, apart)
             known = found[best].fit.rotation.full_covariance
             late = np.linalg.solve(known[np.ix_(_TIMING, _TIMING)], [_JUMPS * self._dt, 0.0])
             off = known[:, _TIMING] @ late
@@ -303,25 +282,25 @@ class CommandRecord:
         return found[best], doubt
 
     def _converged(
-        self, at: Array, of: LagOf, hover: float, rival: "_Rival | None" = None
-    ) -> _Tuned | None:
+        self, at: Array, of: LagOf, hover: float, leading: FirstPlace | None = None
+    ) -> TunedRows | None:
         """Rows about the motors of one place of the lag; None while there is no fit.
 
         Args:
             at: motors to start from.
             of: what lags.
             hover: mean command.
-            rival: place that this one is but compared with.
+            leading: place that this one is but compared with.
         """
         tuned = None
-        for _ in range(_ROUNDS if rival is None else _ROUNDS_OF_OTHERS):
+        for _ in range(_ROUNDS if leading is None else _ROUNDS_OF_OTHERS):
             if tuned is not None:
-                far = _TRUSTED * tuned.basis.moved
+                far = TRUSTED * tuned.basis.moved
                 at = np.clip(at, tuned.basis.at - far, tuned.basis.at + far)
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
             now = self._now
-            if rival is not None:
-                maker, white = self._made(basis, hover, rival.whiteners)
+            if leading is not None:
+                maker, white = self._made(basis, hover, leading.whiteners)
             elif now is not None and self._holds(now, basis, hover):
                 basis, maker, white = now.basis, now.maker, now.white
             else:
@@ -334,8 +313,8 @@ class CommandRecord:
             away = np.zeros(N_UNKNOWNS)
             if not stayed and tuned is not None:
                 away = found.rotation.unknowns - tuned.fit.rotation.unknowns
-            tuned = _Tuned(basis, maker, white, found, away, self._samples)
-            if stayed or (rival is not None and rival.is_far_likelier_than(tuned)):
+            tuned = TunedRows(basis, maker, white, found, away, self._samples)
+            if stayed or (leading is not None and leading.is_far_likelier_than(tuned)):
                 break
         return tuned
 
@@ -349,13 +328,13 @@ class CommandRecord:
             rounded[CURVE] = self._curve
         return rounded
 
-    def _with_all_whiteners(self, tuned: _Tuned) -> _Tuned:
+    def _with_all_whiteners(self, tuned: TunedRows) -> TunedRows:
         """The same of rows that can be gone on with."""
         maker, white = self._made(tuned.basis, tuned.maker.hover)
         fit = self._fitted(white, tuned.basis)
         return replace(tuned, maker=maker, white=white, fit=fit or tuned.fit)
 
-    def _holds(self, made: _Tuned, basis: LocalDynamics, hover: float) -> bool:
+    def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
         """Whether rows of all samples, were they made now, would be those there are."""
         same = made.samples == self._samples and made.maker.hover == hover
         of = made.basis.lag_place.of == basis.lag_place.of
@@ -387,59 +366,8 @@ class CommandRecord:
         return maker, white
 
 
-def _restart(tuned: _Tuned) -> None:
-    tuned.maker.restart()
-    tuned.white.restart()
-
-
 def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
     n = len(samples[0])
     for start in range(0, n, _AT_ONCE):
         some = (part[start : start + _AT_ONCE] for part in samples)
         white.add(maker.update(*some), lambda: white.silence)
-
-
-@dataclass(frozen=True)
-class _Rival:
-    """The place of the lag that others are compared with.
-
-    Attributes:
-        whiteners: that are enough for it.
-        cost: nats.
-    """
-
-    whiteners: Sequence[Whitener]
-    cost: float
-
-    def is_far_likelier_than(self, tuned: _Tuned) -> bool:
-        """Whether rows about the motors found would not change which is likelier, nor how far."""
-        off = np.abs(tuned.fit.rotation.coordinates - tuned.basis.at)
-        close = bool((off <= _CLOSE * tuned.basis.moved).all())
-        return close and _cost(tuned) - self.cost > _NO_RIVAL * tuned.white.rows
-
-
-def _near(tuned: _Tuned) -> list[Whitener]:
-    """Whiteners of which some axis' innovations are nearly as weak as of the likeliest."""
-    power = _power(tuned)
-    near = (power < _NEAR * power.min(axis=0)).any(axis=1)
-    # A disturbance shows by what whiteners without one leave.
-    calm = [i for i, whitener in enumerate(tuned.white.whiteners) if not whitener.disturbed]
-    near[np.array(calm)[power[calm].argmin(axis=0)]] = True
-    return [tuned.white.whiteners[i] for i in np.flatnonzero(near)]
-
-
-def _rank(tuned: _Tuned) -> tuple[bool, float]:
-    return not tuned.trusted, _cost(tuned)
-
-
-def _cost(tuned: _Tuned) -> float:
-    """Nats of all rows, shocks included: what is left out differs from one to another."""
-    return 0.5 * tuned.white.rows * float(np.log(_power(tuned).min(axis=0)).sum())
-
-
-def _power(tuned: _Tuned) -> Array:
-    """(bank, 3) of the innovations of all rows, times their number."""
-    white, fit = tuned.white, tuned.fit.rotation
-    TP = residual_maker(fit.Q) @ tuned.basis.map_at(fit.coordinates)
-    power: Array = np.einsum("ai,bij,aj->ba", TP, white.total, TP)
-    return power
