@@ -81,6 +81,7 @@ def main() -> int:
     parser.add_argument("--against", metavar="REF", help="a commit (default: the last release)")
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight")
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="turns of both")
+    parser.add_argument("--only", metavar="WORD", default="", help="rows with this in their name")
     options = parser.parse_args()
     try:
         commit = options.against or last_release()
@@ -95,8 +96,6 @@ def _compare(release: Path, commit: str, folder: Path, options: argparse.Namespa
     log, out = str(folder / "flight.tlog"), str(folder / "out.tlog")
     commanded = str(folder / "commands.tlog")
     fly = ["sim_bridge", *_FLIGHT, "--duration", str(options.seconds), "--speed", "max", "--tlog"]
-    cost(PROJECT, [*fly, log])
-    cost(PROJECT, [*fly, commanded, "--rotor-input", "command"])
     given = ["--airframe", "paper", "--json", os.devnull]
     commands = {
         "start (gcs-sysid --version)": ["gcs_sysid", "--version"],
@@ -105,6 +104,14 @@ def _compare(release: Path, commit: str, folder: Path, options: argparse.Namespa
         "analyze": ["gcs_sysid", "analyze", log, *given],
         "analyze, on commands": ["gcs_sysid", "analyze", commanded, *given],
     }
+    commands = {what: words for what, words in commands.items() if options.only in what}
+    if not commands:
+        raise ValueError(f"no row has {options.only!r} in its name")
+    used = {word for words in commands.values() for word in words}
+    if log in used:
+        cost(PROJECT, [*fly, log])
+    if commanded in used:
+        cost(PROJECT, [*fly, commanded, "--rotor-input", "command"])
     slower = 0
     print(f"{'against ' + commit:<34}{'release, s':>12}{'now, s':>9}{'ratio':>8}{'bar':>9}")
     for what, words in commands.items():

@@ -34,6 +34,22 @@ def test_what_became_slower_ends_with_1(tmp_path, monkeypatch, capsys):
     assert against.main() == 1
 
 
+def test_one_row_alone_flies_what_it_needs(tmp_path, monkeypatch, capsys):
+    ran = []
+    monkeypatch.setattr(against, "last_release", lambda: "abc1234")
+    monkeypatch.setattr(against, "unpack", lambda commit, folder: tmp_path)
+    monkeypatch.setattr(against, "cost", lambda tree, words: ran.append(words) or 1.0)
+    monkeypatch.setattr(sys, "argv", ["against", "--repeats", "1", "--only", "on commands"])
+    assert against.main() == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    flights = [words for words in ran if words[0] == "sim_bridge"]
+    assert len(flights) == 1
+    assert "--rotor-input" in flights[0]
+    monkeypatch.setattr(sys, "argv", ["against", "--only", "nothing"])
+    assert against.main() == 0
+    assert "no row has 'nothing' in its name" in capsys.readouterr().out
+
+
 def test_without_a_history_nothing_is_compared(monkeypatch, capsys):
     def gone(*_):
         raise FileNotFoundError("no git")

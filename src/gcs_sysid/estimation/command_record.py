@@ -7,9 +7,10 @@ are known, rows are formed once and the samples are dropped. The samples alone d
 estimates are requested.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -19,11 +20,11 @@ from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, 
 from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotor_signals import low_pass_for
-from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.thrust_drift import Drift, hindsight
+from gcs_sysid.estimation.tuned_motors import TRUSTED, FirstPlace, TunedRows
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.estimation.whitening import Whitener, bank_for_commands
 
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
@@ -33,9 +34,6 @@ _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
 """Times that rows are made again, at most, until the motors stay; and where something else lags."""
-_TRUSTED = 4.0
-"""Steps of the linearization that a round goes at most: farther off the rows are not what motors
-there make. A curve of 0.85 went to 0.23 in one round, to where its residual only seemed less."""
 _STAYED = 0.3
 """Of the steps of the linearization; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
@@ -57,33 +55,10 @@ deviation: each falls anywhere between two, and a flight has some twenty. Dampin
 delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
 
 _TIMING = np.array([DELAY, LAG])
+FitWindow = Callable[[], RotationFit | None]
+"""Fits the symmetric window of some instant."""
 _Samples = tuple[Array, Array, Array, Array, Array]
 """Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
-
-
-@dataclass(frozen=True)
-class _Tuned:
-    """Rows about one set of motors.
-
-    Attributes:
-        basis: the motors.
-        maker: of the rows.
-        white: their moments.
-        fit: to these, when they were made.
-        away: (N_UNKNOWNS,) remaining error where the motors moved away.
-    """
-
-    basis: LocalDynamics
-    maker: MotorRows
-    white: WhitenedRecord
-    fit: WhitenedFit
-    away: Array
-
-    @property
-    def trusted(self) -> bool:
-        """Whether the motors found are those that the rows are made about, nearly."""
-        off = np.abs(self.fit.rotation.coordinates - self.basis.at)
-        return bool((off <= _TRUSTED * self.basis.moved).all())
 
 
 class CommandRecord:
@@ -111,13 +86,14 @@ class CommandRecord:
         self._kept: list[_Samples | None] | None = []
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
-        self._now: _Tuned | None = None
+        self._now: TunedRows | None = None
         self._next, self._curve_doubt = FIRST, 0.0
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
         self._apart = np.zeros(N_UNKNOWNS)
-        """By which estimates differ from those of the symmetric window."""
-        self._settled: tuple[int, _Tuned, Array] | None = None
+        self._to_compare: tuple[FitWindow, Array] | None = None
+        """The window and estimates of the latest look, until it is asked how they differ."""
+        self._settled: tuple[int, TunedRows, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """Error of an estimate from not knowing what lags."""
 
@@ -167,7 +143,7 @@ class CommandRecord:
         if self._kept:
             self._kept.append(None)
         if self._now is not None:
-            _restart(self._now)
+            self._now.restart()
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record."""
@@ -175,7 +151,7 @@ class CommandRecord:
         if self._kept is None:
             if self._now is not None:
                 self._now.white.forget_last(seconds)
-                _restart(self._now)
+                self._now.restart()
             return
         left = int(np.ceil(seconds / self._dt))
         while left > 0 and self._kept:
@@ -189,15 +165,15 @@ class CommandRecord:
             left -= n
         self._kept.append(None)
         if self._now is not None:
-            basis = self._now.basis
-            maker, white = self._made(basis, self._now.maker.hover)
-            self._now = replace(self._now, maker=maker, white=white)
+            maker, white = self._made(self._now.basis, self._now.maker.hover)
+            self._now = replace(self._now, maker=maker, white=white, samples=self._samples)
 
-    def tune(self, window: RotationFit | None, hover: float) -> None:
+    def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
 
         Args:
-            window: a fit of the symmetric window, from which the first search starts.
+            window: gives what fits the symmetric window, from which the first search starts; None:
+                it holds nothing.
             hover: mean command.
         """
         seconds = self._samples * self._dt
@@ -207,23 +183,24 @@ class CommandRecord:
             basis = self._now.basis
             starts.append((basis.at, basis.lag_place.of))
         sought = self._now is None or seconds < _SURE
-        if window is not None and sought and float(window.r_squared[:2].min()) > _BELIEVED:
-            at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
-            starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
+        slow = window()() if sought and window is not None else None
+        if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
+            at = np.rint(slow.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
+            starts.append((at, "speed" if slow.lag_place is None else slow.lag_place.of))
         last = seconds >= LAST
         found = self._found(starts, hover, LAGS_OF if sought or last else ())
         if found is not None:
-            self._now = found[0]
-            if sought or last:
-                self.doubt = found[1]
+            self._now, self.doubt = found
             rotation = self._now.fit.rotation
             if float(rotation.r_squared[:2].min()) < _BELIEVED:
                 self._now = None
-            elif window is not None:
-                self._apart = rotation.unknowns - window.unknowns
+            elif slow is not None:
+                self._apart, self._to_compare = rotation.unknowns - slow.unknowns, None
+            elif not (sought or last) and window is not None:
+                self._to_compare = window(), rotation.unknowns
             self.narrowed = True
         if last:
-            self._kept = None
+            self._kept = self._to_compare = None
 
     @contextmanager
     def settled(self) -> Iterator[None]:
@@ -241,37 +218,60 @@ class CommandRecord:
         finally:
             self._now, self.doubt = before, doubt
 
+    def _apart_from_window(self) -> Array:
+        """(N_UNKNOWNS,) by which estimates differ from those of the symmetric window."""
+        if self._to_compare is not None:
+            (fit, unknowns), self._to_compare = self._to_compare, None
+            slow = fit()
+            if slow is not None:
+                self._apart = unknowns - slow.unknowns
+        return self._apart
+
     def _found(
         self, starts: Sequence[tuple[Array, LagOf]], hover: float, places: Sequence[LagOf]
-    ) -> tuple[_Tuned, Array] | None:
-        """Rows about the likeliest motors, and what the other places of the lag differ by.
+    ) -> tuple[TunedRows, Array] | None:
+        """Rows about the likeliest motors, and what the other places of the lag, if any, differ by.
 
         By that much they may be off with these places' probability (Bayesian model averaging:
         Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
         motion see differently are not of first order: by half of that they may be off too.
         """
-        every = [self._converged(at, of, hover) for at, of in starts]
-        first = min((tuned for tuned in every if tuned is not None), key=_rank, default=None)
+        # Starts that are rounded to the same motors lead to the same.
+        unlike = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
+        every = [self._converged(at, of, hover) for at, of in unlike.values()]
+        first = min(
+            (tuned for tuned in every if tuned is not None),
+            key=lambda tuned: tuned.rank,
+            default=None,
+        )
         if first is None:
             return None
+        if not places:
+            return first, self.doubt
         found, start = [first], first.fit.rotation.coordinates
+        leading = FirstPlace(first.near, first.cost)
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
+                tuned = self._converged(start, other, hover, leading)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in found if tuned.trusted] or found[:1]
-        cost = np.array([_cost(tuned) for tuned in found])
+        cost = np.array([tuned.cost for tuned in found])
+        likeliest = int(np.argmin(cost))
+        if found[likeliest] is not first:
+            found[likeliest] = self._with_all_whiteners(found[likeliest])
+            cost[likeliest] = found[likeliest].cost
         weight = np.exp(cost.min() - cost)
         unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
         best = int(np.argmin(cost))
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt += np.outer(found[best].away, found[best].away)
-        doubt[_TIMING, _TIMING] += (0.5 * self._apart[_TIMING]) ** 2
+        apart = self._apart_from_window()
+        doubt[_TIMING, _TIMING] += (0.5 * apart[_TIMING]) ** 2
         if self._dt > _BETWEEN:
-            doubt += np.outer(self._apart, self._apart)
+            doubt += np.outer(apart, apart)
             known = found[best].fit.rotation.full_covariance
             late = np.linalg.solve(known[np.ix_(_TIMING, _TIMING)], [_JUMPS * self._dt, 0.0])
             off = known[:, _TIMING] @ late
@@ -282,19 +282,30 @@ class CommandRecord:
         return found[best], doubt
 
     def _converged(
-        self, at: Array, of: LagOf, hover: float, rounds: int = _ROUNDS
-    ) -> _Tuned | None:
+        self, at: Array, of: LagOf, hover: float, leading: FirstPlace | None = None
+    ) -> TunedRows | None:
+        """Rows about the motors of one place of the lag; None while there is no fit.
+
+        Args:
+            at: motors to start from.
+            of: what lags.
+            hover: mean command.
+            leading: place that this one is but compared with.
+        """
         tuned = None
-        for _ in range(rounds):
+        for _ in range(_ROUNDS if leading is None else _ROUNDS_OF_OTHERS):
             if tuned is not None:
-                far = _TRUSTED * tuned.basis.moved
+                far = TRUSTED * tuned.basis.moved
                 at = np.clip(at, tuned.basis.at - far, tuned.basis.at + far)
-            at = np.rint(at / _GRID) * _GRID
-            if self._curve is not None:
-                at[CURVE] = self._curve
-            basis = LocalDynamics(at, of, self._dt, curve=self._curve is None)
-            maker, white = self._made(basis, hover)
-            found = fit_whitened(white.moments(white.silence), basis)
+            basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
+            now = self._now
+            if leading is not None:
+                maker, white = self._made(basis, hover, leading.whiteners)
+            elif now is not None and self._holds(now, basis, hover):
+                basis, maker, white = now.basis, now.maker, now.white
+            else:
+                maker, white = self._made(basis, hover)
+            found = self._fitted(white, basis)
             if found is None:
                 return tuned
             at = found.rotation.coordinates
@@ -302,38 +313,57 @@ class CommandRecord:
             away = np.zeros(N_UNKNOWNS)
             if not stayed and tuned is not None:
                 away = found.rotation.unknowns - tuned.fit.rotation.unknowns
-            tuned = _Tuned(basis, maker, white, found, away)
-            if stayed:
+            tuned = TunedRows(basis, maker, white, found, away, self._samples)
+            if stayed or (leading is not None and leading.is_far_likelier_than(tuned)):
                 break
         return tuned
 
-    def _made(self, basis: LocalDynamics, hover: float) -> tuple[MotorRows, WhitenedRecord]:
+    def _fitted(self, white: WhitenedRecord, basis: LocalDynamics) -> WhitenedFit | None:
+        """The motors; their standard deviations count for slow commands alone."""
+        return fit_whitened(white.moments(white.silence), basis, scatter=self._dt > _BETWEEN)
+
+    def _rounded(self, at: Array) -> Array:
+        rounded: Array = np.rint(at / _GRID) * _GRID
+        if self._curve is not None:
+            rounded[CURVE] = self._curve
+        return rounded
+
+    def _with_all_whiteners(self, tuned: TunedRows) -> TunedRows:
+        """The same of rows that can be gone on with."""
+        maker, white = self._made(tuned.basis, tuned.maker.hover)
+        fit = self._fitted(white, tuned.basis)
+        return replace(tuned, maker=maker, white=white, fit=fit or tuned.fit)
+
+    def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
+        """Whether rows of all samples, were they made now, would be those there are."""
+        same = made.samples == self._samples and made.maker.hover == hover
+        of = made.basis.lag_place.of == basis.lag_place.of
+        return same and of and bool((made.basis.at == basis.at).all())
+
+    def _made(
+        self, basis: LocalDynamics, hover: float, whiteners: Sequence[Whitener] | None = None
+    ) -> tuple[MotorRows, WhitenedRecord]:
         """All samples kept, as rows."""
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
-        bank = bank_for_commands(step.time)
+        bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
         latest = next((part for part in reversed(self._kept) if part is not None), None)
-        some: list[_Samples] = []
-        for samples in (*self._kept, None):
-            if samples is not None:
-                some.append(samples)
+        for joined, run in groupby(self._kept, lambda part: part is not None):
+            if not joined:
+                maker.restart()
+                white.restart()
                 continue
-            if some and latest is not None:
-                inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
-                factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
-                _add(maker, white, inputs * factors[:, None], gyro, rates)
-            maker.restart()
-            white.restart()
-            some = []
+            assert latest is not None
+            some = [part for part in run if part is not None]
+            inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
+            factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
+            _add(maker, white, inputs * factors[:, None], gyro, rates)
+        maker.restart()
+        white.restart()
         return maker, white
-
-
-def _restart(tuned: _Tuned) -> None:
-    tuned.maker.restart()
-    tuned.white.restart()
 
 
 def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
@@ -341,15 +371,3 @@ def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
     for start in range(0, n, _AT_ONCE):
         some = (part[start : start + _AT_ONCE] for part in samples)
         white.add(maker.update(*some), lambda: white.silence)
-
-
-def _rank(tuned: _Tuned) -> tuple[bool, float]:
-    return not tuned.trusted, _cost(tuned)
-
-
-def _cost(tuned: _Tuned) -> float:
-    """Nats of all rows, shocks included: what is left out differs from one to another."""
-    white, fit = tuned.white, tuned.fit.rotation
-    TP = residual_maker(fit.Q) @ tuned.basis.map_at(fit.coordinates)
-    power = np.einsum("ai,bij,aj->ba", TP, white.total, TP).min(axis=0)
-    return 0.5 * white.rows * float(np.log(power).sum())

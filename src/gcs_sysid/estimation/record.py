@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +17,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
     LagPlace,
 )
 from gcs_sysid.estimation.command_noise import CommandNoise
-from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.command_record import CommandRecord, FitWindow
 from gcs_sysid.estimation.input_noise import SpeedNoise
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places
 from gcs_sysid.estimation.normal_equations import NormalEquations
@@ -297,17 +298,20 @@ class FlightRecord:
         return [LagPlace(of, *noise.level) for of in order]
 
     def _tune(self, commands: CommandRecord) -> None:
-        noise, window = self.input_noise, None
+        noise = self.input_noise
         assert isinstance(noise, CommandNoise)
-        if self.rotation.rows:
-            before = self.basis.lag_place
-            silence = np.stack([self.noise(i) for i in range(len(self.memories))])
-            window = fit_lag_places(
-                self.rotation.batches, self.rotation.counts, self.basis, silence,
-                self.places(), self.seconds / self.half_width, doubt=self.noise_doubt,
-            )  # fmt: skip
-            self.basis.lag_place = before
-        commands.tune(window, noise.level[0])
+        commands.tune(self._window if self.rotation.rows else None, noise.level[0])
+
+    def _window(self) -> FitWindow:
+        """Fits the symmetric window as it is now, whenever that is asked for."""
+        batches, counts = self.rotation.batches.copy(), self.rotation.counts.copy()
+        basis, places = copy(self.basis), self.places()
+        silence = np.stack([self.noise(i) for i in range(len(self.memories))])
+        independent, doubt = self.seconds / self.half_width, self.noise_doubt
+        # A function, which copies of the record share, and not what it holds.
+        return lambda: fit_lag_places(
+            batches, counts, basis, silence, places, independent, doubt=doubt
+        )
 
     @property
     def seconds(self) -> float:

@@ -88,6 +88,8 @@ def fit_whitened(
     choice: DeviationChoice | None = None,
     hover: float = 0.0,
     only: Mask | None = None,
+    *,
+    scatter: bool = True,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -100,6 +102,8 @@ def fit_whitened(
         choice: of deviations from the model; None: there are none.
         hover: rad^2/s^2, thrust signal in hover; 0: not known.
         only: (k,) batches to fit; None: all.
+        scatter: whether standard deviations count how far batches scatter; else, at three quarters
+            of the cost, they are the bound.
 
     Returns:
         The fit, or None while the data cannot even start one.
@@ -147,7 +151,16 @@ def fit_whitened(
         trial = _tried(total, rows, data, basis, prior, unknowns, deviations=deviations)
         solved = _solved(total, rows, data, basis, prior, trial, deviations)
         batches = data.of_axes(solved.pick)
-    noise = data.noise[list(solved.pick)]
+    pick = list(solved.pick)
+    if not scatter:
+        bare = replace(
+            _bound(solved, WhitenedOutcome(solved.problem, solved.point)),
+            whiteners=tuple(data.whiteners[i] for i in pick),
+            disturbance=solved.trial.detected,
+        )
+        left_out = everything[pick] - total[pick], all_rows - rows
+        return WhitenedFit(bare, ~kept, *left_out, solved.cost, bare.std)
+    noise = data.noise[pick]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
     batches -= NOISE_SHARE * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
@@ -186,17 +199,14 @@ def fit_whitened(
     fit = replace(
         improved,
         r_squared=r_squared,
-        whiteners=tuple(data.whiteners[i] for i in solved.pick),
+        whiteners=tuple(data.whiteners[i] for i in pick),
         disturbance=solved.trial.detected,
         deviating=deviations,
     )
-    pick = list(solved.pick)
-    power = solved.trial.variance[pick, np.arange(_AXES)]
-    cost = 0.5 * float(np.log(power).sum() + solved.point.weak[0] / rows)
     if data.own:
         total, rows = given.total(kept), int(given.counts[kept].sum())
-    bound = outcome.fits(np.eye(solved.problem.p)[None], np.ones_like(widening), [True], [0])[0].std
-    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost, bound)
+    left_out = everything[pick] - total[pick], all_rows - rows
+    return WhitenedFit(fit, ~kept, *left_out, solved.cost, _bound(solved, outcome).std)
 
 
 def least_power(data: WhitenedMoments, basis: ActuatorDynamics, unknowns: Array) -> tuple[int, ...]:
@@ -332,6 +342,19 @@ class _Solved:
     converged: bool
     pick: tuple[int, ...]
     trial: Trial
+
+    @property
+    def cost(self) -> float:
+        """Nats a row, summed over the axes."""
+        power = self.trial.variance[list(self.pick), np.arange(_AXES)]
+        weak = self.point.weak[0] / self.problem.rows[0]
+        return 0.5 * float(np.log(power).sum() + weak)
+
+
+def _bound(solved: _Solved, outcome: WhitenedOutcome) -> RotationFit:
+    """The fit with the standard deviations that white innovations of the whole model would have."""
+    p = solved.problem.p
+    return outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged], [0])[0]
 
 
 def _solved(

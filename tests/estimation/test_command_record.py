@@ -1,0 +1,163 @@
+"""Rows of commands are made again no more often, and with no more whiteners, than it takes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation import command_record, tuned_motors
+from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.record import FlightRecord
+from gcs_sysid.estimation.tuning import COMMANDS
+from gcs_sysid.estimation.whitened_fit import fit_whitened
+
+DT = 0.005
+LAG = 0.05
+SECONDS = 16.0
+
+
+@pytest.fixture(scope="module")
+def samples(flight):
+    """On commands in which thrust is linear, and whose motors' speeds lag."""
+    full = 1.2 * (flight.speeds**2).max()
+    kept = np.exp(-DT / LAG)
+    before = np.vstack([flight.speeds[:1], flight.speeds[:-1]])
+    commands = ((flight.speeds - kept * before) / (1.0 - kept)) ** 2 / full
+    gyro = flight.gyro + 0.001 * np.random.default_rng(1).standard_normal(flight.gyro.shape)
+    every = replace(flight, gyro=gyro, rates=gyro, speeds=commands)
+    return every.part(slice(0, round(SECONDS / DT)))
+
+
+@pytest.fixture
+def makings(monkeypatch):
+    """Whiteners of each making of all rows; None: all of them."""
+    numbers, make = [], CommandRecord._made
+
+    def noted(self, basis, hover, whiteners=None):
+        numbers.append(None if whiteners is None else len(whiteners))
+        return make(self, basis, hover, whiteners)
+
+    monkeypatch.setattr(CommandRecord, "_made", noted)
+    return numbers
+
+
+def flown(truth, samples):
+    estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
+    estimator.update(samples)
+    return estimator
+
+
+def outcome(truth, samples):
+    """Estimates and their standard deviations, with what the other places of the lag add."""
+    fit = flown(truth, samples).fit().rotation
+    return fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
+
+
+def test_other_places_need_few_whiteners(truth, samples, makings, monkeypatch):
+    found, std = outcome(truth, samples)
+    few = [number for number in makings if number is not None]
+    assert few
+    assert max(few) < 10
+    monkeypatch.setattr(tuned_motors, "_NEAR", np.inf)
+    makings.clear()
+    expected, std_of_all = outcome(truth, samples)
+    assert max(number for number in makings if number is not None) > 15
+    np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-3)
+    np.testing.assert_allclose(std, std_of_all, rtol=1e-3)
+
+
+def test_a_place_far_less_likely_is_made_once(truth, samples, makings, monkeypatch):
+    found, std = outcome(truth, samples)
+    once = len(makings)
+    makings.clear()
+    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
+    expected, std_of_all = outcome(truth, samples)
+    assert len(makings) > once
+    np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-9)
+    np.testing.assert_allclose(std, std_of_all, rtol=1e-9)
+
+
+def test_one_that_is_the_likeliest_is_made_with_all_whiteners(truth, samples, monkeypatch):
+    """Whatever the search starts with."""
+    commands = flown(truth, samples)._record.commands
+    start = commands._now.fit.rotation.coordinates
+    found, _ = commands._found([(start, "thrust")], commands._now.maker.hover, ("speed",))
+    assert found.basis.lag_place.of == "speed"
+    assert len(found.white.whiteners) > 15
+
+
+def test_rows_that_were_just_made_are_not_made_again(truth, samples, makings):
+    estimator = flown(truth, samples)
+    estimator.forget_last(1.0)
+    makings.clear()
+    commands = estimator._record.commands
+    before = commands._now
+    with commands.settled():
+        assert commands.white is before.white
+    assert None not in makings
+    # With more samples they are others.
+    estimator.update(samples.part(slice(0, 400)))
+    with commands.settled():
+        assert commands.white is not before.white
+    assert None in makings
+
+
+def test_starts_that_are_rounded_to_the_same_motors_are_one(truth, samples, makings):
+    commands = flown(truth, samples)._record.commands
+    at, hover = commands._now.basis.at, commands._now.maker.hover
+    makings.clear()
+    commands._found([(at, "speed"), (at + 0.4 * command_record._GRID, "speed")], hover, ())
+    alone = len(makings)
+    makings.clear()
+    commands._found([(at, "speed")], hover, ())
+    assert len(makings) == alone
+
+
+def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(truth, samples):
+    white = flown(truth, samples)._record.commands.white
+    data = white.moments(white.silence)
+    whole, bare = (fit_whitened(data, white.basis, scatter=scatter) for scatter in (True, False))
+    np.testing.assert_array_equal(bare.rotation.unknowns, whole.rotation.unknowns)
+    np.testing.assert_array_equal(bare.rotation.r_squared, whole.rotation.r_squared)
+    np.testing.assert_allclose(bare.rotation.std, whole.bound)
+    assert (bare.cost, bare.rows_left_out) == (whole.cost, whole.rows_left_out)
+    assert (whole.rotation.std > bare.rotation.std).any()
+
+
+def test_the_window_is_fitted_where_it_is_asked_for(truth, samples, monkeypatch):
+    """The outcome is the same as if it were fitted at every look."""
+    monkeypatch.setattr(command_record, "_SURE", 8.0)
+    fitted = []
+
+    def outcome_of(window):
+        monkeypatch.setattr(FlightRecord, "_window", window)
+        fitted.clear()
+        estimator = flown(truth, samples)
+        before = len(fitted)
+        return estimator.fit().rotation, before, len(fitted)
+
+    make = FlightRecord._window
+
+    def later(self):
+        fit = make(self)
+        return lambda: fitted.append(self.seconds) or fit()
+
+    def at_once(self):
+        fitted.append(self.seconds)
+        found = make(self)()
+        return lambda: found
+
+    lazy, looks, all_of_them = outcome_of(later)
+    assert (looks, all_of_them) == (1, 2)
+    eager, *_ = outcome_of(at_once)
+    np.testing.assert_array_equal(lazy.unknowns, eager.unknowns)
+    np.testing.assert_array_equal(lazy.full_covariance, eager.full_covariance)
+
+
+def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch):
+    monkeypatch.setattr(command_record, "LAST", 10.0)
+    monkeypatch.setattr(command_record, "_SURE", 8.0)
+    commands = flown(truth, samples)._record.commands
+    assert commands._kept is None
+    assert commands._to_compare is None
