@@ -57,14 +57,38 @@ class ByteWindow:
         self._begins = begins.astype(np.int32)  # half the size: more of it stays in the cache
         self._rank = np.zeros(len(raw) + 1, np.int32)
         np.cumsum(last, out=self._rank[1:])
-        # A number has five bytes at most; where all five say that it goes on, it is 0.
-        over = last[: -_LONGEST_NUMBER + 1].copy()
-        for i in range(1, _LONGEST_NUMBER):
-            over |= last[i : len(raw) - _LONGEST_NUMBER + 1 + i]
-        self._over = np.zeros(len(raw) + 1, np.int32) if not over.all() else None
-        if self._over is not None:
-            np.cumsum(~over, out=self._over[1 : len(over) + 1])
-            self._over[len(over) + 1 :] = self._over[len(over)]
+        # How many numbers that go on for too long follow each other from a byte on, (n + 1,).
+        self._cut: Array | None = None
+        starts = begins[: len(behind) + 1]
+        lengths = np.append(behind - 1, self._end) - starts
+        long = np.flatnonzero(lengths >= _LONGEST_NUMBER)
+        self._long = (starts[long].astype(np.int32), lengths[long].astype(np.int32))
+
+    def _cut_long(self, starts: Array, lengths: Array) -> None:
+        """Cut runs of bytes that say "it goes on" into numbers of five bytes.
+
+        Whatever byte of a run is begun from, all arrive behind the run's end, so that only how
+        many numbers lie between differs.
+        """
+        which = np.repeat(np.arange(len(starts), dtype=np.int32), lengths)
+        before = np.cumsum(lengths) - lengths
+        passed = np.arange(len(which), dtype=np.int32) - before.astype(np.int32).take(which)
+        at = starts.take(which) + passed
+        left = lengths.take(which) - passed
+        cut = np.zeros(len(self.raw) + 1, np.int32)
+        cut[at] = left // _LONGEST_NUMBER
+        whole = starts + lengths - lengths % _LONGEST_NUMBER  # the last cut of each run
+        more = np.concatenate([at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)], whole])
+        begun = np.zeros(len(self.raw) + 1, bool)
+        begun[self._begins[1 : len(self._begins) - MOST_FIELDS]] = begun[more] = True
+        begins = np.flatnonzero(begun)
+        self._begins = np.pad(
+            begins, (1, MOST_FIELDS), constant_values=(0, self._end)
+        ).astype(np.int32)
+        np.cumsum(begun, out=self._rank)
+        self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
+        self._rank[at] -= cut[at]
+        self._cut = cut
 
     def nth(self, at: Array, n: Array | int) -> Array:
         """Where number n, from 0 on, begins of those that follow each other from a position on.
@@ -73,27 +97,17 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
+        if len(self._long[0]) and at.size:  # in a window of nothing else this is most of the work
+            self._cut_long(*self._long)
+            self._long = self._long[0][:0], self._long[1][:0]
         found: Array = self._begins.take(self._rank.take(at) + n)
         if not isinstance(n, int) or n == 0:
             np.copyto(found, at, where=np.equal(n, 0))
-        if self._over is not None:
-            at, n = np.broadcast_to(at, found.shape), np.broadcast_to(n, found.shape)
-            unsafe = self._over[found] > self._over[at]
-            if unsafe.any():
-                found[unsafe] = self._step(at[unsafe], n[unsafe])
+        if self._cut is not None:
+            cut = self._cut.take(at)
+            if cut.any():
+                np.copyto(found, at + _LONGEST_NUMBER * n, where=(n <= cut) & (cut > 0))
         return found
-
-    def _step(self, at: Array, n: Array) -> Array:
-        """As `nth` for (k,) each, number by number."""
-        at, n = at.copy(), n.copy()
-        left = np.flatnonzero(n > 0)
-        while len(left):
-            now = at[left]
-            after = np.minimum(self._begins[self._rank[now] + 1], now + _LONGEST_NUMBER)
-            at[left] = np.minimum(after, self._end)
-            n[left] -= 1
-            left = left[n[left] > 0]
-        return at
 
     def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
         """Where what follows groups of a tag and the numbers that it marks begins.

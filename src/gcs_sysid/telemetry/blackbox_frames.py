@@ -6,7 +6,7 @@ frame counts when another follows it; else it is damaged, the search continues a
 and P frames count again after the next I frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,10 @@ _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
 _LONGEST_EVENT = 256
+_MARGIN = 16
+"""Bytes behind the longest frame."""
+_PERIOD = 840
+"""Bytes after which garbage repeats itself that does so after one to eight, or another divisor."""
 _END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
 
 _EVENTS = {
@@ -101,7 +105,8 @@ def read_frames(
         data: the file.
         header: of the session.
         stop: where the session ends, at the latest.
-        wanted: columns of the main frames to compute, where they are there; None: all.
+        wanted: columns of main and S frames to compute, where they are there, and none of G and
+            H frames; None: all.
 
     Raises:
         InputError: it claims more values than its bytes can hold.
@@ -109,6 +114,11 @@ def read_frames(
     layouts = {ord(k): Layout(frame, header.version) for k, frame in header.frames.items()}
     columns = {letter: np.arange(layout.fields) for letter, layout in layouts.items()}
     columns[I] = columns[P] = _columns(header, wanted)
+    claimed = {letter: len(of) for letter, of in columns.items()}
+    if wanted is not None:
+        columns |= {letter: np.arange(0) for letter in layouts if letter in (G, H)}
+        if S in layouts:
+            columns[S] = _named(header.frames["S"].names, wanted)
     room = _MOST_VALUES * (stop - header.data) + _FREE_VALUES
     values = {k: [np.empty((0, len(of)), np.int64)] for k, of in columns.items()}
     orders = {k: [np.empty(0, np.int64)] for k in layouts}
@@ -119,7 +129,7 @@ def read_frames(
     for window, start, frames in _windows(data, header.data, stop, layouts):
         for letter, layout in layouts.items():
             rows = np.flatnonzero(frames.whole & (frames.letters == letter))
-            room -= len(rows) * len(columns[letter])
+            room -= len(rows) * claimed[letter]
             if room < 0:
                 raise InputError("its frames claim more values than their bytes can hold")
             at = frames.at[rows] - start + 1
@@ -166,14 +176,18 @@ def _columns(header: Header, wanted: Sequence[str] | None) -> Array:
     needed = {"loopIteration", "time", *(names if wanted is None else wanted)}
     if any(MOTOR_0 in header.frames[letter].predictors for letter in "IP"):
         needed.add("motor[0]")
-    return np.array([i for i, name in enumerate(names) if name in needed])
+    return _named(names, needed)
+
+
+def _named(names: Sequence[str], wanted: Collection[str]) -> Array:
+    return np.array([i for i, name in enumerate(names) if name in wanted], np.int64)
 
 
 def _windows(
     data: bytes, start: int, stop: int, layouts: dict[int, Layout]
 ) -> Iterator[tuple[ByteWindow, int, _Found]]:
     """Stretches of a session, the position in the file of each, and the frames that begin in it."""
-    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + 16
+    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + _MARGIN
     at = start
     for first in range(start, max(stop, start + 1), _AT_ONCE):
         if at >= first + _AT_ONCE:  # the log has ended
@@ -183,7 +197,7 @@ def _windows(
         if last == stop:
             raw = np.append(raw, np.zeros(margin, np.uint8))
         window = ByteWindow(raw)
-        found = _follow(window, max(at - first, 0), stop - first, layouts)
+        found = _follow(window, max(at - first, 0), stop - first, layouts, margin)
         at = first + _AT_ONCE
         if found.whole[-1:].any():
             at = stop if found.over[-1] else max(first + int(found.ends[-1]), at)
@@ -191,7 +205,9 @@ def _windows(
         yield window, first, shifted
 
 
-def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) -> _Found:
+def _follow(
+    window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout], margin: int
+) -> _Found:
     """The frames that begin in a window's first bytes.
 
     Args:
@@ -199,19 +215,32 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
         at: position from which on to search.
         stop: end of the session.
         layouts: of all types that the header describes.
+        margin: bytes that decide where a frame ends.
     """
     raw = window.raw
     known = np.isin(np.arange(256), [*layouts, E])
     may_begin = known[raw[: min(_AT_ONCE, stop)]]
     begin = np.flatnonzero(may_begin).astype(np.int32)
-    window.crowded = 4 * len(begin) > len(raw)
-    parts = [
-        _ends(window, begin[i : i + CACHED], stop, layouts)
-        for i in range(0, max(len(begin), 1), CACHED)
-    ]
-    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
     begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
     np.cumsum(may_begin, out=begun[1:])
+    repeats = _repeats(raw, len(may_begin), stop, margin) if _is_crowded(begin, raw) else []
+    runs = [(begun[first - _PERIOD], begun[first], begun[last]) for first, last in repeats]
+    tried = np.ones(len(begin), bool)
+    for _, first, last in runs:
+        tried[first:last] = False
+    candidates = begin[tried] if runs else begin
+    window.crowded = _is_crowded(candidates, raw)
+    parts = [
+        _ends(window, candidates[i : i + CACHED], stop, layouts)
+        for i in range(0, max(len(candidates), 1), CACHED)
+    ]
+    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
+    if runs:
+        ends, whole, over = (_spread(some, tried) for some in (ends, whole, over))
+        for before, first, last in runs:
+            _repeat(ends, before, first, last, step=_PERIOD)
+            _repeat(whole, before, first, last)
+            _repeat(over, before, first, last)
     leads_to = begun.take(ends[whole], mode="clip")
     leads_to[over[whole]] = len(begin)
     rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
@@ -219,6 +248,43 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
     found = _Found(begin, ends, raw[begin], whole[rows], whole[rows], over[rows])
     behind = raw[np.minimum(found.ends, len(raw) - 1)]
     return replace(found, gap=found.whole & (found.ends < stop) & ~known[behind])
+
+
+def _is_crowded(begin: Array, raw: Array) -> bool:
+    return 4 * len(begin) > len(raw)
+
+
+def _repeats(raw: Array, count: int, stop: int, margin: int) -> list[tuple[int, int]]:
+    """Stretches of (first, last) bytes: what begins in them ends as what began a period before.
+
+    Args:
+        raw: the bytes.
+        count: of those that may begin a frame.
+        stop: end of the session.
+        margin: bytes that decide where a frame ends.
+    """
+    changes = np.flatnonzero(raw[_PERIOD:] != raw[:-_PERIOD]) + _PERIOD
+    changes = np.concatenate([[_PERIOD - 1], changes, [len(raw)]])
+    long = np.flatnonzero(np.diff(changes) > margin)
+    first = changes[long] + 1
+    last = np.minimum(changes[long + 1] - margin, min(count, stop - margin))
+    return [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if a < b]
+
+
+def _spread(values: Array, there: Mask) -> Array:
+    """(k,) values put where (n,) says."""
+    spread = np.zeros(len(there), values.dtype)
+    spread[there] = values
+    return spread
+
+
+def _repeat(values: Array, before: int, first: int, last: int, step: int = 0) -> None:
+    """Fill values from the first to the last with those before, in place, a step more each time."""
+    if first > before:
+        times = -(-(last - first) // (first - before))
+        more = step * np.arange(1, times + 1, dtype=np.int32)[:, None]
+        repeated = values[before:first] + more if step else np.tile(values[before:first], times)
+        values[first:last] = repeated.ravel()[: last - first]
 
 
 def _ends(
