@@ -82,9 +82,9 @@ class ByteWindow:
         begun = np.zeros(len(self.raw) + 1, bool)
         begun[self._begins[1 : len(self._begins) - MOST_FIELDS]] = begun[more] = True
         begins = np.flatnonzero(begun)
-        self._begins = np.pad(
-            begins, (1, MOST_FIELDS), constant_values=(0, self._end)
-        ).astype(np.int32)
+        self._begins = np.pad(begins, (1, MOST_FIELDS), constant_values=(0, self._end)).astype(
+            np.int32
+        )
         np.cumsum(begun, out=self._rank)
         self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
         self._rank[at] -= cut[at]
