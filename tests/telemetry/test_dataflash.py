@@ -2,6 +2,7 @@
 
 import math
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -231,6 +232,71 @@ def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight, of):
     log = open_log(path)
     assert 290 <= len(of(log, Stream.IMU)) < 300
     assert 300 < log.as_dict()["garbage_bytes"] < 500
+
+
+def read_of(recording):
+    """What is compared of a recording."""
+    tracks = [
+        (k.stream, k.source, k.offset, k.t.tolist(), k.values.tolist()) for k in recording.tracks
+    ]
+    counted = recording.counts, recording.garbage_bytes, recording.dropped, recording.lost
+    return tracks, counted, recording.parameters
+
+
+def test_windows_do_not_show(tmp_path, flight, monkeypatch):
+    path = tmp_path / "some.bin"
+    for seed in range(6):
+        rng = random.Random(seed)
+        data = bytearray(flight.bytes())
+        for _ in range(9 * (seed > 0)):
+            at = rng.randrange(3, len(data))
+            hurt = rng.choice((b"", b"\xa3\x95\x80", b"\xa3\x95" * 500, rng.randbytes(2000)))
+            data[at : at + rng.randrange(300)] = hurt
+        path.write_bytes(data)
+        monkeypatch.undo()
+        expected = read_of(read_dataflash(path))
+        for size in (600, 1000, 4096, len(data)):
+            monkeypatch.setattr(dataflash_format, "_WINDOW", size)
+            assert read_of(read_dataflash(path)) == expected
+
+
+def test_what_is_not_read_takes_no_memory(tmp_path, dataflash_file, monkeypatch):
+    log = dataflash_file
+    log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.type("XYZ", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for i in range(100):
+        log.row("IMU", 1000 + 1000 * i, 0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+    log.row("XYZ", 0, 0, *[0.0] * 6)
+    path = tmp_path / "long.bin"
+    path.write_bytes(log.bytes() + log.bytes()[-36:] * 100_000)
+    monkeypatch.setattr(dataflash_format, "_WINDOW", 2**16)
+    read_dataflash(path)  # what is imported and kept takes its memory
+    tracemalloc.start()
+    recording = read_dataflash(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert recording.counts["XYZ"] == 100_001
+    assert peak < path.stat().st_size / 5
+
+
+def test_numbers_of_instances_that_are_none_are_no_instances(tmp_path, dataflash_file, of):
+    log = dataflash_file
+    log.type("IMU", "Qfffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.type("ESC", "Qfff", "TimeUS,Instance,RPM,RawRPM")
+    log.type("RPM", "Qff", "TimeUS,I,RPM")
+    log.type("DSF", "Qf", "TimeUS,Dp")
+    nan = math.nan
+    for i in range(20):
+        log.row("IMU", 1000 + 1000 * i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+        for number in (0.0, nan, math.inf):
+            log.row("ESC", 1000 + 1000 * i, number, 100.0, 0.0)
+            log.row("RPM", 1000 + 1000 * i, number, 100.0)
+    log.row("DSF", 1000, nan)
+    path = tmp_path / "numbers.bin"
+    path.write_bytes(log.bytes())
+    for source in ("ESC", "RPM"):
+        assert {r.offset for r in of(open_log(path), Stream.ROTOR_SPEED, source)} == {0}
+    assert open_log(path).as_dict()["lost"] == 0
 
 
 @pytest.mark.parametrize("content", [b"\xa3\x95\x80", b"\xa3\x95" + bytes(1000)])
