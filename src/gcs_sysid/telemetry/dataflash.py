@@ -84,13 +84,17 @@ def _is_read(name: str, column: str) -> bool:
     return name in _READ and (column in _READ[name] or column in (*_TIMES, *_NUMBERS))
 
 
-def read_dataflash(path: Path) -> Recording:
+def read_dataflash(path: Path, window: int | None = None) -> Recording:
     """Read a .bin file.
+
+    Args:
+        path: of the file.
+        window: bytes read at once, which change no number.
 
     Raises:
         InputError: it cannot be read or is no dataflash log.
     """
-    return _Reader(DataflashLog(path, _is_read)).read()
+    return _Reader(DataflashLog(path, _is_read, window)).read()
 
 
 class _Reader:

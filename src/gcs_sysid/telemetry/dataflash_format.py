@@ -82,6 +82,7 @@ class DataflashLog:
     Args:
         path: of the file.
         wanted: whether a column (name of the entry, name of the column) is to be taken.
+        window: bytes read at once.
 
     Attributes:
         path: of the file.
@@ -92,10 +93,13 @@ class DataflashLog:
         InputError: the file cannot be read or is no dataflash log.
     """
 
-    def __init__(self, path: Path, wanted: Callable[[str, str], bool]) -> None:
+    def __init__(
+        self, path: Path, wanted: Callable[[str, str], bool], window: int | None = None
+    ) -> None:
         self.path = path
         self.garbage_bytes = 0
         self._wanted = wanted
+        self._window = max(window or _WINDOW, _MARGIN + 1)
         self._types: dict[int, EntryType] = {}
         self._rows = {_FMT: _Rows()}
         self._sizes = {_FMT: _FMT_SIZE}
@@ -177,8 +181,8 @@ class DataflashLog:
         with open(self.path, "rb") as file:
             content, position, final = b"", 0, False
             while not final:
-                more = file.read(_WINDOW)
-                final = len(more) < _WINDOW
+                more = file.read(self._window)
+                final = len(more) < self._window
                 content += more
                 done = self._find(content, final=final)
                 self._settle(content, position)
