@@ -288,6 +288,26 @@ def test_numbers_of_instances_that_are_none_are_no_instances(tmp_path, dataflash
     assert open_log(path).as_dict()["lost"] == 0
 
 
+def test_a_name_described_twice_is_that_of_which_there_are_entries(tmp_path, flight, of):
+    flight.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", number=200)
+    path = tmp_path / "twice.bin"
+    path.write_bytes(flight.bytes())
+    assert len(of(open_log(path), Stream.IMU)) == 300
+
+
+def test_damaged_numbers_warn_nobody(tmp_path, dataflash_file):
+    log = dataflash_file
+    log.type("ATT", "ffff", "TimeUS,Roll,Pitch,Yaw")
+    log.type("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
+    for i in range(9):
+        log.row("ATT", math.inf if i % 2 else i, math.inf, math.nan, 1e38)
+        log.row("XKQ", 1000 * i, 0, math.inf, 3e38, 3e38, 0.0)
+    path = tmp_path / "damaged.bin"
+    path.write_bytes(log.bytes())
+    with np.errstate(all="raise"):
+        assert read_dataflash(path).dropped["not finite"] > 0
+
+
 @pytest.mark.parametrize("content", [b"\xa3\x95\x80", b"\xa3\x95" + bytes(1000)])
 def test_what_is_no_log_gives_one_line(tmp_path, content):
     path = tmp_path / "some.bin"

@@ -211,7 +211,9 @@ class _Reader:
                 t = self._times(row.name)[taken]
                 columns = self._named(row.name, row.fields, taken)
                 assert columns is not None
-                recording.add(stream, t, row.values(columns))
+                with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers
+                    values = row.values(columns)
+                recording.add(stream, t, values)
             for _, row, _ in there:
                 self._log.let_go(row.name, row.fields)
 

@@ -122,8 +122,8 @@ class DataflashLog:
         self.counts: dict[str, int] = {}
         self._by_name: dict[str, int] = {}
         for number, entry in self._types.items():
-            self._by_name[entry.name] = number
-            if self._rows[number].count:
+            if self._rows[number].count:  # a name may be described twice
+                self._by_name[entry.name] = number
                 self.counts[entry.name] = self._rows[number].count
 
     def places(self, name: str) -> NDArray[np.int64]:

@@ -139,6 +139,10 @@ class Recording:
         """
         if not len(t):
             return
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+            self._add(stream, t, values, offset, source)
+
+    def _add(self, stream: Stream, t: Array, values: Array, offset: int, source: str) -> None:
         values = values.astype(float, copy=False).reshape(len(t), -1)
         if stream is Stream.ATTITUDE:
             values = _upright(values)
