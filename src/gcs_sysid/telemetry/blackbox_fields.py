@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.blackbox_format import (
     GROUPS,
     INCREMENT,
@@ -51,41 +51,48 @@ class ByteWindow:
         self._behind_tags: dict[tuple[int, int], Array] = {}
         self._end = len(raw) - 1
         last = raw < 0x80
-        # Where the number behind the one begins that ends k-th, from 1 on.
-        behind = np.flatnonzero(last[:-1]) + 1
-        begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
-        self._begins = begins.astype(np.int32)  # half the size: more of it stays in the cache
+        self._begins = self._begins_of(last)
         self._rank = np.zeros(len(raw) + 1, np.int32)
-        np.cumsum(last, out=self._rank[1:])
+        np.cumsum(last, dtype=np.int32, out=self._rank[1:])
+        goes_on = ~last
+        long = goes_on[: 1 - _LONGEST_NUMBER].copy()
+        for i in range(1, _LONGEST_NUMBER):
+            long &= goes_on[i : len(raw) - _LONGEST_NUMBER + 1 + i]
+        self._has_long = bool(long.any())
         # How many numbers that go on for too long follow each other from a byte on, (n + 1,).
         self._cut: Array | None = None
-        starts = begins[: len(behind) + 1]
-        lengths = np.append(behind - 1, self._end) - starts
-        long = np.flatnonzero(lengths >= _LONGEST_NUMBER)
-        self._long = (starts[long].astype(np.int32), lengths[long].astype(np.int32))
 
-    def _cut_long(self, starts: Array, lengths: Array) -> None:
+    def _begins_of(self, ends: Mask) -> Array:
+        """Where the number behind the one begins that ends k-th, from 1 on; of half the size of
+        positions, so that more of it stays in the cache.
+        """
+        behind = np.flatnonzero(ends[:-1])
+        begins = np.full(len(behind) + 1 + MOST_FIELDS, self._end, np.int32)
+        begins[0] = 0
+        np.add(behind, 1, out=begins[1 : len(behind) + 1], casting="unsafe")
+        return begins
+
+    def _cut_long(self) -> None:
         """Cut runs of bytes that say "it goes on" into numbers of five bytes.
 
         Whatever byte of a run is begun from, all arrive behind the run's end, so that only how
         many numbers lie between differs.
         """
+        starts = self._begins[: len(self._begins) - MOST_FIELDS]
+        lengths = np.append(starts[1:] - 1, np.int32(self._end)) - starts
+        long = lengths >= _LONGEST_NUMBER
+        starts, lengths = starts[long], lengths[long]
         which = np.repeat(np.arange(len(starts), dtype=np.int32), lengths)
-        before = np.cumsum(lengths) - lengths
-        passed = np.arange(len(which), dtype=np.int32) - before.astype(np.int32).take(which)
+        before = (np.cumsum(lengths) - lengths).astype(np.int32)
+        passed = np.arange(len(which), dtype=np.int32) - before.take(which)
         at = starts.take(which) + passed
-        left = lengths.take(which) - passed
         cut = np.zeros(len(self.raw) + 1, np.int32)
-        cut[at] = left // _LONGEST_NUMBER
-        whole = starts + lengths - lengths % _LONGEST_NUMBER  # the last cut of each run
-        more = np.concatenate([at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)], whole])
-        begun = np.zeros(len(self.raw) + 1, bool)
-        begun[self._begins[1 : len(self._begins) - MOST_FIELDS]] = begun[more] = True
-        begins = np.flatnonzero(begun)
-        self._begins = np.pad(begins, (1, MOST_FIELDS), constant_values=(0, self._end)).astype(
-            np.int32
-        )
-        np.cumsum(begun, out=self._rank)
+        cut[at] = (lengths.take(which) - passed) // _LONGEST_NUMBER
+        ends = self.raw < 0x80
+        within = at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)]
+        ends[within - 1] = ends[starts + lengths - lengths % _LONGEST_NUMBER - 1] = True
+        self._begins = self._begins_of(ends)
+        np.cumsum(ends, dtype=np.int32, out=self._rank[1:])
         self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
         self._rank[at] -= cut[at]
         self._cut = cut
@@ -97,9 +104,8 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        if len(self._long[0]) and at.size:  # in a window of nothing else this is most of the work
-            self._cut_long(*self._long)
-            self._long = self._long[0][:0], self._long[1][:0]
+        if self._has_long and self._cut is None and at.size:
+            self._cut_long()
         found: Array = self._begins.take(self._rank.take(at) + n)
         if not isinstance(n, int) or n == 0:
             np.copyto(found, at, where=np.equal(n, 0))

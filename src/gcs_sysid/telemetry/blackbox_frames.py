@@ -29,6 +29,7 @@ _FREE_VALUES = 2**20
 _LONGEST_EVENT = 256
 _MARGIN = 16
 """Bytes behind the longest frame."""
+_FEW_JUMPS = 2**13
 _PERIOD = 840
 """Bytes after which garbage repeats itself that does so after one to eight, or another divisor."""
 _END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
@@ -293,27 +294,29 @@ def _ends(
     """Where frames end that begin at (k,) positions, which are whole, and which end the log."""
     raw = window.raw
     letters = raw.take(begin)
-    ends = begin + 1
+    by_letter = np.argsort(letters, kind="stable")
+    at = begin.take(by_letter) + 1
+    ends = at.copy()
     over = np.zeros(len(begin), bool)
-    there = np.bincount(letters, minlength=256)
-    for letter, layout in layouts.items():
-        if there[letter]:
-            mine = np.flatnonzero(letters == letter)
-            at = ends.take(mine)
-            behind = layout.ends(window, at)
-            behind[behind - at > layout.longest] = stop + 1
-            ends[mine] = behind
-    if there[E]:
-        mine = np.flatnonzero(letters == E)
-        at = ends.take(mine)
-        behind, over[mine] = _event_ends(window, at)
-        behind[behind - at > _LONGEST_EVENT] = stop + 1
+    counts = np.bincount(letters, minlength=256)
+    behind_each = np.cumsum(counts)
+    for letter in np.flatnonzero(counts).tolist():
+        mine = slice(behind_each[letter] - counts[letter], behind_each[letter])
+        if letter == E:
+            behind, over[mine] = _event_ends(window, at[mine])
+        else:
+            behind = layouts[letter].ends(window, at[mine])
+        longest = _LONGEST_EVENT if letter == E else layouts[letter].longest
+        behind[behind - at[mine] > longest] = stop + 1
         ends[mine] = behind
     whole = _IS_MARKER.take(raw.take(ends, mode="clip"))
     whole |= ends == stop
     whole |= over
     whole &= ends <= stop
-    return ends, whole, over
+    found = np.empty_like(ends), np.empty_like(whole), np.empty_like(over)
+    for values, sorted_values in zip(found, (ends, whole, over), strict=True):
+        values[by_letter] = sorted_values
+    return found
 
 
 def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
@@ -328,24 +331,42 @@ def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
     np.cumsum(jumps, out=number[1:])
     count = len(leads_to)
     one = np.append(number.take(leads_to), np.int32(count))
-    two = one.take(one)
-    four = two.take(two)
-    # Eight jumps at a time, read in place: in garbage there are as many jumps as bytes.
-    eight = four.take(four).data
-    met: list[int] = []
-    take, jump = met.append, int(number[first])
-    while jump < count:
-        take(jump)
-        jump = eight[jump]
-    taken = np.array(met, np.intp)
-    for hop in (four, two, one):
-        taken = np.column_stack([taken, hop[taken]]).ravel()
-    taken = taken[taken < count]
+    taken = _hops(one, int(number[first]), _FEW_JUMPS if count > _FEW_JUMPS else 0)
     begins = np.append(first, leads_to[taken])
     lengths = np.append(np.flatnonzero(jumps)[taken] + 1, len(jumps)) - begins
     rows: Array = np.repeat(begins - np.cumsum(lengths) + lengths, lengths)
     rows += np.arange(len(rows))
     return rows
+
+
+def _hops(one: Array, jump: int, few: int) -> Array:
+    """The jumps met from one on, each leading to another, the last of which leads nowhere.
+
+    Args:
+        one: (n + 1,) where each leads; n: nowhere.
+        jump: the first.
+        few: so many are followed one by one, as doubling costs as much as the bytes of a window.
+    """
+    count = len(one) - 1
+    single: list[int] = []
+    eighth: list[int] = []
+    place = one.data  # read in place
+    while jump < count and len(single) < few:
+        single.append(jump)
+        jump = place[jump]
+    taken = np.empty(0, np.intp)
+    if jump < count:  # in garbage there may be as many jumps as bytes: eight at a time
+        two = one.take(one)
+        four = two.take(two)
+        place = four.take(four).data
+        while jump < count:
+            eighth.append(jump)
+            jump = place[jump]
+        taken = np.array(eighth, np.intp)
+        for hop in (four, two, one):
+            taken = np.column_stack([taken, hop[taken]]).ravel()
+        taken = taken[taken < count]
+    return np.append(np.array(single, np.intp), taken)
 
 
 def _events(window: ByteWindow, at: Array, order: Array) -> Array:
