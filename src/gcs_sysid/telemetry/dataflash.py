@@ -94,7 +94,9 @@ def read_dataflash(path: Path, window: int | None = None) -> Recording:
     Raises:
         InputError: it cannot be read or is no dataflash log.
     """
-    return _Reader(DataflashLog(path, _is_read, window)).read()
+    log = DataflashLog(path, _is_read, window)
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+        return _Reader(log).read()
 
 
 class _Reader:
@@ -166,7 +168,11 @@ class _Reader:
             return []
         names = (name.decode("ascii", "replace") for name in texts.tolist())
         table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
-        return [entry for entry in table if np.isfinite(entry[2]) and entry[1].isprintable()]
+        return [
+            (t, name, value)
+            for t, name, value in table
+            if math.isfinite(t) and math.isfinite(value) and name.isprintable()
+        ]
 
     def _named(self, name: str, wanted: Sequence[str], rows: Mask | slice = EVERY) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""
@@ -211,9 +217,7 @@ class _Reader:
                 t = self._times(row.name)[taken]
                 columns = self._named(row.name, row.fields, taken)
                 assert columns is not None
-                with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers
-                    values = row.values(columns)
-                recording.add(stream, t, values)
+                recording.add(stream, t, row.values(columns))
             for _, row, _ in there:
                 self._log.let_go(row.name, row.fields)
 

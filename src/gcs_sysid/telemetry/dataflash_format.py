@@ -149,7 +149,7 @@ class DataflashLog:
 
         Integers are scaled; what is damaged may be NaN.
         """
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):  # of bits that are no number
             return {
                 column: self._values(name, column, rows).astype(float, copy=False)
                 for column in self.names(name)

@@ -168,10 +168,12 @@ class Recording:
 
     def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
         """Add a state by the times at which it changed, repeated every second as on a link."""
-        if not changes:
+        at = np.array(list(changes))
+        self._drop("no time", ~np.isfinite(at))
+        at = np.sort(at[np.isfinite(at)])
+        if not len(at):
             return
-        at = np.array(sorted(changes))
-        end = min(max(end, at[0]), at[0] + STATE_FOR)
+        end = min(max(at[0], end), at[0] + STATE_FOR)
         t = np.union1d(at, np.arange(at[0], end, STATE_EVERY))
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])

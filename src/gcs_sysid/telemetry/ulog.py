@@ -86,6 +86,11 @@ def read_ulog(path: Path) -> Recording:
         InputError: it cannot be read, is no ULog, or holds no data.
     """
     log = UlogFile(path, READ, _is_read)
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+        return _recording(path, log)
+
+
+def _recording(path: Path, log: UlogFile) -> Recording:
     topics = log.topics
     if not topics:
         fault = next((f"{name}: {why}" for name, why in log.faults.items()), "")
@@ -188,9 +193,8 @@ def _columns(topic: Topic, *fields: str) -> Array:
             raise KeyError(name)
         columns += (topic[f"{name}[{i}]"] for i in range(count))
     values = np.empty((len(columns[0]), len(columns)))
-    with np.errstate(invalid="ignore"):  # damaged values may be NaN
-        for i, column in enumerate(columns):
-            values[:, i] = column
+    for i, column in enumerate(columns):
+        values[:, i] = column
     return values
 
 
