@@ -16,6 +16,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.blackbox_fields import CACHED, ByteWindow, Layout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
 from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
+from gcs_sysid.telemetry.repeated_bytes import PERIOD, Repeats
 
 I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
 RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
@@ -30,8 +31,6 @@ _LONGEST_EVENT = 256
 _MARGIN = 16
 """Bytes behind the longest frame."""
 _FEW_JUMPS = 2**13
-_PERIOD = 840
-"""Bytes after which garbage repeats itself that does so after one to eight, or another divisor."""
 _END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
 
 _EVENTS = {
@@ -224,24 +223,18 @@ def _follow(
     begin = np.flatnonzero(may_begin).astype(np.int32)
     begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
     np.cumsum(may_begin, out=begun[1:])
-    repeats = _repeats(raw, len(may_begin), stop, margin) if _is_crowded(begin, raw) else []
-    runs = [(begun[first - _PERIOD], begun[first], begun[last]) for first, last in repeats]
-    tried = np.ones(len(begin), bool)
-    for _, first, last in runs:
-        tried[first:last] = False
-    candidates = begin[tried] if runs else begin
+    candidates = begin
+    repeats = Repeats(raw, begin, stop, margin) if _is_crowded(begin, raw) else None
+    if repeats:
+        candidates = begin[repeats.others]
     window.crowded = _is_crowded(candidates, raw)
     parts = [
         _ends(window, candidates[i : i + CACHED], stop, layouts)
         for i in range(0, max(len(candidates), 1), CACHED)
     ]
     ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
-    if runs:
-        ends, whole, over = (_spread(some, tried) for some in (ends, whole, over))
-        for before, first, last in runs:
-            _repeat(ends, before, first, last, step=_PERIOD)
-            _repeat(whole, before, first, last)
-            _repeat(over, before, first, last)
+    if repeats:
+        ends, whole, over = repeats.fill(ends, PERIOD), repeats.fill(whole), repeats.fill(over)
     leads_to = begun.take(ends[whole], mode="clip")
     leads_to[over[whole]] = len(begin)
     rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
@@ -253,39 +246,6 @@ def _follow(
 
 def _is_crowded(begin: Array, raw: Array) -> bool:
     return 4 * len(begin) > len(raw)
-
-
-def _repeats(raw: Array, count: int, stop: int, margin: int) -> list[tuple[int, int]]:
-    """Stretches of (first, last) bytes: what begins in them ends as what began a period before.
-
-    Args:
-        raw: the bytes.
-        count: of those that may begin a frame.
-        stop: end of the session.
-        margin: bytes that decide where a frame ends.
-    """
-    changes = np.flatnonzero(raw[_PERIOD:] != raw[:-_PERIOD]) + _PERIOD
-    changes = np.concatenate([[_PERIOD - 1], changes, [len(raw)]])
-    long = np.flatnonzero(np.diff(changes) > margin)
-    first = changes[long] + 1
-    last = np.minimum(changes[long + 1] - margin, min(count, stop - margin))
-    return [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if a < b]
-
-
-def _spread(values: Array, there: Mask) -> Array:
-    """(k,) values put where (n,) says."""
-    spread = np.zeros(len(there), values.dtype)
-    spread[there] = values
-    return spread
-
-
-def _repeat(values: Array, before: int, first: int, last: int, step: int = 0) -> None:
-    """Fill values from the first to the last with those before, in place, a step more each time."""
-    if first > before:
-        times = -(-(last - first) // (first - before))
-        more = step * np.arange(1, times + 1, dtype=np.int32)[:, None]
-        repeated = values[before:first] + more if step else np.tile(values[before:first], times)
-        values[first:last] = repeated.ravel()[: last - first]
 
 
 def _ends(
