@@ -143,7 +143,7 @@ class Recording:
             self._add(stream, t, values, offset, source)
 
     def _add(self, stream: Stream, t: Array, values: Array, offset: int, source: str) -> None:
-        values = values.astype(float, copy=False).reshape(len(t), -1)
+        values = np.ascontiguousarray(values, float).reshape(len(t), -1)
         if stream is Stream.ATTITUDE:
             values = _upright(values)
         believable = believable_times(t)
