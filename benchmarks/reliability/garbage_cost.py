@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from random import Random
 
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log
@@ -23,11 +24,19 @@ LOGS = {
 }
 MOST = 8_000_000
 """Bytes that are taken of a log."""
+
+
+def _drawn(letters: bytes) -> bytes:
+    """A megabyte of letters by chance."""
+    return bytes(Random(1).choices(letters, k=2**20))
+
+
 PATTERNS = {
     "FD": b"\xfd", "FE": b"\xfe", "FD 09 00 00": b"\xfd\x09\0\0", "FE 00": b"\xfe\0",
     "00": b"\0", "00 00 5A": b"\0\0\x5a", "D": b"D", "A3 95": b"\xa3\x95",
     "A3 95 80": b"\xa3\x95\x80", "A3 95 01": b"\xa3\x95\x01", "I": b"I", "P": b"P",
-    "IE": b"IE", "H ": b"H ",
+    "IE": b"IE", "H ": b"H ", "S": b"S", "PPE": b"PPE", "IPSE": b"IPSE",
+    "IPSE drawn": _drawn(b"IPSE"), "P I 80 0 drawn": _drawn(b"PI\x80\0"),
 }  # fmt: skip
 
 

@@ -113,18 +113,21 @@ def test_logs_of_every_kind_are_read_as_a_plain_reader_reads_them(seed):
         assert_as_plain(damaged(rng, data, len(writer.header())))
 
 
-@pytest.mark.parametrize("garbage", ["P", "IE", "I", "PH", "drawn"])
+@pytest.mark.parametrize(
+    "garbage",
+    ["P", "IE", "I", "PH", "PPE", "S", "P\x80", "I" + "\x80" * 11, "IPGHSE\0\1\x7f", "PI\x80\0"],
+)
 def test_much_garbage_is_read_as_a_plain_reader_reads_it(garbage):
     """Of which every byte may begin a frame; several groups of tagged numbers in each."""
     rng = random.Random(garbage)
     fields = [*bbl.CLOCK]
     fields += [Field(f"x[{i}]", 1, bbl.ZERO, bbl.TAG8_8SVB, bbl.PREVIOUS) for i in range(27)]
     writer, data = drawn_log(rng, fields, 40_000)
-    drawn = "".join(rng.choices("IPGHSE\0\1\x7f", k=3000))
-    many = (drawn if garbage == "drawn" else garbage * 2000)[:3000].encode()
+    drawn = "".join(rng.choices(garbage, k=3000))
     middle = len(writer.header()) + len(data[len(writer.header()) :]) // 2
-    assert_as_plain(data[:middle] + many + data[middle:])
-    assert_as_plain(data[:middle] + many)
+    for many in ((garbage * 3000)[:3000].encode("latin1"), drawn.encode("latin1")):
+        assert_as_plain(data[:middle] + many + data[middle:])
+        assert_as_plain(data[:middle] + many)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -172,7 +175,8 @@ def test_what_was_written_is_read(encoding, predictor):
 def test_windows_do_not_show(monkeypatch):
     rng = random.Random(5)
     writer, data = drawn_log(rng)
-    data = damaged(rng, data * 1, len(writer.header()))
+    data = damaged(rng, data, len(writer.header()))
+    data = data[:-500] + b"PPE" * 900 + data[-500:]
     expected = frames_of(data)
     for size in (64, 257, 1000):
         monkeypatch.setattr(blackbox_frames, "_AT_ONCE", size)
@@ -189,6 +193,11 @@ def test_columns_wanted_are_those_of_all():
         found = frames_of(data, [name]).main
         assert {name, "loopIteration", "time"} <= set(found.names)
         assert np.array_equal(found.columns(name), every.columns(name))
+    slow = frames_of(data).slow
+    found = frames_of(data, ["stateFlags"])
+    assert found.slow.names == ("stateFlags",)
+    assert np.array_equal(found.slow.values, slow.columns("stateFlags"))
+    assert np.array_equal(found.slow.order, slow.order)
 
 
 def plain_log(frames=200, fields=()):

@@ -2,10 +2,13 @@
 
 import math
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
 
+from benchmarks.reliability.fuzz.body_harnesses import assert_alike
+from benchmarks.reliability.fuzz.file_harnesses import check_recording
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format
@@ -231,6 +234,87 @@ def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight, of):
     log = open_log(path)
     assert 290 <= len(of(log, Stream.IMU)) < 300
     assert 300 < log.as_dict()["garbage_bytes"] < 500
+
+
+def test_windows_do_not_show(tmp_path, flight):
+    path = tmp_path / "some.bin"
+    for seed in range(6):
+        rng = random.Random(seed)
+        data = bytearray(flight.bytes())
+        for _ in range(9 * (seed > 0)):
+            at = rng.randrange(3, len(data))
+            hurt = rng.choice((b"", b"\xa3\x95\x80", b"\xa3\x95" * 500, rng.randbytes(2000)))
+            data[at : at + rng.randrange(300)] = hurt
+        path.write_bytes(data)
+        expected = read_dataflash(path)
+        for size in (1, 600, 1000, 4096, len(data)):
+            assert_alike(read_dataflash(path, size), expected)
+
+
+def test_what_is_not_read_takes_no_memory(tmp_path, dataflash_file):
+    log = dataflash_file
+    log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.type("XYZ", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for i in range(100):
+        log.row("IMU", 1000 + 1000 * i, 0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+    log.row("XYZ", 0, 0, *[0.0] * 6)
+    path = tmp_path / "long.bin"
+    path.write_bytes(log.bytes() + log.bytes()[-36:] * 100_000)
+    read_dataflash(path)  # what is imported and kept takes its memory
+    tracemalloc.start()
+    recording = read_dataflash(path, 2**16)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert recording.counts["XYZ"] == 100_001
+    assert peak < path.stat().st_size / 5
+
+
+def test_numbers_of_instances_that_are_none_are_no_instances(tmp_path, dataflash_file, of):
+    log = dataflash_file
+    log.type("IMU", "Qfffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.type("ESC", "Qfff", "TimeUS,Instance,RPM,RawRPM")
+    log.type("RPM", "Qff", "TimeUS,I,RPM")
+    log.type("DSF", "Qf", "TimeUS,Dp")
+    nan = math.nan
+    for i in range(20):
+        log.row("IMU", 1000 + 1000 * i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+        for number in (0.0, nan, math.inf):
+            log.row("ESC", 1000 + 1000 * i, number, 100.0, 0.0)
+            log.row("RPM", 1000 + 1000 * i, number, 100.0)
+    log.row("DSF", 1000, nan)
+    path = tmp_path / "numbers.bin"
+    path.write_bytes(log.bytes())
+    for source in ("ESC", "RPM"):
+        assert {r.offset for r in of(open_log(path), Stream.ROTOR_SPEED, source)} == {0}
+    assert open_log(path).as_dict()["lost"] == 0
+
+
+def test_a_name_described_twice_is_that_of_which_there_are_entries(tmp_path, flight, of):
+    flight.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", number=200)
+    path = tmp_path / "twice.bin"
+    path.write_bytes(flight.bytes())
+    assert len(of(open_log(path), Stream.IMU)) == 300
+
+
+def test_damaged_numbers_warn_nobody(tmp_path, dataflash_file):
+    log = dataflash_file
+    log.type("ATT", "ffff", "TimeUS,Roll,Pitch,Yaw")
+    log.type("EV", "fB", "TimeUS,Id")
+    log.type("PARM", "fNf", "TimeUS,Name,Value")
+    log.row("PARM", math.nan, "FRAME_CLASS", 1.0)
+    log.type("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
+    for i in range(9):
+        log.row("ATT", math.inf if i % 2 else i, math.inf, math.nan, 1e38)
+        log.row("XKQ", 1000 * i, 0, math.inf, 3e38, 3e38, 0.0)
+        log.row("EV", 0.0, 10)
+        log.data = log.data[:-5] + b"\1\0\x80\x7f" + log.data[-1:]  # a NaN that signals
+    path = tmp_path / "damaged.bin"
+    path.write_bytes(log.bytes())
+    with np.errstate(all="raise", under="ignore"):
+        recording = read_dataflash(path)
+    check_recording(recording)
+    assert recording.dropped["not finite"] > 0
+    assert recording.dropped["no time"] > 0
 
 
 @pytest.mark.parametrize("content", [b"\xa3\x95\x80", b"\xa3\x95" + bytes(1000)])

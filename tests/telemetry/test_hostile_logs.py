@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from benchmarks.reliability.fuzz.harness import one_line_errors
+from benchmarks.reliability.garbage_cost import measure
 from benchmarks.reliability.hostile import FILES, HEAD, TOP, ULG, formats, subscribed
 from benchmarks.reliability.hostile import ulg_entry as entry
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry import ulog
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import MAGIC
@@ -23,6 +23,7 @@ from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.ulog_scan import UlogFile
 
 SECONDS, MEGABYTES = 1.0, 200.0
+TURNS_AT_MOST = 4
 
 
 def row(size, number=0):
@@ -121,7 +122,7 @@ GARBAGE = {
     "00 00 5a": b"\0\0\x5a", "D": b"D", "A3 95": b"\xa3\x95", "A3 95 80": b"\xa3\x95\x80",
     "A3 95 01": b"\xa3\x95\x01",
 }  # fmt: skip
-MARKERS = {"P": b"P", "I": b"I", "IE": b"IE"}
+MARKERS = {"P": b"P", "I": b"I", "IE": b"IE", "S": b"S", "PPE": b"PPE"}
 """Of a blackbox log, every byte of which may begin a frame."""
 LOGS = {
     "tlog": "ap_euler_two_flights.tlog", "ulg": "px4-sih-default.ulg", "bin": "ardupilot-sitl.bin",
@@ -134,26 +135,15 @@ LOGS = {
 def test_garbage_costs_no_more_than_a_log(shared_logs, tmp_path, kind):
     data = (shared_logs / LOGS[kind]).read_bytes()[:6_000_000]
     path = tmp_path / f"log.{kind}"
-
-    def read(content):
-        """Samples of the IMU, and s of processor time per byte: the least of three turns."""
-        path.write_bytes(content)
-        least = np.inf
-        for _ in range(3):
-            began = time.process_time()
-            blocks = list(open_log(path).blocks())
-            least = min(least, time.process_time() - began)
-        imu = sum(
-            len(track.t) for block in blocks for track in block.tracks
-            if track.stream is Stream.IMU
-        )  # fmt: skip
-        return imu, least / len(content)
-
     for name, pattern in (GARBAGE | (MARKERS if kind == "BFL" else {})).items():
-        samples, clean = read(data)
         middle = len(data) // 2
         hurt = data[:middle] + (pattern * 6_000_000)[: len(data)] + data[middle:]
-        found, cost = read(hurt)
+        clean = cost = np.inf
+        for _ in range(TURNS_AT_MOST):  # another process only ever adds to what is measured
+            (now, samples), (hurt_now, found) = measure(path, (data, hurt))
+            clean, cost = min(clean, now), min(cost, hurt_now)
+            if cost <= 2.0 * clean:
+                break
         assert found >= 0.99 * samples, name
         assert cost <= 2.0 * clean, name
 

@@ -9,6 +9,7 @@ import pytest
 
 from gcs_sysid.telemetry import tlog_scan
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, counts_of
+from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner
 
@@ -192,3 +193,18 @@ def test_garbage_that_looks_like_frames_of_unknown_types_is_not_taken_up_by_wind
     assert whole[2].frames == 2 * len(raws)
     for window in range(1000, 1000 + len(unknown) + 8):
         assert scan(data, window) == whole
+
+
+@pytest.mark.parametrize(
+    "pattern", [b"\xfe", b"\xfd\x09\0\0", b"\xfe\x09\xfd", b"\xfd\xfe", "frame"]
+)
+def test_frames_in_what_repeats_itself_are_those_found_one_by_one(raws, pattern):
+    frame = raws[0] + bytes(-len(raws[0]) % 42)  # whose period is one that is looked for
+    garbage = ((frame if pattern == "frame" else pattern) * 6000)[:6000]
+    content = as_log(raws[:20]) + garbage + as_log(raws[20:40]) + garbage[:2500]
+    data = np.frombuffer(content + bytes(300), np.uint8)
+    good = tlog_scan._Chain(content, data, len(content)).good().tolist()
+    frames = ((at, read_frame(content, at)) for at in range(len(content)))
+    one_by_one = [at for at, frame in frames if frame and frame.valid is Validity.OK]
+    assert good == one_by_one
+    assert len(good) >= (140 if pattern == "frame" else 40)

@@ -3,12 +3,14 @@
 import math
 import random
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry import ulog_scan
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
 
@@ -125,6 +127,48 @@ def test_escs_are_put_in_motor_order(tmp_path, ulog_file, of):
     path.write_bytes(log.bytes())
     (record,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
     np.testing.assert_allclose(record.values, np.array([40.0, 20.0]) * math.pi)
+
+
+@pytest.mark.parametrize("count", [NAN, math.inf, -3.0, 0.0])
+def test_counts_that_are_none_give_no_rotors(tmp_path, ulog_file, of, count):
+    log = ulog_file
+    log.topic("sensor_combined", ["float[3] gyro_rad", "float[3] accelerometer_m_s2"])
+    log.topic("actuator_outputs", ["float noutputs", "float[4] output"])
+    log.nested("esc_report", ["int32_t esc_rpm", "float actuator_function"])
+    log.topic("esc_status", ["float esc_count", "esc_report[2] esc"])
+    log.topic("vehicle_status", ["float system_id", "float arming_state"])
+    log.row("sensor_combined", 3.0, *[0.0] * 6)
+    log.row("actuator_outputs", 3.0, count, *[1500.0] * 4)
+    log.row("esc_status", 3.0, count, 600, count, 600, count)
+    log.row("vehicle_status", 3.0, count, 2.0)
+    path = tmp_path / "counts.ulg"
+    path.write_bytes(log.bytes())
+    assert of(open_log(path), Stream.ROTOR_COMMAND, "actuator_outputs") == []
+    (speeds,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
+    assert len(speeds.values) == 2
+    assert len(of(open_log(path), Stream.ARMED)) == 1
+
+
+def test_what_is_not_read_takes_no_memory(tmp_path, ulog_file, monkeypatch):
+    log = ulog_file
+    log.topic("sensor_combined", ["float[3] gyro_rad", "float[100] other"])
+    log.topic("other", ["float[100] other"])
+    log.topic("vehicle_attitude", ["float[4] q"])
+    log.row("vehicle_attitude", 3.0, 1.0, 0.0, 0.0, 0.0)
+    start = len(log.bytes())
+    for i in range(100):
+        log.row("sensor_combined", 3.0 + 0.01 * i, *[0.0] * 103)
+        log.row("other", 3.0 + 0.01 * i, *[0.0] * 100)
+    path = tmp_path / "long.ulg"
+    path.write_bytes(log.bytes() + log.bytes()[start:] * 150)
+    monkeypatch.setattr(ulog_scan, "_WINDOW", 2**17)
+    read_ulog(path)  # what is imported and kept takes its memory
+    tracemalloc.start()
+    recording = read_ulog(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert recording.counts["sensor_combined"] == 15_100
+    assert peak < path.stat().st_size / 3
 
 
 @pytest.mark.slow

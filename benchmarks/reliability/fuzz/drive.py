@@ -13,6 +13,7 @@ import tempfile
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -194,6 +195,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--engine", choices=("atheris", "random"), required=True)
     options = parser.parse_args(argv)
+    warnings.simplefilter("error", RuntimeWarning)  # users would see them
     (_with_atheris if options.engine == "atheris" else _with_random)(options.harness, options)
 
 

@@ -1,6 +1,7 @@
 """All harnesses."""
 
 from benchmarks.reliability.fuzz import blackbox_harnesses as blackbox
+from benchmarks.reliability.fuzz import body_harnesses as bodies
 from benchmarks.reliability.fuzz import definition_harnesses as definitions
 from benchmarks.reliability.fuzz import file_harnesses as files
 from benchmarks.reliability.fuzz import link_harnesses as link
@@ -46,6 +47,14 @@ HARNESSES = (
     Harness(
         "bbl-bodies", "frames behind a header", blackbox.check_bbl_bodies,
         blackbox.bbl_body_seeds, 12.0, _BODY, 60, 32,
+    ),
+    Harness(
+        "ulg-bodies", "entries of .ulg", bodies.check_ulg_bodies, bodies.ulg_body_seeds, 12.0,
+        _ULOG, 80, 32,
+    ),
+    Harness(
+        "bin-bodies", "entries of .bin", bodies.check_bin_bodies, bodies.bin_body_seeds, 12.0,
+        _FMT, 120, 32,
     ),
     Harness(
         "ulg-definitions", "formats of .ulg", definitions.check_ulg_definitions,

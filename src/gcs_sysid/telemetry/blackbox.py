@@ -43,8 +43,8 @@ _SCALES, _RADIANS = (1e-12, 1e3), 1e-6
 """Scales of a gyro that can be, and below which they are in rad/us."""
 _MOTOR_POLES = 14.0
 """Betaflight's default."""
-_ARM = 1
-"""Of flightModeFlags: the switch is at "armed"."""
+_MODES, _ARM = "flightModeFlags", 1
+"""Field of S frames, and its bit: the switch is at "armed"."""
 _TYPES = {
     3: mavlink.MAV_TYPE_TRICOPTER,
     4: mavlink.MAV_TYPE_QUADROTOR,
@@ -109,7 +109,7 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
         header = read_header(data, starts[number - 1], starts[number])
         names = header.frames["I"].names
         wanted = [name for name in names if name in _WANTED]
-        frames = read_frames(data, header, starts[number], wanted)
+        frames = read_frames(data, header, starts[number], [*wanted, _MODES])
         if not len(frames.time_us):
             raise InputError("it holds no flight data")
     except InputError as error:
@@ -285,10 +285,11 @@ class _Reader:
     def _add_armed(self, recording: Recording) -> None:
         """As the switch is; a log without it is of an armed vehicle, until it says otherwise."""
         changes = {float(self._t[0]): True}
-        flags = self._frames.slow.columns("flightModeFlags")
+        flags = self._frames.slow.columns(_MODES)
         if flags is not None and (armed := flags[:, 0].astype(np.int64) & _ARM > 0).any():
             t = self._when(self._frames.slow.order)
-            changes = dict(zip(t.tolist(), armed.tolist(), strict=True))
+            last = np.append(t[1:] != t[:-1], True)  # of a time
+            changes = dict(zip(t[last].tolist(), armed[last].tolist(), strict=True))
         events = self._frames.events
         stops = self._when(events[events[:, 1] == DISARM, 0])
         changes |= dict.fromkeys(stops.tolist(), False)
@@ -306,6 +307,6 @@ class _Reader:
             volts = self._frames.main.columns(name)
             if volts is not None:
                 recording.add_voltage(self._t, volts * 0.01)
-        flags = self._frames.slow.columns("flightModeFlags")
+        flags = self._frames.slow.columns(_MODES)
         if flags is not None:
             recording.extras["flight modes"] = self._when(self._frames.slow.order), flags

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.blackbox_format import (
     GROUPS,
     INCREMENT,
@@ -51,20 +51,51 @@ class ByteWindow:
         self._behind_tags: dict[tuple[int, int], Array] = {}
         self._end = len(raw) - 1
         last = raw < 0x80
-        # Where the number behind the one begins that ends k-th, from 1 on.
-        behind = np.flatnonzero(last[:-1]) + 1
-        begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
-        self._begins = begins.astype(np.int32)  # half the size: more of it stays in the cache
+        self._begins = self._begins_of(last)
         self._rank = np.zeros(len(raw) + 1, np.int32)
-        np.cumsum(last, out=self._rank[1:])
-        # A number has five bytes at most; where all five say that it goes on, it is 0.
-        over = last[: -_LONGEST_NUMBER + 1].copy()
+        np.cumsum(last, dtype=np.int32, out=self._rank[1:])
+        goes_on = ~last
+        long = goes_on[: 1 - _LONGEST_NUMBER].copy()
         for i in range(1, _LONGEST_NUMBER):
-            over |= last[i : len(raw) - _LONGEST_NUMBER + 1 + i]
-        self._over = np.zeros(len(raw) + 1, np.int32) if not over.all() else None
-        if self._over is not None:
-            np.cumsum(~over, out=self._over[1 : len(over) + 1])
-            self._over[len(over) + 1 :] = self._over[len(over)]
+            long &= goes_on[i : len(raw) - _LONGEST_NUMBER + 1 + i]
+        self._has_long = bool(long.any())
+        # How many numbers that go on for too long follow each other from a byte on, (n + 1,).
+        self._cut: Array | None = None
+
+    def _begins_of(self, ends: Mask) -> Array:
+        """Where the number behind the one begins that ends k-th, from 1 on; of half the size of
+        positions, so that more of it stays in the cache.
+        """
+        behind = np.flatnonzero(ends[:-1])
+        begins = np.full(len(behind) + 1 + MOST_FIELDS, self._end, np.int32)
+        begins[0] = 0
+        np.add(behind, 1, out=begins[1 : len(behind) + 1], casting="unsafe")
+        return begins
+
+    def _cut_long(self) -> None:
+        """Cut runs of bytes that say "it goes on" into numbers of five bytes.
+
+        Whatever byte of a run is begun from, all arrive behind the run's end, so that only how
+        many numbers lie between differs.
+        """
+        starts = self._begins[: len(self._begins) - MOST_FIELDS]
+        lengths = np.append(starts[1:] - 1, np.int32(self._end)) - starts
+        long = lengths >= _LONGEST_NUMBER
+        starts, lengths = starts[long], lengths[long]
+        which = np.repeat(np.arange(len(starts), dtype=np.int32), lengths)
+        before = (np.cumsum(lengths) - lengths).astype(np.int32)
+        passed = np.arange(len(which), dtype=np.int32) - before.take(which)
+        at = starts.take(which) + passed
+        cut = np.zeros(len(self.raw) + 1, np.int32)
+        cut[at] = (lengths.take(which) - passed) // _LONGEST_NUMBER
+        ends = self.raw < 0x80
+        within = at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)]
+        ends[within - 1] = ends[starts + lengths - lengths % _LONGEST_NUMBER - 1] = True
+        self._begins = self._begins_of(ends)
+        np.cumsum(ends, dtype=np.int32, out=self._rank[1:])
+        self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
+        self._rank[at] -= cut[at]
+        self._cut = cut
 
     def nth(self, at: Array, n: Array | int) -> Array:
         """Where number n, from 0 on, begins of those that follow each other from a position on.
@@ -73,27 +104,16 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
+        if self._has_long and self._cut is None and at.size:
+            self._cut_long()
         found: Array = self._begins.take(self._rank.take(at) + n)
         if not isinstance(n, int) or n == 0:
             np.copyto(found, at, where=np.equal(n, 0))
-        if self._over is not None:
-            at, n = np.broadcast_to(at, found.shape), np.broadcast_to(n, found.shape)
-            unsafe = self._over[found] > self._over[at]
-            if unsafe.any():
-                found[unsafe] = self._step(at[unsafe], n[unsafe])
+        if self._cut is not None:
+            cut = self._cut.take(at)
+            if cut.any():
+                np.copyto(found, at + _LONGEST_NUMBER * n, where=(n <= cut) & (cut > 0))
         return found
-
-    def _step(self, at: Array, n: Array) -> Array:
-        """As `nth` for (k,) each, number by number."""
-        at, n = at.copy(), n.copy()
-        left = np.flatnonzero(n > 0)
-        while len(left):
-            now = at[left]
-            after = np.minimum(self._begins[self._rank[now] + 1], now + _LONGEST_NUMBER)
-            at[left] = np.minimum(after, self._end)
-            n[left] -= 1
-            left = left[n[left] > 0]
-        return at
 
     def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
         """Where what follows groups of a tag and the numbers that it marks begins.

@@ -6,7 +6,7 @@ frame counts when another follows it; else it is damaged, the search continues a
 and P frames count again after the next I frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.blackbox_fields import CACHED, ByteWindow, Layout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
 from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
+from gcs_sysid.telemetry.repeated_bytes import PERIOD, Repeats
 
 I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
 RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
@@ -27,6 +28,9 @@ _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
 _LONGEST_EVENT = 256
+_MARGIN = 16
+"""Bytes behind the longest frame."""
+_FEW_JUMPS = 2**13
 _END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
 
 _EVENTS = {
@@ -101,7 +105,8 @@ def read_frames(
         data: the file.
         header: of the session.
         stop: where the session ends, at the latest.
-        wanted: columns of the main frames to compute, where they are there; None: all.
+        wanted: columns of main and S frames to compute, where they are there, and none of G and
+            H frames; None: all.
 
     Raises:
         InputError: it claims more values than its bytes can hold.
@@ -109,6 +114,11 @@ def read_frames(
     layouts = {ord(k): Layout(frame, header.version) for k, frame in header.frames.items()}
     columns = {letter: np.arange(layout.fields) for letter, layout in layouts.items()}
     columns[I] = columns[P] = _columns(header, wanted)
+    claimed = {letter: len(of) for letter, of in columns.items()}
+    if wanted is not None:
+        columns |= {letter: np.arange(0) for letter in layouts if letter in (G, H)}
+        if S in layouts:
+            columns[S] = _named(header.frames["S"].names, wanted)
     room = _MOST_VALUES * (stop - header.data) + _FREE_VALUES
     values = {k: [np.empty((0, len(of)), np.int64)] for k, of in columns.items()}
     orders = {k: [np.empty(0, np.int64)] for k in layouts}
@@ -119,7 +129,7 @@ def read_frames(
     for window, start, frames in _windows(data, header.data, stop, layouts):
         for letter, layout in layouts.items():
             rows = np.flatnonzero(frames.whole & (frames.letters == letter))
-            room -= len(rows) * len(columns[letter])
+            room -= len(rows) * claimed[letter]
             if room < 0:
                 raise InputError("its frames claim more values than their bytes can hold")
             at = frames.at[rows] - start + 1
@@ -166,14 +176,18 @@ def _columns(header: Header, wanted: Sequence[str] | None) -> Array:
     needed = {"loopIteration", "time", *(names if wanted is None else wanted)}
     if any(MOTOR_0 in header.frames[letter].predictors for letter in "IP"):
         needed.add("motor[0]")
-    return np.array([i for i, name in enumerate(names) if name in needed])
+    return _named(names, needed)
+
+
+def _named(names: Sequence[str], wanted: Collection[str]) -> Array:
+    return np.array([i for i, name in enumerate(names) if name in wanted], np.int64)
 
 
 def _windows(
     data: bytes, start: int, stop: int, layouts: dict[int, Layout]
 ) -> Iterator[tuple[ByteWindow, int, _Found]]:
     """Stretches of a session, the position in the file of each, and the frames that begin in it."""
-    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + 16
+    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + _MARGIN
     at = start
     for first in range(start, max(stop, start + 1), _AT_ONCE):
         if at >= first + _AT_ONCE:  # the log has ended
@@ -183,7 +197,7 @@ def _windows(
         if last == stop:
             raw = np.append(raw, np.zeros(margin, np.uint8))
         window = ByteWindow(raw)
-        found = _follow(window, max(at - first, 0), stop - first, layouts)
+        found = _follow(window, max(at - first, 0), stop - first, layouts, margin)
         at = first + _AT_ONCE
         if found.whole[-1:].any():
             at = stop if found.over[-1] else max(first + int(found.ends[-1]), at)
@@ -191,7 +205,9 @@ def _windows(
         yield window, first, shifted
 
 
-def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) -> _Found:
+def _follow(
+    window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout], margin: int
+) -> _Found:
     """The frames that begin in a window's first bytes.
 
     Args:
@@ -199,19 +215,26 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
         at: position from which on to search.
         stop: end of the session.
         layouts: of all types that the header describes.
+        margin: bytes that decide where a frame ends.
     """
     raw = window.raw
     known = np.isin(np.arange(256), [*layouts, E])
     may_begin = known[raw[: min(_AT_ONCE, stop)]]
     begin = np.flatnonzero(may_begin).astype(np.int32)
-    window.crowded = 4 * len(begin) > len(raw)
-    parts = [
-        _ends(window, begin[i : i + CACHED], stop, layouts)
-        for i in range(0, max(len(begin), 1), CACHED)
-    ]
-    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
     begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
     np.cumsum(may_begin, out=begun[1:])
+    candidates = begin
+    repeats = Repeats(raw, begin, stop, margin) if _is_crowded(begin, raw) else None
+    if repeats:
+        candidates = begin[repeats.others]
+    window.crowded = _is_crowded(candidates, raw)
+    parts = [
+        _ends(window, candidates[i : i + CACHED], stop, layouts)
+        for i in range(0, max(len(candidates), 1), CACHED)
+    ]
+    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
+    if repeats:
+        ends, whole, over = repeats.fill(ends, PERIOD), repeats.fill(whole), repeats.fill(over)
     leads_to = begun.take(ends[whole], mode="clip")
     leads_to[over[whole]] = len(begin)
     rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
@@ -221,33 +244,39 @@ def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) 
     return replace(found, gap=found.whole & (found.ends < stop) & ~known[behind])
 
 
+def _is_crowded(begin: Array, raw: Array) -> bool:
+    return 4 * len(begin) > len(raw)
+
+
 def _ends(
     window: ByteWindow, begin: Array, stop: int, layouts: dict[int, Layout]
 ) -> tuple[Array, Mask, Mask]:
     """Where frames end that begin at (k,) positions, which are whole, and which end the log."""
     raw = window.raw
     letters = raw.take(begin)
-    ends = begin + 1
+    by_letter = np.argsort(letters, kind="stable")
+    at = begin.take(by_letter) + 1
+    ends = at.copy()
     over = np.zeros(len(begin), bool)
-    there = np.bincount(letters, minlength=256)
-    for letter, layout in layouts.items():
-        if there[letter]:
-            mine = np.flatnonzero(letters == letter)
-            at = ends.take(mine)
-            behind = layout.ends(window, at)
-            behind[behind - at > layout.longest] = stop + 1
-            ends[mine] = behind
-    if there[E]:
-        mine = np.flatnonzero(letters == E)
-        at = ends.take(mine)
-        behind, over[mine] = _event_ends(window, at)
-        behind[behind - at > _LONGEST_EVENT] = stop + 1
+    counts = np.bincount(letters, minlength=256)
+    behind_each = np.cumsum(counts)
+    for letter in np.flatnonzero(counts).tolist():
+        mine = slice(behind_each[letter] - counts[letter], behind_each[letter])
+        if letter == E:
+            behind, over[mine] = _event_ends(window, at[mine])
+        else:
+            behind = layouts[letter].ends(window, at[mine])
+        longest = _LONGEST_EVENT if letter == E else layouts[letter].longest
+        behind[behind - at[mine] > longest] = stop + 1
         ends[mine] = behind
     whole = _IS_MARKER.take(raw.take(ends, mode="clip"))
     whole |= ends == stop
     whole |= over
     whole &= ends <= stop
-    return ends, whole, over
+    found = np.empty_like(ends), np.empty_like(whole), np.empty_like(over)
+    for values, sorted_values in zip(found, (ends, whole, over), strict=True):
+        values[by_letter] = sorted_values
+    return found
 
 
 def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
@@ -262,24 +291,42 @@ def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
     np.cumsum(jumps, out=number[1:])
     count = len(leads_to)
     one = np.append(number.take(leads_to), np.int32(count))
-    two = one.take(one)
-    four = two.take(two)
-    # Eight jumps at a time, read in place: in garbage there are as many jumps as bytes.
-    eight = four.take(four).data
-    met: list[int] = []
-    take, jump = met.append, int(number[first])
-    while jump < count:
-        take(jump)
-        jump = eight[jump]
-    taken = np.array(met, np.intp)
-    for hop in (four, two, one):
-        taken = np.column_stack([taken, hop[taken]]).ravel()
-    taken = taken[taken < count]
+    taken = _hops(one, int(number[first]), _FEW_JUMPS if count > _FEW_JUMPS else 0)
     begins = np.append(first, leads_to[taken])
     lengths = np.append(np.flatnonzero(jumps)[taken] + 1, len(jumps)) - begins
     rows: Array = np.repeat(begins - np.cumsum(lengths) + lengths, lengths)
     rows += np.arange(len(rows))
     return rows
+
+
+def _hops(one: Array, jump: int, few: int) -> Array:
+    """The jumps met from one on, each leading to another, the last of which leads nowhere.
+
+    Args:
+        one: (n + 1,) where each leads; n: nowhere.
+        jump: the first.
+        few: so many are followed one by one, as doubling costs as much as the bytes of a window.
+    """
+    count = len(one) - 1
+    single: list[int] = []
+    eighth: list[int] = []
+    place = one.data  # read in place
+    while jump < count and len(single) < few:
+        single.append(jump)
+        jump = place[jump]
+    taken = np.empty(0, np.intp)
+    if jump < count:  # in garbage there may be as many jumps as bytes: eight at a time
+        two = one.take(one)
+        four = two.take(two)
+        place = four.take(four).data
+        while jump < count:
+            eighth.append(jump)
+            jump = place[jump]
+        taken = np.array(eighth, np.intp)
+        for hop in (four, two, one):
+            taken = np.column_stack([taken, hop[taken]]).ravel()
+        taken = taken[taken < count]
+    return np.append(np.array(single, np.intp), taken)
 
 
 def _events(window: ByteWindow, at: Array, order: Array) -> Array:

@@ -191,13 +191,22 @@ def _averages(values: Array, first: Array, low: Array | None) -> Array:
     lengths = np.diff(first, append=len(values))
     by_length = np.argsort(-lengths, kind="stable")
     starts, shorter = first[by_length], -lengths[by_length]
-    for step in range(1, int(lengths.max())):
+    last = int(lengths.max())
+    alone = int(np.sort(lengths)[-2]) if len(lengths) > 1 and low is None else last
+    for step in range(1, alone):
         rows = starts[: np.searchsorted(shorter, -step)] + step
         both = values[rows - 1] + values[rows - min(step, 2)]
         both += both < 0
         both >>= 1
         both += values[rows]
         values[rows] = both if low is None else _cut(both, low)
+    # What only the longest chain has left, as in garbage, needs no look-up.
+    chain = values[starts[0] : starts[0] + last]
+    for step in range(max(alone, 1), last):
+        both = chain[step - 1] + chain[max(step - 2, 0)]
+        both += both < 0
+        both >>= 1
+        chain[step] += both
     return values
 
 
@@ -292,7 +301,7 @@ def fixed_frames(
     """
     if written is None:
         return Table((), np.zeros(0, np.int64), np.zeros((0, 0), np.int64))
-    definition = header.frames[letter]
+    definition = header.frames[letter].only(written.names)
     constants = header.constants()
     values = written.values + [constants.get(p, 0) for p in definition.predictors]
     homes = 0

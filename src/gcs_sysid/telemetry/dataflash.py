@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.dataflash_format import DataflashLog
+from gcs_sysid.telemetry.dataflash_format import EVERY, DataflashLog
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
@@ -65,17 +65,38 @@ ENTRIES = (
 )
 """Entries whose columns are the values. Of a stream's, the first is read; of attitudes the one that
 comes most often. Outputs, ESCs, RPM and states take more, see `_Reader`."""
+_TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
+_READ: dict[str, set[str]] = {
+    "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
+    "EV": {"Id"}, "ARM": {"ArmState"}, "MODE": {"ModeNum"}, "BAT": {"Volt"}, "DSF": {"Dp"},
+    **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
+    **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},
+    **{row.name: set(row.fields) for row in ENTRIES},
+}  # fmt: skip
+"""Entry -> columns that are read, beside times, numbers of instances and outputs."""
 _EKF_2_FIRST = {"XKQ": 2, "NKQ": 1, "XKF1": 2, "NKF1": 1}
 """Ranks where the autopilot flies by EKF 2 (N...) instead of EKF 3 (X...)."""
 
 
-def read_dataflash(path: Path) -> Recording:
+def _is_read(name: str, column: str) -> bool:
+    if name == "RCOU":
+        return column in _TIMES or _CHANNEL.fullmatch(column) is not None
+    return name in _READ and (column in _READ[name] or column in (*_TIMES, *_NUMBERS))
+
+
+def read_dataflash(path: Path, window: int | None = None) -> Recording:
     """Read a .bin file.
+
+    Args:
+        path: of the file.
+        window: bytes read at once, which change no number.
 
     Raises:
         InputError: it cannot be read or is no dataflash log.
     """
-    return _Reader(DataflashLog(path)).read()
+    log = DataflashLog(path, _is_read, window)
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+        return _Reader(log).read()
 
 
 class _Reader:
@@ -85,8 +106,9 @@ class _Reader:
         self._log = log
         # Entries without a time take that of the most frequent one.
         timed = [name for name in ("IMU", "ATT", "RCOU") if name in log.counts]
-        name = timed[0] if timed else ""
-        self._known_places, self._known_t = log.places(name), self._own_times(name)
+        self._known = timed[0] if timed else ""
+        known_t = self._own_times(self._known)
+        self._span = (float(known_t[0]), float(known_t[-1])) if len(known_t) else None
         self._parameters = self._read_parameters()
         self._latest = {name: value for _, name, value in self._parameters}
 
@@ -105,7 +127,7 @@ class _Reader:
             counts=self._log.counts,
             garbage_bytes=self._log.garbage_bytes,
             damaged=self._log.garbage_bytes > 0,
-            lost=0 if lost is None else int(lost.max()),
+            lost=0 if lost is None else int(_known(lost)[-1:].sum()),
         )
         self._add_entries(recording)
         self._add_outputs(recording)
@@ -131,11 +153,13 @@ class _Reader:
     def _times(self, name: str) -> Array:
         """(n,) s of all entries of a name: their own, else those of what was written before."""
         own = self._own_times(name)
-        places = self._log.places(name)
-        if len(own) or not len(self._known_t):
-            return own if len(own) else np.zeros(len(places))
-        before = np.searchsorted(self._known_places, places) - 1
-        t: Array = self._known_t[np.maximum(before, 0)]
+        if len(own):
+            return own
+        places, known_t = self._log.places(name), self._own_times(self._known)
+        if not len(known_t):
+            return np.zeros(len(places))
+        before = np.searchsorted(self._log.places(self._known), places) - 1
+        t: Array = known_t[np.maximum(before, 0)]
         return t
 
     def _read_parameters(self) -> list[tuple[float, str, float]]:
@@ -144,14 +168,21 @@ class _Reader:
             return []
         names = (name.decode("ascii", "replace") for name in texts.tolist())
         table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
-        return [entry for entry in table if np.isfinite(entry[2]) and entry[1].isprintable()]
+        return [
+            (t, name, value)
+            for t, name, value in table
+            if math.isfinite(t) and math.isfinite(value) and name.isprintable()
+        ]
 
-    def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
+    def _named(self, name: str, wanted: Sequence[str], rows: Mask | slice = EVERY) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""
-        columns = self._log.numbers(name, wanted)
-        if not wanted or len(columns) < len(set(wanted)):
+        if not wanted or not set(wanted) <= set(self._log.names(name)):
             return None
-        return np.column_stack([columns[column] for column in wanted])
+        first = self._log.numbers(name, wanted[:1], rows)[wanted[0]]
+        values = np.empty((len(first), len(wanted)))
+        for i, column in enumerate(wanted):
+            values[:, i] = self._log.numbers(name, (column,), rows)[column] if i else first
+        return values
 
     def _primary(self, name: str) -> Mask:
         """(n,) the entries of the first sensor, or of the estimator that the autopilot flies by."""
@@ -170,20 +201,25 @@ class _Reader:
 
     def _add_entries(self, recording: Recording) -> None:
         for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY, Stream.RATE_SETPOINT):
-            there = []
+            there: list[tuple[int, OnboardMessage, Mask | slice]] = []
             for row in sorted((row for row in ENTRIES if row.stream is stream), key=self._rank):
-                columns = self._named(row.name, row.fields)
-                if columns is not None:
-                    primary = row.sensors == "primary"
-                    rows = self._primary(row.name) if primary else np.ones(len(columns), bool)
-                    there.append((int(rows.sum()), row, rows, columns))
-            if not there:
-                continue
-            # max gives the first of those that come equally often.
-            best = max(there, key=lambda each: each[0]) if stream is Stream.ATTITUDE else there[0]
-            _, row, rows, columns = best
-            t, values = self._times(row.name)[rows], row.values(columns[rows])
-            recording.add(stream, t, values)
+                if set(row.fields) <= set(self._log.names(row.name)):
+                    rows: Mask | slice = EVERY
+                    count = self._log.counts[row.name]
+                    if row.sensors == "primary":
+                        primary = self._primary(row.name)
+                        rows, count = primary, int(primary.sum())
+                    there.append((count, row, rows))
+            if there:
+                # max gives the first of those that come equally often.
+                attitude = stream is Stream.ATTITUDE
+                _, row, taken = max(there, key=lambda each: each[0]) if attitude else there[0]
+                t = self._times(row.name)[taken]
+                columns = self._named(row.name, row.fields, taken)
+                assert columns is not None
+                recording.add(stream, t, row.values(columns))
+            for _, row, _ in there:
+                self._log.let_go(row.name, row.fields)
 
     def _rank(self, row: OnboardMessage) -> int:
         """By which the rows of a stream are sorted."""
@@ -224,7 +260,7 @@ class _Reader:
                 self._times("ESC"),
             )
             if number is not None and speed is not None:
-                for instance in np.unique(number).tolist():
+                for instance in _known(number).tolist():
                     rows = number == instance
                     escs[int(instance)] = t[rows], speed[rows]
         else:
@@ -262,7 +298,7 @@ class _Reader:
         columns = self._log.numbers("RPM", ("I", "RPM", "rpm1", "rpm2"))
         t = self._times("RPM")
         if "I" in columns and "RPM" in columns:
-            sensors = {int(i): (columns["I"] == i, columns["RPM"]) for i in np.unique(columns["I"])}
+            sensors = {int(i): (columns["I"] == i, columns["RPM"]) for i in _known(columns["I"])}
         else:
             every = np.ones(len(t), dtype=bool)
             names = enumerate(("rpm1", "rpm2"))
@@ -274,7 +310,7 @@ class _Reader:
 
     def _add_states(self, recording: Recording) -> None:
         """Armed, and in the air without landing by itself, from the changes that are logged."""
-        if not len(self._known_t):
+        if self._span is None:
             return
         armed: dict[float, bool] = {}
         flies: dict[float, bool] = {}
@@ -286,7 +322,7 @@ class _Reader:
         armed.update((t, bool(state)) for t, state in self._pairs("ARM", "ArmState"))
         landing = {t: mode == _MODE_LAND for t, mode in self._pairs("MODE", "ModeNum")}
         # What was true before the first change is its opposite: many logs begin on arming.
-        start = float(self._known_t[0])
+        start, end = self._span
         for changes in (armed, flies):
             if changes:
                 changes.setdefault(start, not changes[min(changes)])
@@ -294,7 +330,6 @@ class _Reader:
             in_air, lands = _state(flies), _state(landing)
             both = sorted({*flies, *landing})
             flies = {t: in_air(t) and not lands(t) for t in both if t >= start}
-        end = float(self._known_t[-1])
         recording.add_state(Stream.ARMED, armed, end)
         recording.add_state(Stream.IN_AIR, flies, end)
 
@@ -315,6 +350,11 @@ class _Reader:
         values = self._column(name, column)
         if values is not None:
             yield from zip(self._times(name).tolist(), values.tolist(), strict=True)
+
+
+def _known(numbers: Array) -> Array:
+    """Each number once; a damaged log may give a count the type of a fraction."""
+    return np.unique(numbers[np.isfinite(numbers)])
 
 
 def _state(changes: Mapping[float, bool]) -> Callable[[float], bool]:

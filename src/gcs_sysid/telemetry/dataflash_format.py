@@ -1,27 +1,29 @@
 """The format of ArduPilot's own logs (.bin): rows of numbers, described by the log itself.
 
 Each entry begins with A3 95 and the number of its type; FMT entries define the length, the field
-types and the names of every type. Entries are found first and decoded later, a whole message type
-at once with NumPy: a log of 20 MB takes half a second where a decoder that makes an object of every
-entry takes twelve.
+types and the names of every type. The file is read window by window. Entries are found first, then
+the columns wanted are taken from the window, a whole message type at once with NumPy: a log of
+20 MB takes half a second where a decoder that makes an object of every entry takes twelve.
 """
 
 from array import array
 from bisect import bisect_left
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 
 HEAD = b"\xa3\x95"
 MOST_BYTES = 2**32
-"""Of a log, which is read whole: the cards that autopilots write to hold no larger file."""
+"""Of a log: the cards that autopilots write to hold no larger file."""
+EVERY = slice(None)
+"""Rows."""
 _FMT = 0x80
 _FMT_SIZE = 89
 _HEADER = 3
@@ -29,6 +31,10 @@ _MOST_FMT = 4096
 """FMT entries looked into; there are 256 types."""
 _SEARCHED = 2**16
 """Bytes searched at once where the chain of entries is broken."""
+_WINDOW = 2**22
+"""Bytes read at once."""
+_MARGIN = 2 * 256
+"""Bytes that must follow where an entry begins before it is decided, unless the file ends."""
 
 _TYPES: dict[str, tuple[str, float | None]] = {
     "a": ("(32,)<i2", None), "b": ("i1", None), "B": ("u1", None), "h": ("<i2", None),
@@ -52,8 +58,31 @@ class EntryType:
     columns: tuple[str, ...]
 
 
+Layout = dict[str, tuple[np.dtype[Any], int, float | None]]
+"""Column -> type, place in the entry and scale."""
+
+
+@dataclass
+class _Rows:
+    """Entries of one type: their places in this window, and what is kept of those before."""
+
+    layout: Layout = field(default_factory=dict)
+    """Of the columns wanted; empty: its entries are counted alone."""
+    count: int = 0
+    places: "array[int]" = field(default_factory=lambda: array("q"))
+    columns: dict[str, bytearray] = field(default_factory=dict)
+    """As logged; they grow in place, so that no copy is needed to join them."""
+    all_places: bytearray = field(default_factory=bytearray)
+    """uint32 in the file."""
+
+
 class DataflashLog:
-    """A .bin log, its entries found and counted.
+    """A .bin log, its entries counted and the columns wanted taken.
+
+    Args:
+        path: of the file.
+        wanted: whether a column (name of the entry, name of the column) is to be taken.
+        window: bytes read at once.
 
     Attributes:
         path: of the file.
@@ -64,46 +93,47 @@ class DataflashLog:
         InputError: the file cannot be read or is no dataflash log.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, path: Path, wanted: Callable[[str, str], bool], window: int | None = None
+    ) -> None:
         self.path = path
+        self.garbage_bytes = 0
+        self._wanted = wanted
+        self._window = max(window or _WINDOW, _MARGIN + 1)
+        self._types: dict[int, EntryType] = {}
+        self._rows = {_FMT: _Rows()}
+        self._sizes = {_FMT: _FMT_SIZE}
+        self._hunting = False  # whether the last window ended in garbage
+        self._found: list[int] = []  # entries in what was searched, and up to where that was
+        self._searched = 0
         try:
             size = path.stat().st_size
             if size > MOST_BYTES:
                 raise InputError(f"{path}: too large for an ArduPilot log: {size:,} bytes")
-            self._data = path.read_bytes()
+            self._read()
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
         except MemoryError as error:
             raise InputError(f"{path}: too large for this machine's memory") from error
-        self.garbage_bytes = 0
-        self._types: dict[int, EntryType] = {}
-        self._found: list[int] = []  # entries in what was searched, and up to where that was
-        self._searched = 0
-        self._places = self._find()
-        self._by_name = {entry.name: number for number, entry in self._types.items()}
-        if not any(places for number, places in self._places.items() if number != _FMT):
+        if not any(rows.count for number, rows in self._rows.items() if number != _FMT):
             raise InputError(
                 f"{path} cannot be read as an ArduPilot log: no entry found that it describes"
             )
-        self.counts = {
-            self._types[number].name: len(places)
-            for number, places in self._places.items()
-            if places and number != _FMT
-        }
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file."""
-        return len(self._data)
+        self.counts: dict[str, int] = {}
+        self._by_name: dict[str, int] = {}
+        for number, entry in self._types.items():
+            if self._rows[number].count:  # a name may be described twice
+                self._by_name[entry.name] = number
+                self.counts[entry.name] = self._rows[number].count
 
     def places(self, name: str) -> NDArray[np.int64]:
-        """Positions in the file of all entries of a name, rising."""
-        number = self._by_name.get(name)
-        places = self._places.get(-1 if number is None else number, ())
-        return np.asarray(places, dtype=np.int64)
+        """Positions in the file of the entries of a name of which any column is wanted, rising."""
+        rows = self._rows_of(name)
+        places = np.frombuffer(b"" if rows is None else rows.all_places, np.uint32)
+        return places.astype(np.int64)
 
     def names(self, name: str) -> list[str]:
-        """Columns of the entries of a name that hold one number each; [] when there are none."""
+        """Columns wanted of the entries of a name that hold one number each; [] without entries."""
         return [column for column, (kind, _, _) in self._layout(name).items() if kind.kind in "iuf"]
 
     def text(self, name: str, column: str) -> Array | None:
@@ -112,93 +142,119 @@ class DataflashLog:
         is_text = column in layout and layout[column][0].kind == "S"
         return self._values(name, column) if is_text else None
 
-    def numbers(self, name: str, wanted: Collection[str]) -> dict[str, Array]:
-        """Those wanted of a name's columns that are there, as (n,) floats.
+    def numbers(
+        self, name: str, wanted: Collection[str], rows: Mask | slice = EVERY
+    ) -> dict[str, Array]:
+        """Those wanted of a name's columns that are there, as (n,) floats of some rows.
 
         Integers are scaled; what is damaged may be NaN.
         """
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):  # of bits that are no number
             return {
-                column: self._values(name, column).astype(float, copy=False)
+                column: self._values(name, column, rows).astype(float, copy=False)
                 for column in self.names(name)
                 if column in wanted
             }
 
-    def _layout(self, name: str) -> dict[str, tuple[np.dtype[Any], int, float | None]]:
-        """Column -> type, place in the entry and scale; {} when there are no such entries."""
-        if name not in self.counts:
-            return {}
-        entry, at, layout = self._types[self._by_name[name]], _HEADER, {}
-        for column, letter in zip(entry.columns, entry.letters, strict=True):
-            kind, scale = np.dtype(_TYPES[letter][0]), _TYPES[letter][1]
-            layout[column] = kind, at, scale
-            at += kind.itemsize
-        return layout
+    def let_go(self, name: str, columns: Collection[str]) -> None:
+        """Forget columns of a name: in a long log they are most of what is held."""
+        rows = self._rows_of(name) or _Rows()
+        for column in columns:
+            rows.layout.pop(column, None)
+            rows.columns.pop(column, None)
 
-    def _values(self, name: str, column: str) -> Array:
-        """(n,) of one column: others of a long log would take as much memory for nothing."""
-        kind, at, scale = self._layout(name)[column]
-        size = len(self._data) - kind.itemsize + 1
-        items = np.ndarray((size,), f"V{kind.itemsize}", self._data, strides=(1,))
-        values: Array = items[self.places(name) + at].view(kind)
+    def _rows_of(self, name: str) -> _Rows | None:
+        return self._rows[self._by_name[name]] if name in self.counts else None
+
+    def _layout(self, name: str) -> Layout:
+        rows = self._rows_of(name)
+        return {} if rows is None else rows.layout
+
+    def _values(self, name: str, column: str, some: Mask | slice = EVERY) -> Array:
+        """(n,) of one column."""
+        rows = self._rows[self._by_name[name]]
+        kind, _, scale = rows.layout[column]
+        values: Array = np.frombuffer(rows.columns[column], kind)[some]
         return values if scale is None else values * scale
 
-    def _find(self) -> "dict[int, array[int]]":
-        """Type number -> positions of its entries; learns the types on the way."""
-        data = self._data
+    def _read(self) -> None:
+        with open(self.path, "rb") as file:
+            content, position, final = b"", 0, False
+            while not final:
+                more = file.read(self._window)
+                final = len(more) < self._window
+                content += more
+                done = self._find(content, final=final)
+                self._settle(content, position)
+                position += done
+                content = content[done:]
+
+    def _find(self, data: bytes, *, final: bool) -> int:
+        """Find the entries of a window, and learn the types on the way; the bytes that are done."""
         end = len(data)
-        places = {_FMT: array("q")}
-        sizes = {_FMT: _FMT_SIZE}
-        at = 0
-        while at + _HEADER <= end:
+        stop = end - _HEADER if final else end - _MARGIN
+        places = {number: rows.places for number, rows in self._rows.items()}
+        sizes = self._sizes
+        self._searched = at = 0
+        if self._hunting:
+            at = self._resync(data, 0, sizes, final=final)
+            self.garbage_bytes += at
+        while at <= stop:
             number = data[at + 2]
             size = sizes.get(number) if data[at] == 0xA3 and data[at + 1] == 0x95 else None
             if size is None or at + size > end:
                 if size is not None and data.find(HEAD, at + _HEADER) < 0:
-                    break  # the last entry is cut short
-                found = self._resync(at + 1, sizes)
+                    return end  # the last entry is cut short
+                found = self._resync(data, at + 1, sizes, final=final)
                 self.garbage_bytes += found - at
                 at = found
                 continue
             places[number].append(at)
             if number == _FMT:
-                self._learn(at, sizes, places)
+                self._learn(data, at, places)
             at += size
-        return places
+        return min(at, end)
 
-    def _resync(self, at: int, sizes: dict[int, int]) -> int:
+    def _resync(self, data: bytes, at: int, sizes: dict[int, int], *, final: bool) -> int:
         """Position of the next entry that another one, or the end, follows."""
-        while at < len(self._data):
+        end = len(data) if final else len(data) - _MARGIN + 1
+        self._hunting = True
+        while at < end:
             if at >= self._searched:
-                self._search(at, sizes)
+                self._search(data, at, end, sizes, final=final)
             index = bisect_left(self._found, at)
             if index < len(self._found):
+                self._hunting = False
                 return self._found[index]
             at = self._searched
-        return len(self._data)
+        return end
 
-    def _search(self, start: int, sizes: dict[int, int]) -> None:
+    def _search(
+        self, content: bytes, start: int, end: int, sizes: dict[int, int], *, final: bool
+    ) -> None:
         """Find all such entries in a stretch: of garbage, every third byte may begin one."""
-        end = len(self._data)
         self._searched = min(start + _SEARCHED, end)
-        data = np.frombuffer(self._data, np.uint8)
-        first = np.flatnonzero(data[start : min(self._searched, end - 2)] == HEAD[0]) + start
+        last = len(content)
+        data = np.frombuffer(content, np.uint8)
+        first = np.flatnonzero(data[start : min(self._searched, last - 2)] == HEAD[0]) + start
         first = first[data[first + 1] == HEAD[1]]
         size_of = np.zeros(256, np.int64)
         size_of[list(sizes)] = list(sizes.values())
         size = size_of[data[first + 2]]
         first, follows = first[size > 0], (first + size)[size > 0]
-        last = np.minimum(follows, end - 2)
-        headed = (data[last] == HEAD[0]) & (data[last + 1] == HEAD[1]) & (follows < end - 1)
-        self._found = first[headed | (follows >= end)].tolist()
+        next_head = np.minimum(follows, last - 2)
+        headed = (data[next_head] == HEAD[0]) & (data[next_head + 1] == HEAD[1])
+        headed &= follows < last - 1
+        self._found = first[headed | (final & (follows >= last))].tolist()
 
-    def _learn(self, at: int, sizes: dict[int, int], places: "dict[int, array[int]]") -> None:
+    def _learn(self, data: bytes, at: int, places: "dict[int, array[int]]") -> None:
         """Take up a FMT entry, if it can be true."""
-        number, size = self._data[at + 3], self._data[at + 4]
-        if number in sizes or len(places[_FMT]) > _MOST_FMT:
+        number, size = data[at + 3], data[at + 4]
+        fmt = self._rows[_FMT]
+        if number in self._sizes or fmt.count + len(fmt.places) > _MOST_FMT:
             return
         texts = [
-            self._data[at + start : at + stop].split(b"\0", 1)[0].decode("ascii", "replace")
+            data[at + start : at + stop].split(b"\0", 1)[0].decode("ascii", "replace")
             for start, stop in ((5, 9), (9, 25), (25, _FMT_SIZE))
         ]
         name, letters, labels = texts
@@ -212,7 +268,32 @@ class DataflashLog:
         width = sum(np.dtype(_TYPES[letter][0]).itemsize for letter in letters)
         if width + _HEADER != size or len({*columns, ""}) != len(columns) + 1:
             return
-        sizes[number] = size
-        places[number] = array("q")
+        self._sizes[number] = size
         self._searched = 0  # what was found was found without it
         self._types[number] = EntryType(name, size, letters, columns)
+        rows = self._rows[number] = _Rows(self._laid_out(self._types[number]))
+        rows.columns = {column: bytearray() for column in rows.layout}
+        places[number] = rows.places
+
+    def _laid_out(self, entry: EntryType) -> Layout:
+        """Of the columns wanted."""
+        at, layout = _HEADER, {}
+        for column, letter in zip(entry.columns, entry.letters, strict=True):
+            kind, scale = np.dtype(_TYPES[letter][0]), _TYPES[letter][1]
+            if kind.kind in "iufS" and self._wanted(entry.name, column):
+                layout[column] = kind, at, scale
+            at += kind.itemsize
+        return layout
+
+    def _settle(self, content: bytes, position: int) -> None:
+        """Take the columns wanted from a window at a position in the file."""
+        for rows in self._rows.values():
+            if rows.layout and rows.places:
+                places = np.array(rows.places)
+                rows.all_places += (places + position).astype(np.uint32).data
+                for column, (kind, at, _) in rows.layout.items():
+                    size = len(content) - kind.itemsize + 1
+                    items = np.ndarray((size,), f"V{kind.itemsize}", content, strides=(1,))
+                    rows.columns[column] += items[places + at].view(np.uint8).data
+            rows.count += len(rows.places)
+            del rows.places[:]

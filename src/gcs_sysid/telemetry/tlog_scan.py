@@ -36,6 +36,7 @@ from gcs_sysid.telemetry.frames import (
     find_frame,
     read_frame,
 )
+from gcs_sysid.telemetry.repeated_bytes import Repeats
 
 STAMP = 8
 MARGIN = 3 * (STAMP + LONGEST_FRAME)
@@ -308,7 +309,13 @@ class _Chain:
     def good(self) -> Array:
         """(n,) where a frame with a right checksum begins, inside of others too."""
         if self._good is None:
-            self._good = self._whole[self._are_good(self._whole)]
+            at, size = self._whole, len(self._content)
+            repeats = Repeats(self._data, at, size, LONGEST_FRAME + STAMP)
+            if repeats:
+                right = repeats.fill(self._are_good(at[repeats.others]))
+            else:
+                right = self._are_good(at)
+            self._good = at[right]
         return self._good
 
     def _are_good(self, at: Array) -> Mask:

@@ -20,6 +20,8 @@ STATE_EVERY = 1.0
 """s between two reports of a state that is only logged when it changes."""
 STATE_FOR = 86400.0
 """s of log accepted: a later time is damaged."""
+_AT_ONCE = 2**16
+"""Samples looked at together, where copies of all would take much memory."""
 
 
 class TrackCollector:
@@ -137,7 +139,11 @@ class Recording:
         """
         if not len(t):
             return
-        values = values.astype(float).reshape(len(t), -1)
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+            self._add(stream, t, values, offset, source)
+
+    def _add(self, stream: Stream, t: Array, values: Array, offset: int, source: str) -> None:
+        values = np.ascontiguousarray(values, float).reshape(len(t), -1)
         if stream is Stream.ATTITUDE:
             values = _upright(values)
         believable = believable_times(t)
@@ -146,21 +152,28 @@ class Recording:
         if stream is Stream.IMU:
             # Nearly everything depends on the gyro: one without an accelerometer is of use.
             finite = whole[:, :3].all(axis=1)
-            values[finite & ~whole.all(axis=1), 3:] = np.nan
+            if not whole.all():
+                values = values.copy()
+                values[finite & ~whole.all(axis=1), 3:] = np.nan
         self._drop("no time", ~believable)
         self._drop("not finite", believable & ~finite)
         sound = believable & finite
-        t, values = t[sound], values[sound]
-        order = np.argsort(t, kind="stable")
+        if not sound.all():  # copies of a long log are most of what it takes
+            t, values = t[sound], values[sound]
+        if (t[1:] < t[:-1]).any():
+            order = np.argsort(t, kind="stable")
+            t, values = t[order], values[order]
         if len(t):
-            self.tracks.append(Track(stream, t[order], values[order], offset, source))
+            self.tracks.append(Track(stream, t, values, offset, source))
 
     def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
         """Add a state by the times at which it changed, repeated every second as on a link."""
-        if not changes:
+        at = np.array(list(changes))
+        self._drop("no time", ~np.isfinite(at))
+        at = np.sort(at[np.isfinite(at)])
+        if not len(at):
             return
-        at = np.array(sorted(changes))
-        end = min(max(end, at[0]), at[0] + STATE_FOR)
+        end = min(max(at[0], end), at[0] + STATE_FOR)
         t = np.union1d(at, np.arange(at[0], end, STATE_EVERY))
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
@@ -178,9 +191,7 @@ class Recording:
     def block(self) -> RecordBlock:
         """Everything in the order of time; at the same time, parameters first, then tracks."""
         reported = np.array([t for t, _, _ in self.parameters])
-        times = np.concatenate([reported, *(track.t for track in self.tracks)])
-        order = np.empty(len(times), np.int64)
-        order[np.argsort(times, kind="stable")] = np.arange(len(times))
+        order = _ranks(np.concatenate([reported, *(track.t for track in self.tracks)]))
         ends = np.cumsum([len(reported), *(len(track.t) for track in self.tracks)])
         parameters = [
             (number, Record(Stream.PARAMETER, t, (value,), source=name))
@@ -208,11 +219,24 @@ def _upright(q: Array) -> Array:
     return q
 
 
+def _ranks(times: Array) -> Array:
+    """(n,) where each comes in the order of all; of equal ones, the first first."""
+    rows = np.argsort(times, kind="stable")
+    ranks = np.empty(len(rows), np.int64)
+    for start in range(0, len(rows), _AT_ONCE):
+        stop = min(start + _AT_ONCE, len(rows))
+        ranks[rows[start:stop]] = np.arange(start, stop)
+    return ranks
+
+
 def believable_times(t: Array) -> Mask:
     """(n,) whether each time agrees with its neighbors: a damaged stamp may be anything."""
     if len(t) < 5:
         return np.isfinite(t)
     padded = np.pad(t, 2, mode="reflect")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    believable: Mask = np.abs(t - middle) < JUMP_AHEAD
+    believable = np.empty(len(t), bool)
+    for start in range(0, len(t), _AT_ONCE):
+        piece = padded[start : start + _AT_ONCE + 4]
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(piece, 5), axis=1)
+        np.less(np.abs(piece[2:-2] - middle), JUMP_AHEAD, out=believable[start : start + _AT_ONCE])
     return believable

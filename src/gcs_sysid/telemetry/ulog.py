@@ -9,7 +9,9 @@ Which topic is which message was measured on a flight recorded both ways:
   unit, is usually thinned to 10 Hz.
 """
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +31,12 @@ _ARMED = 2
 _MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY = (
     "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status", "battery_status"
 )  # fmt: skip
+
+
+def _names_in(fields: Sequence[str]) -> Iterator[str]:
+    """`output` and `noutputs` of `output[noutputs]`."""
+    return (name for field in fields for name in field.rstrip("]").split("["))
+
 
 TOPICS = (
     OnboardMessage(
@@ -51,7 +59,24 @@ READ = {
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
 }  # fmt: skip
 """Topics that are read at all."""
+_FIELDS = {
+    _MOTORS: {"control"},
+    _LANDED: {"landed"},
+    _BATTERY: {"voltage_v"},
+    **{row.name: {*_names_in(row.fields)} for row in TOPICS},
+    **{row.offset[0]: {*_names_in(row.offset[1])} for row in TOPICS if row.offset is not None},
+}
+_FIELDS[_STATUS] |= {"nav_state", "system_id", "component_id", "system_type"}
+"""Topic -> fields that are read."""
+_ESC_FIELDS = {"esc_count", "esc_rpm", "actuator_function"}
+"""Of each ESC."""
 _NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
+
+
+def _is_read(topic: str, column: str) -> bool:
+    if topic == _ESCS:
+        return column.rpartition(".")[2] in _ESC_FIELDS
+    return column.partition("[")[0] in _FIELDS[topic]
 
 
 def read_ulog(path: Path) -> Recording:
@@ -60,7 +85,12 @@ def read_ulog(path: Path) -> Recording:
     Raises:
         InputError: it cannot be read, is no ULog, or holds no data.
     """
-    log = UlogFile(path, READ)
+    log = UlogFile(path, READ, _is_read)
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
+        return _recording(path, log)
+
+
+def _recording(path: Path, log: UlogFile) -> Recording:
     topics = log.topics
     if not topics:
         fault = next((f"{name}: {why}" for name, why in log.faults.items()), "")
@@ -129,31 +159,43 @@ def _values(
     row: OnboardMessage, t: Array, topic: Topic, topics: dict[tuple[str, int], Topic]
 ) -> Array:
     """(n, fields) of a row's fields, less its offsets."""
-    values = np.hstack([_columns(topic, field) for field in row.fields])
+    values = _columns(topic, *row.fields)
     if row.offset is not None:
         name, fields = row.offset
         size = topics.get((name, 0))
         if size is not None:
-            offsets = np.hstack([_columns(size, field) for field in fields])
+            offsets = _columns(size, *fields)
             last = np.searchsorted(size["timestamp"] * 1e-6, t, side="right") - 1
-            values -= np.where(last[:, None] >= 0, offsets[np.maximum(last, 0)], 0.0)
+            for i in range(values.shape[1]):
+                values[:, i] -= np.where(last >= 0, offsets[np.maximum(last, 0), i], 0.0)
     return values
 
 
 def _constant(topic: Topic, field: str) -> int | None:
-    return int(topic[field][0]) if field in topic else None
+    return _whole(topic[field][0]) if field in topic else None
 
 
-def _columns(topic: Topic, field: str) -> Array:
-    """(n, count) of a field, see `OnboardMessage.fields`; KeyError when not all of it is there."""
-    name, _, size = field.rstrip("]").partition("[")
-    with np.errstate(invalid="ignore"):  # damaged values may be NaN
+def _whole(number: Any) -> int:
+    """A damaged log may give a count the type of a fraction."""
+    return int(number) if np.isfinite(number) else 0
+
+
+def _columns(topic: Topic, *fields: str) -> Array:
+    """(n, count) of fields, see `OnboardMessage.fields`; KeyError when not all of them is there."""
+    columns: list[Array] = []
+    for field in fields:
+        name, _, size = field.rstrip("]").partition("[")
         if not size:
-            return topic[name].astype(float)[:, None]
-        count = int(size) if size.isdigit() else int(topic[size].max())
-        if not count:
+            columns.append(topic[name])
+            continue
+        count = int(size) if size.isdigit() else _whole(topic[size].max())
+        if count <= 0:
             raise KeyError(name)
-        return np.column_stack([topic[f"{name}[{i}]"] for i in range(count)]).astype(float)
+        columns += (topic[f"{name}[{i}]"] for i in range(count))
+    values = np.empty((len(columns[0]), len(columns)))
+    for i, column in enumerate(columns):
+        values[:, i] = column
+    return values
 
 
 def _motors(topic: Topic, thrust_factor: float) -> Array:
@@ -163,9 +205,14 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     T = (1 - c) u + c u^2, c being THR_MDL_FAC. A stopped motor is NaN there, and 0 here.
     """
     count = sum(1 for field in topic if field.startswith("control["))
-    thrust = _columns(topic, f"control[{count}]")
-    used = np.flatnonzero(np.isfinite(thrust).any(axis=0))
-    thrust = np.nan_to_num(thrust[:, : used[-1] + 1 if len(used) else 0], nan=0.0).clip(-1.0, 1.0)
+    used = [i for i in range(count) if np.isfinite(topic[f"control[{i}]"]).any()]
+    if not used:
+        if not count:
+            raise KeyError("control")
+        return np.empty((len(topic["timestamp"]), 0))
+    thrust = _columns(topic, f"control[{used[-1] + 1}]")
+    np.nan_to_num(thrust, copy=False, nan=0.0)
+    np.clip(thrust, -1.0, 1.0, out=thrust)
     if not 1e-6 < thrust_factor <= 1.0:
         return thrust
     half = 0.5 * (1.0 - thrust_factor) / thrust_factor
@@ -176,12 +223,12 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
 def _speeds(topic: Topic) -> Array:
     """(n, motors) rad/s without sign, in motor order where the ESCs report their motors."""
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
-    count = min(int(topic["esc_count"].max()), count) or count
+    count = min(max(_whole(topic["esc_count"].max()), 0), count) or count
     if not count:
         raise KeyError("esc")
     rpm = np.column_stack([topic[f"esc[{i}].esc_rpm"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
-    motors = [int(f.max()) - FIRST_MOTOR for f in functions if f is not None]
+    motors = [_whole(f.max()) - FIRST_MOTOR for f in functions if f is not None]
     if sorted(motors) == list(range(count)):
         rpm = rpm[:, np.argsort(motors)]
     speeds: Array = np.abs(rpm.astype(float)) * RPM

@@ -12,7 +12,7 @@ import math
 import struct
 from array import array
 from bisect import bisect_right
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -75,8 +75,11 @@ class _Rows:
     """The rows of a topic: their places in this window, and those of before."""
 
     layout: np.dtype[np.void]
+    kept: np.dtype[np.void]
+    """Of the columns wanted alone."""
     places: "array[int]" = field(default_factory=lambda: array("q"))
-    pieces: list[Array] = field(default_factory=list)
+    table: bytearray = field(default_factory=bytearray)
+    """It grows in place, so that no copy is needed to join what the windows give."""
 
 
 _Subscription = tuple[int, int, "array[int] | None"]
@@ -89,6 +92,7 @@ class UlogFile:
     Args:
         path: of the file.
         wanted: names of the topics whose rows are kept.
+        is_read: whether a column (topic, name) is kept; None: all. The timestamp is.
 
     Attributes:
         topics: (name, instance) -> column -> (n,) values, of topics with rows.
@@ -104,7 +108,12 @@ class UlogFile:
         InputError: the file cannot be read, or is no ULog that is known here.
     """
 
-    def __init__(self, path: Path, wanted: Collection[str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        wanted: Collection[str],
+        is_read: Callable[[str, str], bool] | None = None,
+    ) -> None:
         self.initial: dict[str, float] = {}
         self.changed: list[tuple[float, str, float]] = []
         self.dropouts: list[tuple[float, float]] = []
@@ -112,6 +121,7 @@ class UlogFile:
         self.damaged = False
         self.faults: dict[str, str] = {}
         self._wanted = frozenset(wanted)
+        self._is_read = is_read
         self._formats = Formats()
         self._defining = True
         self._subscriptions: dict[int, _Subscription] = {}
@@ -133,10 +143,10 @@ class UlogFile:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
         self.topics: dict[tuple[str, int], Topic] = {}
         for key, rows in sorted(self._rows.items()):
-            if rows.pieces:
-                table = np.concatenate(rows.pieces).view(rows.layout)[:, 0]
-                rows.pieces.clear()
-                self.topics[key] = {name: table[name] for name in rows.layout.names or ()}
+            if rows.table:
+                table = np.frombuffer(rows.table, rows.kept)
+                self.topics[key] = {name: table[name] for name in rows.kept.names or ()}
+        self._rows.clear()
 
     def _read(self, path: Path) -> None:
         with open(path, "rb") as file:
@@ -305,11 +315,19 @@ class UlogFile:
                 return
             rows = self._rows.get((name, multi_id))
             if rows is None:
-                rows = _Rows(self._formats.layout(name))
+                layout = self._formats.layout(name)
+                rows = _Rows(layout, self._kept(name, layout))
                 self._rows[name, multi_id] = rows
             self._subscribe(number, size - padding, size, rows.places)
         except InputError as error:
             self._fault(name, str(error))
+
+    def _kept(self, name: str, layout: np.dtype[np.void]) -> np.dtype[np.void]:
+        if self._is_read is None:
+            return layout
+        columns = layout.names or ()
+        kept = [c for c in columns if c == "timestamp" or self._is_read(name, c)]
+        return np.dtype([(column, layout[column]) for column in kept])
 
     def _is_cut_short(self, content: bytes, at: int, following: int, end: int, kind: int) -> bool:
         """Whether the file ends inside of this entry."""
@@ -366,10 +384,14 @@ class UlogFile:
             places = np.frombuffer(rows.places, np.int64)
             windows = np.lib.stride_tricks.sliding_window_view(data, rows.layout.itemsize)
             piece = windows[places + _HEAD + 2]
-            stamps.append(
-                np.stack([places, piece.view(rows.layout)["timestamp"][:, 0].astype(float)])
-            )
-            rows.pieces.append(piece)
+            table: Array = piece.view(rows.layout)[:, 0]
+            stamps.append(np.stack([places, table["timestamp"].astype(float)]))
+            if rows.kept is not rows.layout:
+                kept: Array = np.empty(len(table), rows.kept)
+                for name in rows.kept.names or ():
+                    kept[name] = table[name]
+                table = kept
+            rows.table += table.view(np.uint8).data
             del places
             del rows.places[:]
         joined = np.concatenate([np.empty((2, 0)), *stamps], axis=1)
