@@ -35,7 +35,8 @@ class VehicleClock:
     def at(self, tick: int) -> int:
         """Us since the vehicle was switched on."""
         true = (tick - self._start_tick) * self.step_us
-        return self._start_us + true + round(true * self._drift)
+        now = self._start_us + true
+        return now + round(true * self._drift) if self._drift else now
 
     def restart(self, tick: int, start_us: int) -> None:
         """The vehicle was rebooted `start_us` before this step."""

@@ -1,6 +1,6 @@
 """A mission from the ground and back to it, once or several times."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sim_bridge.missions import HEIGHT, Mission, Reference, ramp
 
@@ -71,12 +71,11 @@ class GroundCycle:
             share, rate, acceleration = ramp(u)
             rate = -rate if falling else rate
             x, y, _ = here.position
-            here = replace(
-                self.mission.reference(0.0),
+            here = self.mission.reference(0.0)._replace(
                 position=(x, y, -HEIGHT * share),
                 velocity=(0.0, 0.0, -HEIGHT / CLIMB * rate),
                 acceleration=(0.0, 0.0, -HEIGHT / CLIMB**2 * acceleration),
             )
         north, east, _ = self.mission.reference(length).position
         x, y, z = here.position
-        return replace(here, position=(x + flight * north, y + flight * east, z))
+        return here._replace(position=(x + flight * north, y + flight * east, z))

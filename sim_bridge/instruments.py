@@ -97,13 +97,17 @@ class Instruments:
         others draw for themselves.
         """
         tick = self.simulation.tick
-        channel = self._channels[sensor]
         drawn = self._drawn.get(sensor)
-        oldest = 0.0 if fresh else 2.0 * channel.interval / self.simulation.step_size
-        if drawn is None or tick - drawn[0] > oldest:
-            drawn = (tick, channel.next())
-            self._drawn[sensor] = drawn
-        return drawn[1]
+        if drawn is not None:
+            age = tick - drawn[0]
+            if age == 0:
+                return drawn[1]
+            interval = self._channels[sensor].interval
+            if not fresh and age <= 2.0 * interval / self.simulation.step_size:
+                return drawn[1]
+        sample = self._channels[sensor].next()
+        self._drawn[sensor] = tick, sample
+        return sample
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
@@ -183,8 +187,8 @@ class Instruments:
 
     def commands(self) -> Sample:
         """Commands u of the rotors, 0..1."""
-        vehicle = self.simulation.vehicle
-        return [float(vehicle.command_of(target)) for target in self._rotor_state()[1]]
+        command_of = self.simulation.vehicle.command_of
+        return [float(command_of(target)) for target in self._rotor_state()[1]]
 
 
 def wrap(angle: float) -> float:

@@ -5,8 +5,11 @@ derivatives, envelope included, so that the set-points of all control loops agre
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 HEIGHT = 10.0
 """Height of every mission above the take-off point, m."""
@@ -16,8 +19,7 @@ Swing = tuple[float, float, float, float]
 """An angle (rad) and its first three derivatives."""
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """Set-points at one instant, the same for every vehicle of an ensemble.
 
     Attributes:
@@ -99,6 +101,15 @@ class Multisine:
             acceleration -= sine * omega
             jerk -= cosine * omega * omega
         return angle, rate, acceleration, jerk
+
+    def series(self, times: Sequence[float]) -> list[list[float]]:
+        """The same at many times."""
+        omega, amplitude, phase = np.transpose(self._tones)
+        phases = np.multiply.outer(times, omega) + phase
+        sines, cosines = amplitude * np.sin(phases), amplitude * np.cos(phases)
+        angle, rate = sines / omega, cosines
+        swings = [angle.sum(1), rate.sum(1), -(sines * omega).sum(1), -(cosines * omega**2).sum(1)]
+        return np.transpose(swings).tolist()  # type: ignore[no-any-return]
 
 
 # Interleaved frequencies on a grid of 0.05 Hz: whole periods in 20 s, no tone on two axes. The
@@ -218,6 +229,16 @@ class ExcitationMission:
     def reference(self, t: float) -> Reference:
         """Set-points t seconds after the start."""
         t -= self.lead
+        return self._reference(t, [multisine(t) for multisine in (ROLL, PITCH, YAW)])
+
+    def references(self, times: Sequence[float]) -> Iterator[Reference]:
+        """`reference` at many times, which is quicker."""
+        times = [t - self.lead for t in times]
+        swings = zip(*(axis.series(times) for axis in (ROLL, PITCH, YAW)), strict=True)
+        return map(self._reference, times, swings)
+
+    def _reference(self, t: float, multisines: Sequence[Sequence[float]]) -> Reference:
+        """Set-points t seconds after the hover's end, from the three axes' multisines then."""
         if t < 0.0:
             return hover_reference()
         turns, at = divmod(t, self.cycle)
@@ -240,12 +261,12 @@ class ExcitationMission:
             begin += mode.length
         rise, rise_rate, rise_accel = ramp(since / self.blend)
         swings = []
-        for axis, multisine in enumerate((ROLL, PITCH, YAW)):
-            low, high = previous.gains[axis], current.gains[axis]
+        for low, high, (angle, rate, accel, jerk) in zip(
+            previous.gains, current.gains, multisines, strict=True
+        ):
             gain = low + (high - low) * rise
             gain_rate = (high - low) * rise_rate / self.blend
             gain_accel = (high - low) * rise_accel / self.blend**2
-            angle, rate, accel, jerk = multisine(t)
             swings.append(
                 (
                     gain * angle,

@@ -18,6 +18,8 @@ DISARMED = 900.0
 class Px4Messages(FlightMessages):
     """Makes each message for the instant the simulation is at, as one or more frames."""
 
+    _driven: tuple[int, list[float]] = (-1, [])
+
     def highres_imu(self) -> list[bytes]:
         """HIGHRES_IMU."""
         (p, q, r), (x, y, z) = self.instruments.inertial()
@@ -87,15 +89,20 @@ class Px4Messages(FlightMessages):
         return [self._servo_output_raw([round(x) for x in self._outputs()])]
 
     def _outputs(self) -> list[float]:
-        span = self._sim.vehicle.command
+        """Of this instant, computed once for all messages that show them."""
+        tick, outputs = self._driven
+        if tick == self._sim.tick:
+            return outputs
         if self._sim.armed:
-            outputs = [span.min + u * (span.max - span.min) for u in self.instruments.commands()]
+            span = self._sim.vehicle.command
+            low, width = span.min, span.max - span.min
+            outputs = [low + u * width for u in self.instruments.commands()]
         else:
             outputs = [DISARMED] * self._rotors
         # A count of outputs, the unused ones among them, as PX4 in simulation sends it.
-        return outputs + [DISARMED] * (
-            self.instruments.faults.sensor_faults.active_count - len(outputs)
-        )
+        outputs += [DISARMED] * (self.instruments.faults.sensor_faults.active_count - len(outputs))
+        self._driven = self._sim.tick, outputs
+        return outputs
 
     def esc_info(self) -> list[bytes]:
         """ESC_INFO, four rotors a message."""

@@ -14,9 +14,10 @@ from fastcrc.crc16 import mcrf4xx
 MAGIC = 0xFD
 MAGIC_1 = 0xFE
 SIGNED = 0x01
-_HEADER = struct.Struct("<BBBBBBBHB")
-_HEADER_1 = struct.Struct("<BBBBBB")
-_CRC = struct.Struct("<H")
+_HEADER = struct.Struct("<BBBBBBHB")
+_HEADER_1 = struct.Struct("<BBBBB")
+_START, _START_1 = bytes((MAGIC,)), bytes((MAGIC_1,))
+_EXTRAS = tuple(bytes((i,)) for i in range(256))
 
 SIGNING_EPOCH_US = 1_420_070_400_000_000
 """us from 1970 to 2015, where the time stamps of signatures begin."""
@@ -99,10 +100,10 @@ class FrameWriter:
             return self._frame_1(msgid, crc_extra, payload)
         # Version 2 cuts trailing zero bytes.
         payload = payload.rstrip(b"\0") or payload[:1]
+        signer = self.signer
         head = _HEADER.pack(
-            MAGIC,
             len(payload),
-            0 if self.signer is None else SIGNED,
+            0 if signer is None else SIGNED,
             0,
             self.sequence,
             self.sysid,
@@ -110,17 +111,17 @@ class FrameWriter:
             msgid & 0xFFFF,
             msgid >> 16,
         )
-        frame = self._closed(head + payload, crc_extra)
-        return frame if self.signer is None else frame + self.signer.signature(frame)
+        frame = self._closed(_START, head + payload, crc_extra)
+        return frame if signer is None else frame + signer.signature(frame)
 
     def _frame_1(self, msgid: int, crc_extra: int, payload: bytes) -> bytes:
         if msgid > 255:
             return b""
         payload = payload[: BASE_LENGTHS.get(msgid)]
-        head = _HEADER_1.pack(MAGIC_1, len(payload), self.sequence, self.sysid, self.compid, msgid)
-        return self._closed(head + payload, crc_extra)
+        head = _HEADER_1.pack(len(payload), self.sequence, self.sysid, self.compid, msgid)
+        return self._closed(_START_1, head + payload, crc_extra)
 
-    def _closed(self, body: bytes, crc_extra: int) -> bytes:
+    def _closed(self, start: bytes, body: bytes, crc_extra: int) -> bytes:
         self.sequence = (self.sequence + 1) & 0xFF
-        crc = mcrf4xx(bytes((crc_extra,)), mcrf4xx(body[1:]))
-        return body + _CRC.pack(crc)
+        crc: int = mcrf4xx(body + _EXTRAS[crc_extra])
+        return start + body + crc.to_bytes(2, "little")
