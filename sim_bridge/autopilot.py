@@ -146,13 +146,15 @@ class Schedule:
             return []
         taken = []
         wake = float("inf")
+        # Half a microsecond of slack: due times are sums of floats.
+        latest = now + 0.5
         for stream in self.streams.values():
             if not stream.interval:
                 continue
-            # Half a microsecond of slack: due times are sums of floats.
-            if stream.due <= now + 0.5:
+            if stream.due <= latest:
                 taken.append(stream)
                 stream.due += stream.interval
-            wake = min(wake, stream.due)
+            if stream.due < wake:
+                wake = stream.due
         self._wake = wake - 0.5
         return taken

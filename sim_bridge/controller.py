@@ -128,21 +128,17 @@ class Controller:
         )
         step = g.rate_integral * self.period
         limit = g.integral_limit
-        self._rate_integral = [
+        i_p, i_q, i_r = self._rate_integral = [
             clip(i + step * e, -limit, limit)
             for i, e in zip(self._rate_integral, errors, strict=True)
         ]
-        x, y, z = (
-            # A rotor that lags by tau needs tau times the derivative on top to follow.
-            f + v.motor_lag * j + g.rate * e + i
-            for f, j, e, i in zip(
-                ref.angular_acceleration,
-                ref.angular_jerk,
-                errors,
-                self._rate_integral,
-                strict=True,
-            )
-        )
+        # A rotor that lags by tau needs tau times the derivative on top to follow.
+        f_p, f_q, f_r = ref.angular_acceleration
+        j_p, j_q, j_r = ref.angular_jerk
+        lag, gain = v.motor_lag, g.rate
+        x = f_p + lag * j_p + gain * errors[0] + i_p
+        y = f_q + lag * j_q + gain * errors[1] + i_q
+        z = f_r + lag * j_r + gain * errors[2] + i_r
         l_x = v.Ixx * p + v.Ixy * q + v.Ixz * r
         l_y = v.Ixy * p + v.Iyy * q + v.Iyz * r
         l_z = v.Ixz * p + v.Iyz * q + v.Izz * r

@@ -55,6 +55,10 @@ class Instruments:
         self._rotors: deque[tuple[Sample, Sample]] = deque(maxlen=self._rotor_age + 1)
         self._attitudes: deque[Sample] = deque(maxlen=self._attitude_age + 1)
 
+        self._looks_back = bool(
+            self._imu_age or self._averaged or self._rotor_age or self._attitude_age
+        )
+
     @property
     def imu_age(self) -> float:
         """S by which the gyro is older than its stamp."""
@@ -68,6 +72,8 @@ class Instruments:
     def advance(self) -> None:
         """Take note of this physics step; call it at every one."""
         self.faults.now = self.simulation.time
+        if not self._looks_back:
+            return
         if self._imu_age or self._averaged:
             self._inertial.append(self.simulation.imu())
         if self._rotor_age:
@@ -111,7 +117,16 @@ class Instruments:
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
-        return self.faults.inertial(*self._with_noise(*self._true_inertial()))
+        (p, q, r), (x, y, z) = self._true_inertial()
+        noise = self._noise("gyro", True)
+        error = self._noise("accelerometer", True)
+        if self.simulation.grounded:
+            noise = [GROUND_NOISE * n for n in noise]
+            error = [GROUND_NOISE * n for n in error]
+        return self.faults.inertial(
+            [p + noise[0], q + noise[1], r + noise[2]],
+            [x + error[0], y + error[1], z + error[2]],
+        )
 
     def _true_inertial(self) -> tuple[Sample, Sample]:
         """As perfect sensors that may be late and may average have it."""
@@ -136,19 +151,6 @@ class Instruments:
                 accelerometer[k] += scale * weight * f[k]
         return gyro, accelerometer
 
-    def _with_noise(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
-        p, q, r = gyro
-        x, y, z = accelerometer
-        noise = self._noise("gyro", True)
-        error = self._noise("accelerometer", True)
-        if self.simulation.grounded:
-            noise = [GROUND_NOISE * n for n in noise]
-            error = [GROUND_NOISE * n for n in error]
-        return (
-            [p + noise[0], q + noise[1], r + noise[2]],
-            [x + error[0], y + error[1], z + error[2]],
-        )
-
     def attitude(self, fresh: bool = True) -> Sample:
         """Roll, pitch and yaw, rad."""
         late = self._attitudes
@@ -172,7 +174,8 @@ class Instruments:
         if self.faults.sensor_faults.rpm_command:
             return list(targets)
         noise = self._noise("rotor", True)
-        return [max(0.0, speed + n) for speed, n in zip(speeds, noise, strict=True)]
+        noisy = [speed + n for speed, n in zip(speeds, noise, strict=True)]
+        return noisy if min(noisy) > 0.0 else [max(0.0, speed) for speed in noisy]
 
     def _rotor_state(self) -> tuple[Sample, Sample]:
         """Rotor speeds and their targets, rad/s, as old as they reach the messages."""

@@ -5,8 +5,11 @@ derivatives, envelope included, so that the set-points of all control loops agre
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -166,6 +169,10 @@ class Leg:
 
     def at(self, t: float) -> Triple:
         """Distance (m), speed (m/s) and acceleration (m/s^2) at time t."""
+        if t <= self.start:
+            return 0.0, 0.0, 0.0
+        if t >= self.end + self.rise:
+            return self.length, 0.0, 0.0
         u, w = (t - self.start) / self.rise, (t - self.end) / self.rise
         up, up_rate, _ = ramp(u)
         down, down_rate, _ = ramp(w)
@@ -216,10 +223,25 @@ class ExcitationMission:
     blend: float = 1.0
     turbulence: float = 0.0
 
-    @property
+    @cached_property
     def cycle(self) -> float:
         """Length of all modes together, s."""
         return sum(m.length for m in self.modes)
+
+    @cached_property
+    def _begins(self) -> list[float]:
+        """When each mode begins in a cycle, s."""
+        return [0.0, *accumulate(m.length for m in self.modes[:-1])]
+
+    @cached_property
+    def _legs(self) -> list[tuple[float, int, Leg]]:
+        """When their modes begin, axis (0 north, 1 east) and the legs themselves."""
+        return [
+            (begin, axis, leg)
+            for begin, mode in zip(self._begins, self.modes, strict=True)
+            for axis, leg in enumerate((mode.forward, mode.right))
+            if leg is not None
+        ]
 
     @property
     def duration(self) -> float:
@@ -245,21 +267,16 @@ class ExcitationMission:
         position = [0.0, 0.0]
         velocity = [0.0, 0.0]
         acceleration = [0.0, 0.0]
-        current = previous = self.modes[0]
-        since = begin = 0.0
-        for i, mode in enumerate(self.modes):
-            for axis, leg in enumerate((mode.forward, mode.right)):
-                if leg is not None:
-                    s, v, a = leg.at(at - begin)
-                    position[axis] += s + turns * leg.length
-                    velocity[axis] += v
-                    acceleration[axis] += a
-            if at >= begin:
-                current, since = mode, at - begin
-                # The first mode of the first cycle grows out of the hover.
-                previous = self.modes[i - 1] if i or turns else STILL
-            begin += mode.length
-        rise, rise_rate, rise_accel = ramp(since / self.blend)
+        for begin, axis, leg in self._legs:
+            s, v, a = leg.at(at - begin)
+            position[axis] += s + turns * leg.length
+            velocity[axis] += v
+            acceleration[axis] += a
+        i = bisect_right(self._begins, at) - 1
+        # The first mode of the first cycle grows out of the hover.
+        previous = self.modes[i - 1] if i or turns else STILL
+        current = self.modes[i]
+        rise, rise_rate, rise_accel = ramp((at - self._begins[i]) / self.blend)
         swings = []
         for low, high, (angle, rate, accel, jerk) in zip(
             previous.gains, current.gains, multisines, strict=True
@@ -308,7 +325,7 @@ def make_reference(
     swings: list[Swing],
 ) -> Reference:
     """Put horizontal motion and the swings of the three axes together."""
-    roll, pitch, yaw = (s[0] for s in swings)
+    (roll, *p), (pitch, *q), (yaw, *r) = swings
     x, y = 0.5 * roll, 0.5 * pitch
     # A unit quaternion of a turn about (roll, pitch, 0), good to second order in the angle.
     norm = math.sqrt(1.0 + x * x + y * y)
@@ -318,9 +335,9 @@ def make_reference(
         (acceleration[0], acceleration[1], 0.0),
         (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)),
         (1.0 / norm, x / norm, y / norm, 0.0),
-        (swings[0][1], swings[1][1], swings[2][1]),
-        (swings[0][2], swings[1][2], swings[2][2]),
-        (swings[0][3], swings[1][3], swings[2][3]),
+        (p[0], q[0], r[0]),
+        (p[1], q[1], r[1]),
+        (p[2], q[2], r[2]),
     )
 
 

@@ -22,22 +22,18 @@ class Px4Messages(FlightMessages):
 
     def highres_imu(self) -> list[bytes]:
         """HIGHRES_IMU."""
-        (p, q, r), (x, y, z) = self.instruments.inertial()
-        state = self._sim.state
+        gyro, accelerometer = self.instruments.inertial()
+        body = self._sim.state.body
         return [
             self.writer.frame(
                 mavlink.MAVLink_highres_imu_message,
                 self.instruments.now_us,
-                x,
-                y,
-                z,
-                p,
-                q,
-                r,
-                *rotate_to_body(state.quaternion, MAGNETIC_FIELD),
+                *accelerometer,
+                *gyro,
+                *rotate_to_body(body[6:10], MAGNETIC_FIELD),
                 self._pressure(),
                 0.0,
-                HOME[2] - state.body[2],
+                HOME[2] - body[2],
                 35.0,
                 IMU_FIELDS,
                 0,
@@ -50,12 +46,13 @@ class Px4Messages(FlightMessages):
         rpm = self.instruments.faults.rpm(speeds)
         k_M = self._sim.vehicle.k_M
         volts = self._sim.voltage
+        # Electrical power is shaft power over an efficiency of 0.8.
+        power = 0.8 * volts
         frames = []
         for first in range(0, self._rotors, 4):
             group = speeds[first : first + 4]
             gap = [0] * (4 - len(group))
-            # Electrical power is shaft power over an efficiency of 0.8.
-            amps = [k_M * s * s * s / (0.8 * volts) for s in group]
+            amps = [k_M * s * s * s / power for s in group]
             frames.append(
                 self.writer.frame(
                     mavlink.MAVLink_esc_status_message,

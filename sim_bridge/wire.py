@@ -84,6 +84,7 @@ class FrameWriter:
         self.version = version
         self.signer = signer
         self.sequence = 0
+        self._known: dict[Any, tuple[Callable[..., bytes], int, int]] = {}
 
     def frame(self, message: Any, *values: Any) -> bytes:
         """A frame of the given message class; empty where version 1 has no such message.
@@ -92,7 +93,13 @@ class FrameWriter:
             message: class of the dialect.
             values: the fields in wire order (`ordered_fieldnames`), arrays spread out.
         """
-        return self.frame_of_payload(message.id, message.crc_extra, message.unpacker.pack(*values))
+        known = self._known.get(message)
+        if known is None:
+            msgid, crc_extra = message.id, message.crc_extra
+            known = message.unpacker.pack, msgid, crc_extra
+            self._known[message] = known
+        pack, msgid, crc_extra = known
+        return self.frame_of_payload(msgid, crc_extra, pack(*values))
 
     def frame_of_payload(self, msgid: int, crc_extra: int, payload: bytes) -> bytes:
         """A frame around a packed payload; empty where version 1 has no such message."""
@@ -101,17 +108,12 @@ class FrameWriter:
         # Version 2 cuts trailing zero bytes.
         payload = payload.rstrip(b"\0") or payload[:1]
         signer = self.signer
-        head = _HEADER.pack(
-            len(payload),
-            0 if signer is None else SIGNED,
-            0,
-            self.sequence,
-            self.sysid,
-            self.compid,
-            msgid & 0xFFFF,
-            msgid >> 16,
-        )
-        frame = self._closed(_START, head + payload, crc_extra)
+        sequence = self.sequence
+        self.sequence = (sequence + 1) & 0xFF
+        low, high = msgid & 0xFFFF, msgid >> 16
+        flags = 0 if signer is None else SIGNED
+        head = _HEADER.pack(len(payload), flags, 0, sequence, self.sysid, self.compid, low, high)
+        frame = _closed(_START, head + payload, crc_extra)
         return frame if signer is None else frame + signer.signature(frame)
 
     def _frame_1(self, msgid: int, crc_extra: int, payload: bytes) -> bytes:
@@ -119,9 +121,10 @@ class FrameWriter:
             return b""
         payload = payload[: BASE_LENGTHS.get(msgid)]
         head = _HEADER_1.pack(len(payload), self.sequence, self.sysid, self.compid, msgid)
-        return self._closed(_START_1, head + payload, crc_extra)
-
-    def _closed(self, start: bytes, body: bytes, crc_extra: int) -> bytes:
         self.sequence = (self.sequence + 1) & 0xFF
-        crc: int = mcrf4xx(body + _EXTRAS[crc_extra])
-        return start + body + crc.to_bytes(2, "little")
+        return _closed(_START_1, head + payload, crc_extra)
+
+
+def _closed(start: bytes, body: bytes, crc_extra: int) -> bytes:
+    crc: int = mcrf4xx(body + _EXTRAS[crc_extra])
+    return start + body + crc.to_bytes(2, "little")
