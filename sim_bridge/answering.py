@@ -58,6 +58,7 @@ class AnsweringAutopilot(ABC):
         self._disorder_random = np.random.default_rng(disorder)
         self._other_systems = OtherSystems(instruments, other_systems)
         self._never_sent = set(self._sensor_faults.never_sent)
+        self._holds_back = bool(self._never_sent or self._sensor_faults.skips)
         self._reboot_tick = self._tick_of(self._sensor_faults.reboot)
         self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
@@ -110,7 +111,7 @@ class AnsweringAutopilot(ABC):
             self._parameters_tick = -1
             frames += self._parameter_list(None)
         for stream in self.schedule.take(tick):
-            if self._is_sent(stream):
+            if not self._holds_back or self._is_sent(stream):
                 frames += stream.make()
         if self._other_systems.some:
             frames += self._other_systems.poll()

@@ -151,10 +151,11 @@ class Schedule:
         for stream in self.streams.values():
             if not stream.interval:
                 continue
-            if stream.due <= latest:
+            due = stream.due
+            if due <= latest:
                 taken.append(stream)
-                stream.due += stream.interval
-            if stream.due < wake:
-                wake = stream.due
+                due = stream.due = due + stream.interval
+            if due < wake:
+                wake = due
         self._wake = wake - 0.5
         return taken

@@ -39,7 +39,7 @@ STEP = 1e-6 * STEP_US
 """The same in s."""
 
 
-@dataclass
+@dataclass(slots=True)
 class State:
     """Where the vehicle is and how it moves.
 
@@ -102,10 +102,14 @@ class Dynamics:
     _accelerations: Accelerations = field(init=False, repr=False)
     _rotors: list[tuple[Value, Value, float]] = field(init=False, repr=False)
     _decay: tuple[Value, Value, Value] = field(init=False, repr=False)
+    _drag: Value = field(init=False, repr=False)
+    _dragged: bool = field(init=False, repr=False)
     _reacts: bool = field(init=False, repr=False)
+    _usual: bool = field(init=False, repr=False)
     _imu_at_cg: bool = field(init=False, repr=False)
-    _reached: tuple[Sequence[Value], Sequence[Value], tuple[Value, ...]] | None = field(
-        init=False, repr=False
+    _coefficients: tuple[Value, Value, Value] = field(init=False, repr=False)
+    _reached: tuple[Sequence[Value], Sequence[Value], Disturbance, tuple[Value, ...]] | None = (
+        field(init=False, repr=False)
     )
 
     def __post_init__(self) -> None:
@@ -116,11 +120,15 @@ class Dynamics:
         v = self.vehicle = vehicle
         self._accelerations = equations_of_motion(v)
         self._rotors = [(-(r.y - v.cg_y), r.x - v.cg_x, float(r.spin)) for r in v.rotors]
+        self._coefficients = v.k_T, v.k_M, -v.k_T / v.mass
+        self._drag = v.linear_drag / v.mass
+        self._dragged = bool(np.any(v.linear_drag))
         self._reached = None
         self._reacts = bool(np.any(v.rotor_inertia))
         self._imu_at_cg = not np.any((v.imu_x, v.imu_y, v.imu_z))
         slowly = v.lag_of != "speed" and self._reacts
         self.uneven = UnevenRotors(v) if v.traits is not None or slowly else None
+        self._usual = v.lag_of == "speed" and self.uneven is None and not self._reacts
         h = self.step_size
         # The lag is solved in closed form within a step: Omega_c + (Omega - Omega_c) e^(-t/tau).
         lag = v.motor_lag
@@ -167,8 +175,11 @@ class Dynamics:
         self, body: Sequence[Value], wrench: tuple[Value, ...], disturbance: Disturbance = CALM
     ) -> tuple[Value, ...]:
         """Time derivative of the thirteen components of `State.body`."""
-        velocity = body[3:6]
-        return (*velocity, *self._accelerations(*body[3:], *self._load(wrench, disturbance)))
+        vx, vy, vz = body[3:6]
+        load = self._load(wrench, disturbance)
+        ax, ay, az, *turning = self._accelerations(*body[6:], load)
+        D = self._drag
+        return (vx, vy, vz, ax - D * vx, ay - D * vy, az - D * vz, *turning)
 
     def _load(self, wrench: tuple[Value, ...], disturbance: Disturbance) -> tuple[Value, ...]:
         """What moves the body and does not depend on its motion.
@@ -177,21 +188,17 @@ class Dynamics:
             -T/m, (F_d/m + g) north, east and down, M - h', h_z.
         """
         thrust, m_x, m_y, m_z, h_z, h_z_rate = wrench
-        mass = self.vehicle.mass
+        g_x, g_y, g_z, t_x, t_y, t_z = self._push(disturbance)
+        lift = -thrust / self.vehicle.mass
+        return lift, g_x, g_y, g_z, m_x + t_x, m_y + t_y, m_z + t_z - h_z_rate, h_z
+
+    def _push(self, disturbance: Disturbance) -> tuple[Value, ...]:
+        """(F_d/m + g) north, east and down, M_d."""
         if disturbance is CALM:
-            return -thrust / mass, 0.0, 0.0, self.gravity, m_x, m_y, m_z - h_z_rate, h_z
+            return 0.0, 0.0, self.gravity, 0.0, 0.0, 0.0
+        mass = self.vehicle.mass
         f_x, f_y, f_z = disturbance.force
-        t_x, t_y, t_z = disturbance.torque
-        return (
-            -thrust / mass,
-            f_x / mass,
-            f_y / mass,
-            f_z / mass + self.gravity,
-            m_x + t_x,
-            m_y + t_y,
-            m_z + t_z - h_z_rate,
-            h_z,
-        )
+        return f_x / mass, f_y / mass, f_z / mass + self.gravity, *disturbance.torque
 
     def step(
         self, state: State, targets: Sequence[Value], disturbance: Disturbance = CALM
@@ -202,21 +209,13 @@ class Dynamics:
         """
         h = self.step_size
         half_h = 0.5 * h
-        start = self._wrench_at(state.speeds, targets)
-        speeds, middle, end = self._rotors_ahead(state.speeds, targets)
-        self._reached = speeds, targets, end
-        load_1 = self._load(start, disturbance)
-        load_2 = self._load(middle, disturbance)
-        load_4 = self._load(end, disturbance)
+        load_1 = self._load_at(state.speeds, targets, disturbance)
+        speeds, load_2, load_4 = self._loads_ahead(state.speeds, targets, disturbance)
+        self._reached = speeds, targets, disturbance, load_4
         slopes = self._accelerations
         x, y, z, vx, vy, vz, a, b, c, d, p, q, r = state.body
-        ax_1, ay_1, az_1, a_1, b_1, c_1, d_1, p_1, q_1, r_1 = slopes(
-            vx, vy, vz, a, b, c, d, p, q, r, *load_1
-        )
+        ax_1, ay_1, az_1, a_1, b_1, c_1, d_1, p_1, q_1, r_1 = slopes(a, b, c, d, p, q, r, load_1)
         ax_2, ay_2, az_2, a_2, b_2, c_2, d_2, p_2, q_2, r_2 = slopes(
-            vx + half_h * ax_1,
-            vy + half_h * ay_1,
-            vz + half_h * az_1,
             a + half_h * a_1,
             b + half_h * b_1,
             c + half_h * c_1,
@@ -224,12 +223,9 @@ class Dynamics:
             p + half_h * p_1,
             q + half_h * q_1,
             r + half_h * r_1,
-            *load_2,
+            load_2,
         )
         ax_3, ay_3, az_3, a_3, b_3, c_3, d_3, p_3, q_3, r_3 = slopes(
-            vx + half_h * ax_2,
-            vy + half_h * ay_2,
-            vz + half_h * az_2,
             a + half_h * a_2,
             b + half_h * b_2,
             c + half_h * c_2,
@@ -237,12 +233,9 @@ class Dynamics:
             p + half_h * p_2,
             q + half_h * q_2,
             r + half_h * r_2,
-            *load_2,
+            load_2,
         )
         ax_4, ay_4, az_4, a_4, b_4, c_4, d_4, p_4, q_4, r_4 = slopes(
-            vx + h * ax_3,
-            vy + h * ay_3,
-            vz + h * az_3,
             a + h * a_3,
             b + h * b_3,
             c + h * c_3,
@@ -250,8 +243,12 @@ class Dynamics:
             p + h * p_3,
             q + h * q_3,
             r + h * r_3,
-            *load_4,
+            load_4,
         )
+        if self._dragged:
+            ax_1, ax_2, ax_3, ax_4 = self._slowed(vx, ax_1, ax_2, ax_3, ax_4)
+            ay_1, ay_2, ay_3, ay_4 = self._slowed(vy, ay_1, ay_2, ay_3, ay_4)
+            az_1, az_2, az_3, az_4 = self._slowed(vz, az_1, az_2, az_3, az_4)
         sixth = h / 6.0
         square = h * sixth
         a = a + sixth * (a_1 + 2.0 * (a_2 + a_3) + a_4)
@@ -279,27 +276,43 @@ class Dynamics:
             speeds,
         )
 
-    def _wrench_at(self, speeds: Sequence[Value], targets: Sequence[Value]) -> tuple[Value, ...]:
-        """`wrench`, remembered: a step begins where the last one ended."""
-        if self._reached is not None:
-            end, goal, wrench = self._reached
-            if end is speeds and goal is targets:
-                return wrench
-        wrench = self.wrench(speeds, targets)
-        self._reached = speeds, targets, wrench
-        return wrench
+    def _slowed(
+        self, v: Value, a_1: Value, a_2: Value, a_3: Value, a_4: Value
+    ) -> tuple[Value, Value, Value, Value]:
+        """The four slopes of a velocity v with linear drag."""
+        D, h = self._drag, self.step_size
+        a_1 = a_1 - D * v
+        a_2 = a_2 - D * (v + 0.5 * h * a_1)
+        a_3 = a_3 - D * (v + 0.5 * h * a_2)
+        return a_1, a_2, a_3, a_4 - D * (v + h * a_3)
 
-    def _rotors_ahead(
-        self, speeds: Sequence[Value], targets: Sequence[Value]
+    def _load_at(
+        self, speeds: Sequence[Value], targets: Sequence[Value], disturbance: Disturbance
+    ) -> tuple[Value, ...]:
+        """`_load` of these speeds, remembered: a step begins where the last one ended."""
+        if self._reached is not None:
+            end, goal, felt, load = self._reached
+            # Where rotors head for matters to the reaction of their inertia alone.
+            if end is speeds and felt is disturbance and (goal is targets or not self._reacts):
+                return load
+        load = self._load(self.wrench(speeds, targets), disturbance)
+        self._reached = speeds, targets, disturbance, load
+        return load
+
+    def _loads_ahead(
+        self, speeds: Sequence[Value], targets: Sequence[Value], disturbance: Disturbance
     ) -> tuple[list[Value], tuple[Value, ...], tuple[Value, ...]]:
-        """Rotor speeds after a step; what the rotors do in its middle, and at its end."""
+        """Rotor speeds after a step; `_load` in its middle and at its end."""
         half, whole, _ = self._decay
-        v = self.vehicle
-        if self.uneven is not None or self._reacts or v.lag_of != "speed":
+        if not self._usual:
             middle = self._lagged(speeds, targets, half)
             end = self._lagged(speeds, targets, whole)
-            return end, self.wrench(middle, targets), self.wrench(end, targets)
-        # What most vehicles need of `_lagged` and `wrench`, in one go.
+            return (
+                end,
+                self._load(self.wrench(middle, targets), disturbance),
+                self._load(self.wrench(end, targets), disturbance),
+            )
+        # `_lagged`, `wrench` and `_load` in one go.
         end = []
         T_1 = x_1 = y_1 = z_1 = T_2 = x_2 = y_2 = z_2 = 0.0
         for (lever_x, lever_y, spin), speed, target in zip(
@@ -319,11 +332,12 @@ class Dynamics:
             x_2 = x_2 + lever_x * square
             y_2 = y_2 + lever_y * square
             z_2 = z_2 + spin * square
-        k_T, k_M = v.k_T, v.k_M
+        k_T, k_M, lift = self._coefficients
+        g_x, g_y, g_z, t_x, t_y, t_z = self._push(disturbance)
         return (
             end,
-            (k_T * T_1, k_T * x_1, k_T * y_1, k_M * z_1, 0.0, 0.0),
-            (k_T * T_2, k_T * x_2, k_T * y_2, k_M * z_2, 0.0, 0.0),
+            (lift * T_1, g_x, g_y, g_z, k_T * x_1 + t_x, k_T * y_1 + t_y, k_M * z_1 + t_z, 0.0),
+            (lift * T_2, g_x, g_y, g_z, k_T * x_2 + t_x, k_T * y_2 + t_y, k_M * z_2 + t_z, 0.0),
         )
 
     def _lagged(
@@ -351,12 +365,11 @@ class Dynamics:
         The accelerometer sits at (imu_x, imu_y, imu_z) from the CG and so reads
         f + w' x r + w x (w x r) as well.
         """
-        wrench = self._wrench_at(state.speeds, targets)
-        ax, ay, az, _, _, _, _, dp, dq, dr = self._accelerations(
-            *state.body[3:], *self._load(wrench, disturbance)
-        )
-        x, y, z = rotate_to_body(state.quaternion, (ax, ay, az - self.gravity))
-        p, q, r = state.rates
+        load = self._load_at(state.speeds, targets, disturbance)
+        _, _, _, vx, vy, vz, a, b, c, d, p, q, r = state.body
+        ax, ay, az, _, _, _, _, dp, dq, dr = self._accelerations(a, b, c, d, p, q, r, load)
+        D, g = self._drag, self.gravity
+        x, y, z = rotate_to_body((a, b, c, d), (ax - D * vx, ay - D * vy, az - D * vz - g))
         if self._imu_at_cg:
             return [p, q, r], [x, y, z]
         v = self.vehicle

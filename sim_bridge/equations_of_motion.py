@@ -14,22 +14,18 @@ Accelerations = Callable[..., tuple[Value, ...]]
 
 
 def equations_of_motion(vehicle: Vehicle) -> Accelerations:
-    """What makes v', q' and w' (m/s^2 NED, 1/s, rad/s^2), ten numbers.
+    """What makes v' + D v/m, q' and w' (m/s^2 NED, 1/s, rad/s^2), ten numbers.
 
-    It takes the velocity (vx, vy, vz; NED, m/s), the quaternion (a, b, c, d; body to world), the
-    body rates (p, q, r; rad/s), and what does not depend on them: -T/m; F_d/m + g north, east and
-    down; M - h' about the body's axes; h_z.
+    It takes the quaternion (a, b, c, d; body to world), the body rates (p, q, r; rad/s), and a
+    tuple of what does not depend on them: -T/m; F_d/m + g north, east and down; M - h' about the
+    body's axes; h_z. Linear drag is the caller's: nothing else depends on the velocity.
     """
     v = vehicle
     Ixx, Iyy, Izz, Ixy, Iyz, Ixz = inertia = v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz
     Kxx, Kyy, Kzz, Kxy, Kyz, Kxz = invert_symmetric(*inertia)
     d_p, d_q, d_r = v.damping or (v.rotational_damping,) * 3
-    drag = v.linear_drag / v.mass
 
     def accelerations(
-        vx: Value,
-        vy: Value,
-        vz: Value,
         a: Value,
         b: Value,
         c: Value,
@@ -37,15 +33,9 @@ def equations_of_motion(vehicle: Vehicle) -> Accelerations:
         p: Value,
         q: Value,
         r: Value,
-        lift: Value,
-        g_x: Value,
-        g_y: Value,
-        g_z: Value,
-        m_x: Value,
-        m_y: Value,
-        m_z: Value,
-        h_z: Value,
+        load: tuple[Value, ...],
     ) -> tuple[Value, ...]:
+        lift, g_x, g_y, g_z, m_x, m_y, m_z, h_z = load
         # Angular momentum l = J w + h, then the torque left to accelerate the body.
         l_x = Ixx * p + Ixy * q + Ixz * r
         l_y = Ixy * p + Iyy * q + Iyz * r
@@ -55,9 +45,9 @@ def equations_of_motion(vehicle: Vehicle) -> Accelerations:
         n_z = m_z - (p * l_y - q * l_x) - d_r * r
         return (
             # Third column of R: where the body z axis points in the world.
-            lift * 2.0 * (b * d + a * c) - drag * vx + g_x,
-            lift * 2.0 * (c * d - a * b) - drag * vy + g_y,
-            lift * (1.0 - 2.0 * (b * b + c * c)) - drag * vz + g_z,
+            lift * 2.0 * (b * d + a * c) + g_x,
+            lift * 2.0 * (c * d - a * b) + g_y,
+            lift * (1.0 - 2.0 * (b * b + c * c)) + g_z,
             0.5 * (-b * p - c * q - d * r),
             0.5 * (a * p + c * r - d * q),
             0.5 * (a * q - b * r + d * p),

@@ -71,7 +71,8 @@ class Instruments:
 
     def advance(self) -> None:
         """Take note of this physics step; call it at every one."""
-        self.faults.now = self.simulation.time
+        if self.faults.spoils:
+            self.faults.now = self.simulation.time
         if not self._looks_back:
             return
         if self._imu_age or self._averaged:
@@ -117,16 +118,7 @@ class Instruments:
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
-        (p, q, r), (x, y, z) = self._true_inertial()
-        noise = self._noise("gyro", True)
-        error = self._noise("accelerometer", True)
-        if self.simulation.grounded:
-            noise = [GROUND_NOISE * n for n in noise]
-            error = [GROUND_NOISE * n for n in error]
-        return self.faults.inertial(
-            [p + noise[0], q + noise[1], r + noise[2]],
-            [x + error[0], y + error[1], z + error[2]],
-        )
+        return self.faults.inertial(*self._with_noise(*self._true_inertial()))
 
     def _true_inertial(self) -> tuple[Sample, Sample]:
         """As perfect sensors that may be late and may average have it."""
@@ -150,6 +142,19 @@ class Instruments:
                 gyro[k] += scale * weight * w[k]
                 accelerometer[k] += scale * weight * f[k]
         return gyro, accelerometer
+
+    def _with_noise(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
+        p, q, r = gyro
+        x, y, z = accelerometer
+        noise = self._noise("gyro", True)
+        error = self._noise("accelerometer", True)
+        if self.simulation.grounded:
+            noise = [GROUND_NOISE * n for n in noise]
+            error = [GROUND_NOISE * n for n in error]
+        return (
+            [p + noise[0], q + noise[1], r + noise[2]],
+            [x + error[0], y + error[1], z + error[2]],
+        )
 
     def attitude(self, fresh: bool = True) -> Sample:
         """Roll, pitch and yaw, rad."""

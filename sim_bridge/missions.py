@@ -5,18 +5,19 @@ derivatives, envelope included, so that the set-points of all control loops agre
 """
 
 import math
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 HEIGHT = 10.0
 """Height of every mission above the take-off point, m."""
 
+Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 Swing = tuple[float, float, float, float]
 """An angle (rad) and its first three derivatives."""
@@ -82,37 +83,24 @@ class Multisine:
     frequencies: tuple[float, ...]
     fall: float
     phases: tuple[float, ...]
-    _tones: tuple[tuple[float, float, float], ...] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        omegas = [2.0 * math.pi * f for f in self.frequencies]
-        raw = [w**-self.fall for w in omegas]
-        rms = math.sqrt(sum(x * x for x in raw) / 2.0)
-        tones = tuple(
-            (w, x / rms, phase) for w, x, phase in zip(omegas, raw, self.phases, strict=True)
-        )
-        object.__setattr__(self, "_tones", tones)
+    @cached_property
+    def _tones(self) -> tuple[Array, Array, Array, Array]:
+        """Of n tones: omega and phase (n,), what sine and cosine weigh in a `Swing` (n, 4)."""
+        omega = 2.0 * math.pi * np.array(self.frequencies)
+        raw = omega**-self.fall
+        amplitude = raw / math.sqrt((raw * raw).sum() / 2.0)
+        none = np.zeros_like(omega)
+        sine = np.stack([amplitude / omega, none, -amplitude * omega, none], axis=1)
+        cosine = np.stack([none, amplitude, none, -amplitude * omega**2], axis=1)
+        return omega, np.array(self.phases), sine, cosine
 
-    def __call__(self, t: float) -> Swing:
-        """Angle and its derivatives at time t."""
-        angle = rate = acceleration = jerk = 0.0
-        for omega, amplitude, phase in self._tones:
-            sine = amplitude * math.sin(omega * t + phase)
-            cosine = amplitude * math.cos(omega * t + phase)
-            angle += sine / omega
-            rate += cosine
-            acceleration -= sine * omega
-            jerk -= cosine * omega * omega
-        return angle, rate, acceleration, jerk
-
-    def series(self, times: Sequence[float]) -> list[list[float]]:
-        """The same at many times."""
-        omega, amplitude, phase = np.transpose(self._tones)
-        phases = np.multiply.outer(times, omega) + phase
-        sines, cosines = amplitude * np.sin(phases), amplitude * np.cos(phases)
-        angle, rate = sines / omega, cosines
-        swings = [angle.sum(1), rate.sum(1), -(sines * omega).sum(1), -(cosines * omega**2).sum(1)]
-        return np.transpose(swings).tolist()  # type: ignore[no-any-return]
+    def __call__(self, t: Array | float) -> Array:
+        """Angle and its derivatives, (..., 4), at times (...) in s."""
+        omega, phase, sine, cosine = self._tones
+        phases = np.multiply.outer(t, omega) + phase
+        swing: Array = np.sin(phases) @ sine + np.cos(phases) @ cosine
+        return swing
 
 
 # Interleaved frequencies on a grid of 0.05 Hz: whole periods in 20 s, no tone on two axes. The
@@ -142,6 +130,11 @@ def ramp(u: float) -> Triple:
         return 0.0, 0.0, 0.0
     if u >= 1.0:
         return 1.0, 0.0, 0.0
+    return _quintic(u)
+
+
+def _quintic(u: Any) -> tuple[Any, Any, Any]:
+    """`ramp` of numbers or arrays within 0..1."""
     return (
         u * u * u * (10.0 + u * (6.0 * u - 15.0)),
         30.0 * u * u * (1.0 - u) * (1.0 - u),
@@ -250,17 +243,42 @@ class ExcitationMission:
 
     def reference(self, t: float) -> Reference:
         """Set-points t seconds after the start."""
-        t -= self.lead
-        return self._reference(t, [multisine(t) for multisine in (ROLL, PITCH, YAW)])
+        return next(self.references([t]))
 
     def references(self, times: Sequence[float]) -> Iterator[Reference]:
-        """`reference` at many times, which is quicker."""
-        times = [t - self.lead for t in times]
-        swings = zip(*(axis.series(times) for axis in (ROLL, PITCH, YAW)), strict=True)
-        return map(self._reference, times, swings)
+        """`reference` at many times; one of them costs nearly as much as a hundred."""
+        t = np.array(times) - self.lead
+        return map(self._reference, t.tolist(), self._swings(t).tolist())
 
-    def _reference(self, t: float, multisines: Sequence[Sequence[float]]) -> Reference:
-        """Set-points t seconds after the hover's end, from the three axes' multisines then."""
+    def _swings(self, t: Array) -> Array:
+        """The axes' swings, (K, 3, 4), at K times after the lead: multisines in their envelopes."""
+        begins = np.array(self._begins)
+        at = t % self.cycle
+        mode = np.searchsorted(begins, at, side="right") - 1
+        gains = np.array([m.gains for m in self.modes])
+        low, high = gains[mode - 1], gains[mode]
+        # The first mode of the first cycle grows out of the hover.
+        low[(mode == 0) & (t < self.cycle)] = 0.0
+        u = np.clip((at - begins[mode]) / self.blend, 0.0, 1.0)
+        rise, rise_rate, rise_accel = (x[:, None] for x in _quintic(u))
+        gain = low + (high - low) * rise
+        gain_rate = (high - low) * rise_rate / self.blend
+        gain_accel = (high - low) * rise_accel / self.blend**2
+        multisines = np.stack([axis(t) for axis in (ROLL, PITCH, YAW)], axis=1)
+        angle, rate, accel, jerk = np.moveaxis(multisines, -1, 0)
+        return np.stack(
+            [
+                gain * angle,
+                gain * rate + gain_rate * angle,
+                gain * accel + 2.0 * gain_rate * rate + gain_accel * angle,
+                # Without the ramp's own third derivative, which jumps at its ends.
+                gain * jerk + 3.0 * (gain_rate * accel + gain_accel * rate),
+            ],
+            axis=-1,
+        )
+
+    def _reference(self, t: float, swings: Sequence[Sequence[float]]) -> Reference:
+        """Set-points t seconds after the lead, with the three axes' swings."""
         if t < 0.0:
             return hover_reference()
         turns, at = divmod(t, self.cycle)
@@ -272,31 +290,7 @@ class ExcitationMission:
             position[axis] += s + turns * leg.length
             velocity[axis] += v
             acceleration[axis] += a
-        i = bisect_right(self._begins, at) - 1
-        # The first mode of the first cycle grows out of the hover.
-        previous = self.modes[i - 1] if i or turns else STILL
-        current = self.modes[i]
-        rise, rise_rate, rise_accel = ramp((at - self._begins[i]) / self.blend)
-        swings = []
-        for low, high, (angle, rate, accel, jerk) in zip(
-            previous.gains, current.gains, multisines, strict=True
-        ):
-            gain = low + (high - low) * rise
-            gain_rate = (high - low) * rise_rate / self.blend
-            gain_accel = (high - low) * rise_accel / self.blend**2
-            swings.append(
-                (
-                    gain * angle,
-                    gain * rate + gain_rate * angle,
-                    gain * accel + 2.0 * gain_rate * rate + gain_accel * angle,
-                    # Without the ramp's own third derivative, which jumps at its ends.
-                    gain * jerk + 3.0 * (gain_rate * accel + gain_accel * rate),
-                )
-            )
         return make_reference(position, velocity, acceleration, swings)
-
-
-STILL = Mode(0.0, (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -313,6 +307,13 @@ class HoverMission:
         return hover_reference()
 
 
+def references(mission: Mission, times: Sequence[float]) -> Iterator[Reference]:
+    """A mission's set-points at these times; multisines are far cheaper many at a time."""
+    if isinstance(mission, ExcitationMission):
+        return mission.references(times)
+    return map(mission.reference, times)
+
+
 def hover_reference() -> Reference:
     """Set-points of a hover over the starting point."""
     return _HOVER
@@ -322,7 +323,7 @@ def make_reference(
     position: list[float],
     velocity: list[float],
     acceleration: list[float],
-    swings: list[Swing],
+    swings: Sequence[Sequence[float]],
 ) -> Reference:
     """Put horizontal motion and the swings of the three axes together."""
     (roll, *p), (pitch, *q), (yaw, *r) = swings

@@ -11,6 +11,8 @@ from sim_bridge.message_writers import HOME, MAGNETIC_FIELD, FlightMessages
 IMU_FIELDS = 63
 """HIGHRES_IMU fields_updated: accelerometer and gyro."""
 
+_UNUSED = (0.0,) * 32
+
 DISARMED = 900.0
 """us: PWM of an output that drives nothing."""
 
@@ -77,7 +79,7 @@ class Px4Messages(FlightMessages):
                 self.instruments.now_us,
                 len(outputs),
                 *outputs,
-                *[0.0] * (32 - len(outputs)),
+                *_UNUSED[len(outputs) :],
             )
         ]
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.missions import ExcitationMission, Mission, Reference
+from sim_bridge.ground_cycle import GroundCycle
+from sim_bridge.missions import Mission, Reference, references
 
-AHEAD = 64
-"""Control periods for which multisines are computed at a time."""
+AHEAD = 128
+"""Control periods that are looked up at a time."""
 
 
 class SetPoints:
-    """Reads a mission; multisines are known in advance, and far cheaper many at a time.
+    """Reads a mission many control periods at a time, as multisines are far cheaper then.
 
     Args:
         mission: to fly.
@@ -26,13 +27,16 @@ class SetPoints:
 
     def at(self, tick: int) -> Reference:
         """Set-points at a physics step; it is quickest a control period after the last one."""
-        mission = self._mission
-        if not isinstance(mission, ExcitationMission):
-            return mission.reference(tick * self._step_size)
         reference = next(self._ready, None) if tick == self._next else None
         if reference is None:
             ticks = range(tick, tick + AHEAD * self._steps, self._steps)
-            self._ready = mission.references([k * self._step_size for k in ticks])
+            times = [k * self._step_size for k in ticks]
+            mission = self._mission
+            self._ready = (
+                mission.references(times)
+                if isinstance(mission, GroundCycle)
+                else references(mission, times)
+            )
             reference = next(self._ready)
         self._next = tick + self._steps
         return reference
