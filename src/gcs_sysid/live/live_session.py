@@ -109,7 +109,7 @@ class LiveSession:
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._commands = CommandQueue()
-        self._toggling = False
+        self._toggling = self._postponed = False
         self._choice: HeardVehicle | None = None
         self._stop = threading.Event()
         self._all_taken = False
@@ -261,13 +261,22 @@ class LiveSession:
                 return
 
     def _turn(self, items: Sequence[Item], now: float) -> None:
-        """Learn from what came, answer the vehicle, do what users ask, show how things stand."""
+        """Learn from what came, answer the vehicle, do what users ask, show how things stand.
+
+        Showing and advising wait for the next turn where samples were processed in this one: what
+        arrives on a fast link meanwhile would wait for both.
+        """
+        before = self._estimate.chain.t
         for item in items:
             self._take(item)
+        learned = self._estimate.chain.t != before
         self._attend(now)
         self._see_backlog(now)
         self._meet(self._commands.grant(self._estimate.note))
         self._estimate.note_all(self._source.take_events())
+        self._postponed = learned and not self._postponed
+        if self._postponed:
+            return
         if self._backlog.is_idle:
             self._estimate.think()
         every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
