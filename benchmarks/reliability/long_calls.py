@@ -1,7 +1,7 @@
 """Which calls of a live session keep samples waiting: how many are long, and for how long."""
 
-from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from gcs_sysid.estimation.change_watch import ChangeWatch
@@ -27,6 +27,24 @@ CALLS: dict[str, tuple[type, str]] = {
 """What is told apart. A call's time is without that of others in it."""
 
 
+@dataclass
+class Tally:
+    """Of one kind of call: all, the long ones, s that these took, and the longest."""
+
+    count: int = 0
+    long: int = 0
+    seconds: float = 0.0
+    longest: float = 0.0
+
+    def add(self, seconds: float) -> None:
+        """Another call."""
+        self.count += 1
+        if 1e3 * seconds > LONG_MS:
+            self.long += 1
+            self.seconds += seconds
+            self.longest = max(self.longest, seconds)
+
+
 class LongCalls:
     """Times the calls of a session's thread.
 
@@ -37,7 +55,7 @@ class LongCalls:
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._inside: list[float] = []  # s, of calls within those that have begun
-        self._times: dict[str, list[float]] = defaultdict(list)
+        self._tallies = {what: Tally() for what in CALLS}
 
     def watch(self) -> None:
         """Have these calls timed from now on."""
@@ -52,7 +70,7 @@ class LongCalls:
                 return call(*words, **settings)
             finally:
                 spent = self._now() - began
-                self._times[what].append(spent - self._inside.pop())
+                self._tallies[what].add(spent - self._inside.pop())
                 if self._inside:
                     self._inside[-1] += spent
 
@@ -60,16 +78,13 @@ class LongCalls:
 
     def table(self) -> str:
         """Calls that are long, the kind that takes longest first."""
-        rows = []
-        for what, times in self._times.items():
-            long = [t for t in times if 1e3 * t > LONG_MS]
-            if long:
-                rows.append((sum(long), what, len(times), len(long), max(long)))
+        found = sorted(self._tallies.items(), key=lambda item: -item[1].seconds)
         head = f"{'call':<44}{'calls':>9}{f'> {LONG_MS:.0f} ms':>9}{'s in all':>10}{'longest':>12}"
         return "\n".join(
             [head]
             + [
-                f"{what:<44}{count:>9}{number:>9}{total:>10.2f}{1e3 * most:>9.0f} ms"
-                for total, what, count, number, most in sorted(rows, reverse=True)
+                f"{what:<44}{of.count:>9}{of.long:>9}{of.seconds:>10.2f}{1e3 * of.longest:>9.0f} ms"
+                for what, of in found
+                if of.long
             ]
         )
