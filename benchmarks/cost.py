@@ -184,7 +184,7 @@ def main() -> None:
         rates, from_frames = chain_rates(log), frame_rates(log)
         looking = health_share(Path(folder))
     rows = [
-        ("emulator, full 250 Hz message set, to file", f"{speed:.1f} x real time", ">= 5"),
+        ("emulator, full 250 Hz message set, to file", f"{speed:.1f} x real time", ">= 50"),
         (
             "emulator, 1000 vehicles without messages",
             f"{ensemble_speed():.0f} x real time",

@@ -58,9 +58,11 @@ class AnsweringAutopilot(ABC):
         self._disorder_random = np.random.default_rng(disorder)
         self._other_systems = OtherSystems(instruments, other_systems)
         self._never_sent = set(self._sensor_faults.never_sent)
+        self._holds_back = bool(self._never_sent or self._sensor_faults.skips)
         self._reboot_tick = self._tick_of(self._sensor_faults.reboot)
         self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
+        self._fault_ticks = {self._reboot_tick, self._jump_tick, self._reset_tick}
         self._silent_until = 0
         # After the first heartbeats and samples: what comes before them belongs to no vehicle.
         parameters_tick = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
@@ -100,12 +102,8 @@ class AnsweringAutopilot(ABC):
     def poll(self, tick: int) -> list[bytes]:
         """Frames due at this physics step."""
         self.instruments.advance()
-        if tick == self._reboot_tick:
-            self._restart(tick)
-        if tick == self._jump_tick:
-            self.clock.jump(tick, round(1e6 * self._sensor_faults.clock_jump[1]))
-        if tick == self._reset_tick:
-            self._reset_rates(tick)
+        if tick in self._fault_ticks:
+            self._strike(tick)
         frames: list[bytes] = []
         if tick < self._silent_until:
             return frames
@@ -113,10 +111,20 @@ class AnsweringAutopilot(ABC):
             self._parameters_tick = -1
             frames += self._parameter_list(None)
         for stream in self.schedule.take(tick):
-            if self._is_sent(stream):
+            if not self._holds_back or self._is_sent(stream):
                 frames += stream.make()
-        frames += self._other_systems.poll()
+        if self._other_systems.some:
+            frames += self._other_systems.poll()
         return self._shuffled(frames) if self._sensor_faults.disorder else frames
+
+    def _strike(self, tick: int) -> None:
+        """Do what the sensor faults have for this physics step."""
+        if tick == self._reboot_tick:
+            self._restart(tick)
+        if tick == self._jump_tick:
+            self.clock.jump(tick, round(1e6 * self._sensor_faults.clock_jump[1]))
+        if tick == self._reset_tick:
+            self._reset_rates(tick)
 
     def _is_sent(self, stream: Stream) -> bool:
         if stream.msgid in self._never_sent:

@@ -35,7 +35,8 @@ class VehicleClock:
     def at(self, tick: int) -> int:
         """Us since the vehicle was switched on."""
         true = (tick - self._start_tick) * self.step_us
-        return self._start_us + true + round(true * self._drift)
+        now = self._start_us + true
+        return now + round(true * self._drift) if self._drift else now
 
     def restart(self, tick: int, start_us: int) -> None:
         """The vehicle was rebooted `start_us` before this step."""
@@ -145,13 +146,16 @@ class Schedule:
             return []
         taken = []
         wake = float("inf")
+        # Half a microsecond of slack: due times are sums of floats.
+        latest = now + 0.5
         for stream in self.streams.values():
             if not stream.interval:
                 continue
-            # Half a microsecond of slack: due times are sums of floats.
-            if stream.due <= now + 0.5:
+            due = stream.due
+            if due <= latest:
                 taken.append(stream)
-                stream.due += stream.interval
-            wake = min(wake, stream.due)
+                due = stream.due = due + stream.interval
+            if due < wake:
+                wake = due
         self._wake = wake - 0.5
         return taken

@@ -121,28 +121,24 @@ class Controller:
         e0, e1, e2, e3 = multiply((a, -b, -c, -d), set_point)
         turn = 2.0 * g.attitude * sign(e0)
         p, q, r = state.rates
-        errors = (
-            ref.rate[0] + turn * e1 - p,
-            ref.rate[1] + turn * e2 - q,
-            ref.rate[2] + turn * e3 - r,
-        )
+        r_p, r_q, r_r = ref.rate
+        e_p = r_p + turn * e1 - p
+        e_q = r_q + turn * e2 - q
+        e_r = r_r + turn * e3 - r
         step = g.rate_integral * self.period
         limit = g.integral_limit
-        self._rate_integral = [
-            clip(i + step * e, -limit, limit)
-            for i, e in zip(self._rate_integral, errors, strict=True)
-        ]
-        x, y, z = (
-            # A rotor that lags by tau needs tau times the derivative on top to follow.
-            f + v.motor_lag * j + g.rate * e + i
-            for f, j, e, i in zip(
-                ref.angular_acceleration,
-                ref.angular_jerk,
-                errors,
-                self._rate_integral,
-                strict=True,
-            )
-        )
+        i_p, i_q, i_r = self._rate_integral
+        i_p = clip(i_p + step * e_p, -limit, limit)
+        i_q = clip(i_q + step * e_q, -limit, limit)
+        i_r = clip(i_r + step * e_r, -limit, limit)
+        self._rate_integral = [i_p, i_q, i_r]
+        # A rotor that lags by tau needs tau times the derivative on top to follow.
+        f_p, f_q, f_r = ref.angular_acceleration
+        j_p, j_q, j_r = ref.angular_jerk
+        lag, gain = v.motor_lag, g.rate
+        x = f_p + lag * j_p + gain * e_p + i_p
+        y = f_q + lag * j_q + gain * e_q + i_q
+        z = f_r + lag * j_r + gain * e_r + i_r
         l_x = v.Ixx * p + v.Ixy * q + v.Ixz * r
         l_y = v.Ixy * p + v.Iyy * q + v.Iyz * r
         l_z = v.Ixz * p + v.Iyz * q + v.Izz * r

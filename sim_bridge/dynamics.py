@@ -28,6 +28,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gcs_sysid.model.parameters import GRAVITY
+from sim_bridge.equations_of_motion import Accelerations, equations_of_motion
 from sim_bridge.simulated_vehicle import Value, Vehicle
 from sim_bridge.uneven_rotors import UnevenRotors
 
@@ -38,7 +39,7 @@ STEP = 1e-6 * STEP_US
 """The same in s."""
 
 
-@dataclass
+@dataclass(slots=True)
 class State:
     """Where the vehicle is and how it moves.
 
@@ -98,11 +99,18 @@ class Dynamics:
     gravity: float = GRAVITY
     step_size: float = STEP
     uneven: UnevenRotors | None = field(init=False, repr=False)
-    _damping: tuple[Value, Value, Value] = field(init=False, repr=False)
-    _inertia: tuple[Value, ...] = field(init=False, repr=False)
-    _inverse: tuple[Value, ...] = field(init=False, repr=False)
+    _accelerations: Accelerations = field(init=False, repr=False)
     _rotors: list[tuple[Value, Value, float]] = field(init=False, repr=False)
     _decay: tuple[Value, Value, Value] = field(init=False, repr=False)
+    _drag: Value = field(init=False, repr=False)
+    _dragged: bool = field(init=False, repr=False)
+    _reacts: bool = field(init=False, repr=False)
+    _usual: bool = field(init=False, repr=False)
+    _imu_at_cg: bool = field(init=False, repr=False)
+    _coefficients: tuple[Value, Value, Value] = field(init=False, repr=False)
+    _reached: tuple[Sequence[Value], Sequence[Value], Disturbance, tuple[Value, ...]] | None = (
+        field(init=False, repr=False)
+    )
 
     def __post_init__(self) -> None:
         self.use(self.vehicle)
@@ -110,12 +118,17 @@ class Dynamics:
     def use(self, vehicle: Vehicle) -> None:
         """Go on with these parameters (a payload dropped, say); the state stays as it is."""
         v = self.vehicle = vehicle
-        self._inertia = (v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz)
-        self._inverse = invert_symmetric(*self._inertia)
+        self._accelerations = equations_of_motion(v)
         self._rotors = [(-(r.y - v.cg_y), r.x - v.cg_x, float(r.spin)) for r in v.rotors]
-        self._damping = v.damping or (v.rotational_damping,) * 3
-        reacts = v.lag_of != "speed" and bool(np.any(v.rotor_inertia))
-        self.uneven = UnevenRotors(v) if v.traits is not None or reacts else None
+        self._coefficients = v.k_T, v.k_M, -v.k_T / v.mass
+        self._drag = v.linear_drag / v.mass
+        self._dragged = bool(np.any(v.linear_drag))
+        self._reached = None
+        self._reacts = bool(np.any(v.rotor_inertia))
+        self._imu_at_cg = not np.any((v.imu_x, v.imu_y, v.imu_z))
+        slowly = v.lag_of != "speed" and self._reacts
+        self.uneven = UnevenRotors(v) if v.traits is not None or slowly else None
+        self._usual = v.lag_of == "speed" and self.uneven is None and not self._reacts
         h = self.step_size
         # The lag is solved in closed form within a step: Omega_c + (Omega - Omega_c) e^(-t/tau).
         lag = v.motor_lag
@@ -133,20 +146,21 @@ class Dynamics:
         """
         if self.uneven is not None:
             return self.uneven.wrench(speeds, targets)
-        thrust = m_x = m_y = spin_square = spin_speed = spin_accel = 0.0
-        rate = self._decay[2]
-        for (lever_x, lever_y, spin), speed, target in zip(
-            self._rotors, speeds, targets, strict=True
-        ):
+        thrust = m_x = m_y = spin_square = 0.0
+        for (lever_x, lever_y, spin), speed in zip(self._rotors, speeds, strict=True):
             square = speed * speed
             thrust = thrust + square
             m_x = m_x + lever_x * square
             m_y = m_y + lever_y * square
             spin_square = spin_square + spin * square
-            spin_speed = spin_speed + spin * speed
-            spin_accel = spin_accel + spin * (target - speed)
         v = self.vehicle
         k_T = v.k_T
+        if not self._reacts:
+            return k_T * thrust, k_T * m_x, k_T * m_y, v.k_M * spin_square, 0.0, 0.0
+        spin_speed = spin_accel = 0.0
+        for (_, _, spin), speed, target in zip(self._rotors, speeds, targets, strict=True):
+            spin_speed = spin_speed + spin * speed
+            spin_accel = spin_accel + spin * (target - speed)
         J_r = v.rotor_inertia
         return (
             k_T * thrust,
@@ -154,52 +168,37 @@ class Dynamics:
             k_T * m_y,
             v.k_M * spin_square,
             -J_r * spin_speed,
-            -J_r * rate * spin_accel,
+            -J_r * self._decay[2] * spin_accel,
         )
 
     def derivative(
         self, body: Sequence[Value], wrench: tuple[Value, ...], disturbance: Disturbance = CALM
     ) -> tuple[Value, ...]:
         """Time derivative of the thirteen components of `State.body`."""
-        _, _, _, vx, vy, vz, a, b, c, d, p, q, r = body
+        vx, vy, vz = body[3:6]
+        load = self._load(wrench, disturbance)
+        ax, ay, az, *turning = self._accelerations(*body[6:], load)
+        D = self._drag
+        return (vx, vy, vz, ax - D * vx, ay - D * vy, az - D * vz, *turning)
+
+    def _load(self, wrench: tuple[Value, ...], disturbance: Disturbance) -> tuple[Value, ...]:
+        """What moves the body and does not depend on its motion.
+
+        Returns:
+            -T/m, (F_d/m + g) north, east and down, M - h', h_z.
+        """
         thrust, m_x, m_y, m_z, h_z, h_z_rate = wrench
-        v = self.vehicle
-        Ixx, Iyy, Izz, Ixy, Iyz, Ixz = self._inertia
+        g_x, g_y, g_z, t_x, t_y, t_z = self._push(disturbance)
+        lift = -thrust / self.vehicle.mass
+        return lift, g_x, g_y, g_z, m_x + t_x, m_y + t_y, m_z + t_z - h_z_rate, h_z
+
+    def _push(self, disturbance: Disturbance) -> tuple[Value, ...]:
+        """(F_d/m + g) north, east and down, M_d."""
+        if disturbance is CALM:
+            return 0.0, 0.0, self.gravity, 0.0, 0.0, 0.0
+        mass = self.vehicle.mass
         f_x, f_y, f_z = disturbance.force
-        t_x, t_y, t_z = disturbance.torque
-
-        mass = v.mass
-        lift = -thrust / mass
-        drag = v.linear_drag / mass
-        # Third column of R: where the body z axis points in the world.
-        ax = lift * 2.0 * (b * d + a * c) - drag * vx + f_x / mass
-        ay = lift * 2.0 * (c * d - a * b) - drag * vy + f_y / mass
-        az = lift * (1.0 - 2.0 * (b * b + c * c)) - drag * vz + f_z / mass + self.gravity
-
-        # Angular momentum J w + h, then the torque left to accelerate the body.
-        l_x = Ixx * p + Ixy * q + Ixz * r
-        l_y = Ixy * p + Iyy * q + Iyz * r
-        l_z = Ixz * p + Iyz * q + Izz * r + h_z
-        d_p, d_q, d_r = self._damping
-        n_x = m_x + t_x - (q * l_z - r * l_y) - d_p * p
-        n_y = m_y + t_y - (r * l_x - p * l_z) - d_q * q
-        n_z = m_z + t_z - (p * l_y - q * l_x) - d_r * r - h_z_rate
-        Kxx, Kyy, Kzz, Kxy, Kyz, Kxz = self._inverse
-        return (
-            vx,
-            vy,
-            vz,
-            ax,
-            ay,
-            az,
-            0.5 * (-b * p - c * q - d * r),
-            0.5 * (a * p + c * r - d * q),
-            0.5 * (a * q - b * r + d * p),
-            0.5 * (a * r + b * q - c * p),
-            Kxx * n_x + Kxy * n_y + Kxz * n_z,
-            Kxy * n_x + Kyy * n_y + Kyz * n_z,
-            Kxz * n_x + Kyz * n_y + Kzz * n_z,
-        )
+        return f_x / mass, f_y / mass, f_z / mass + self.gravity, *disturbance.torque
 
     def step(
         self, state: State, targets: Sequence[Value], disturbance: Disturbance = CALM
@@ -209,34 +208,137 @@ class Dynamics:
         The rotors are solved exactly, the body by RK4 on the rotors' known history.
         """
         h = self.step_size
-        half, whole, _ = self._decay
-        start = state.speeds
-        middle = self._lagged(start, targets, half)
-        end = self._lagged(start, targets, whole)
-        wrench_middle = self.wrench(middle, targets)
-        y = state.body
-        derivative = self.derivative
-        k1 = derivative(y, self.wrench(start, targets), disturbance)
-        k2 = derivative(
-            [u + 0.5 * h * k for u, k in zip(y, k1, strict=True)], wrench_middle, disturbance
+        half_h = 0.5 * h
+        load_1 = self._load_at(state.speeds, targets, disturbance)
+        speeds, load_2, load_4 = self._loads_ahead(state.speeds, targets, disturbance)
+        self._reached = speeds, targets, disturbance, load_4
+        slopes = self._accelerations
+        x, y, z, vx, vy, vz, a, b, c, d, p, q, r = state.body
+        ax_1, ay_1, az_1, a_1, b_1, c_1, d_1, p_1, q_1, r_1 = slopes(a, b, c, d, p, q, r, load_1)
+        ax_2, ay_2, az_2, a_2, b_2, c_2, d_2, p_2, q_2, r_2 = slopes(
+            a + half_h * a_1,
+            b + half_h * b_1,
+            c + half_h * c_1,
+            d + half_h * d_1,
+            p + half_h * p_1,
+            q + half_h * q_1,
+            r + half_h * r_1,
+            load_2,
         )
-        k3 = derivative(
-            [u + 0.5 * h * k for u, k in zip(y, k2, strict=True)], wrench_middle, disturbance
+        ax_3, ay_3, az_3, a_3, b_3, c_3, d_3, p_3, q_3, r_3 = slopes(
+            a + half_h * a_2,
+            b + half_h * b_2,
+            c + half_h * c_2,
+            d + half_h * d_2,
+            p + half_h * p_2,
+            q + half_h * q_2,
+            r + half_h * r_2,
+            load_2,
         )
-        k4 = derivative(
-            [u + h * k for u, k in zip(y, k3, strict=True)],
-            self.wrench(end, targets),
-            disturbance,
+        ax_4, ay_4, az_4, a_4, b_4, c_4, d_4, p_4, q_4, r_4 = slopes(
+            a + h * a_3,
+            b + h * b_3,
+            c + h * c_3,
+            d + h * d_3,
+            p + h * p_3,
+            q + h * q_3,
+            r + h * r_3,
+            load_4,
         )
+        if self._dragged:
+            ax_1, ax_2, ax_3, ax_4 = self._slowed(vx, ax_1, ax_2, ax_3, ax_4)
+            ay_1, ay_2, ay_3, ay_4 = self._slowed(vy, ay_1, ay_2, ay_3, ay_4)
+            az_1, az_2, az_3, az_4 = self._slowed(vz, az_1, az_2, az_3, az_4)
         sixth = h / 6.0
-        new = [
-            u + sixth * (a + 2.0 * (b + c) + d)
-            for u, a, b, c, d in zip(y, k1, k2, k3, k4, strict=True)
-        ]
-        q0, q1, q2, q3 = new[6:10]
-        scale = (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3) ** -0.5
-        new[6:10] = [q0 * scale, q1 * scale, q2 * scale, q3 * scale]
-        return State(new, end)
+        square = h * sixth
+        a = a + sixth * (a_1 + 2.0 * (a_2 + a_3) + a_4)
+        b = b + sixth * (b_1 + 2.0 * (b_2 + b_3) + b_4)
+        c = c + sixth * (c_1 + 2.0 * (c_2 + c_3) + c_4)
+        d = d + sixth * (d_1 + 2.0 * (d_2 + d_3) + d_4)
+        scale = (a * a + b * b + c * c + d * d) ** -0.5
+        return State(
+            [
+                # The slopes of the position are the velocities above.
+                x + h * vx + square * (ax_1 + ax_2 + ax_3),
+                y + h * vy + square * (ay_1 + ay_2 + ay_3),
+                z + h * vz + square * (az_1 + az_2 + az_3),
+                vx + sixth * (ax_1 + 2.0 * (ax_2 + ax_3) + ax_4),
+                vy + sixth * (ay_1 + 2.0 * (ay_2 + ay_3) + ay_4),
+                vz + sixth * (az_1 + 2.0 * (az_2 + az_3) + az_4),
+                a * scale,
+                b * scale,
+                c * scale,
+                d * scale,
+                p + sixth * (p_1 + 2.0 * (p_2 + p_3) + p_4),
+                q + sixth * (q_1 + 2.0 * (q_2 + q_3) + q_4),
+                r + sixth * (r_1 + 2.0 * (r_2 + r_3) + r_4),
+            ],
+            speeds,
+        )
+
+    def _slowed(
+        self, v: Value, a_1: Value, a_2: Value, a_3: Value, a_4: Value
+    ) -> tuple[Value, Value, Value, Value]:
+        """The four slopes of a velocity v with linear drag."""
+        D, h = self._drag, self.step_size
+        a_1 = a_1 - D * v
+        a_2 = a_2 - D * (v + 0.5 * h * a_1)
+        a_3 = a_3 - D * (v + 0.5 * h * a_2)
+        return a_1, a_2, a_3, a_4 - D * (v + h * a_3)
+
+    def _load_at(
+        self, speeds: Sequence[Value], targets: Sequence[Value], disturbance: Disturbance
+    ) -> tuple[Value, ...]:
+        """`_load` of these speeds, remembered: a step begins where the last one ended."""
+        if self._reached is not None:
+            end, goal, felt, load = self._reached
+            # Where rotors head for matters to the reaction of their inertia alone.
+            if end is speeds and felt is disturbance and (goal is targets or not self._reacts):
+                return load
+        load = self._load(self.wrench(speeds, targets), disturbance)
+        self._reached = speeds, targets, disturbance, load
+        return load
+
+    def _loads_ahead(
+        self, speeds: Sequence[Value], targets: Sequence[Value], disturbance: Disturbance
+    ) -> tuple[list[Value], tuple[Value, ...], tuple[Value, ...]]:
+        """Rotor speeds after a step; `_load` in its middle and at its end."""
+        half, whole, _ = self._decay
+        if not self._usual:
+            middle = self._lagged(speeds, targets, half)
+            end = self._lagged(speeds, targets, whole)
+            return (
+                end,
+                self._load(self.wrench(middle, targets), disturbance),
+                self._load(self.wrench(end, targets), disturbance),
+            )
+        # `_lagged`, `wrench` and `_load` in one go.
+        end = []
+        T_1 = x_1 = y_1 = z_1 = T_2 = x_2 = y_2 = z_2 = 0.0
+        for (lever_x, lever_y, spin), speed, target in zip(
+            self._rotors, speeds, targets, strict=True
+        ):
+            gap = speed - target
+            speed = target + gap * half
+            square = speed * speed
+            T_1 = T_1 + square
+            x_1 = x_1 + lever_x * square
+            y_1 = y_1 + lever_y * square
+            z_1 = z_1 + spin * square
+            speed = target + gap * whole
+            end.append(speed)
+            square = speed * speed
+            T_2 = T_2 + square
+            x_2 = x_2 + lever_x * square
+            y_2 = y_2 + lever_y * square
+            z_2 = z_2 + spin * square
+        k_T, k_M, lift = self._coefficients
+        g_x, g_y, g_z, t_x, t_y, t_z = self._push(disturbance)
+        return (
+            end,
+            (lift * T_1, g_x, g_y, g_z, k_T * x_1 + t_x, k_T * y_1 + t_y, k_M * z_1 + t_z, 0.0),
+            (lift * T_2, g_x, g_y, g_z, k_T * x_2 + t_x, k_T * y_2 + t_y, k_M * z_2 + t_z, 0.0),
+        )
 
     def _lagged(
         self, speeds: Sequence[Value], targets: Sequence[Value], decay: Value
@@ -263,34 +365,19 @@ class Dynamics:
         The accelerometer sits at (imu_x, imu_y, imu_z) from the CG and so reads
         f + w' x r + w x (w x r) as well.
         """
-        k = self.derivative(state.body, self.wrench(state.speeds, targets), disturbance)
-        x, y, z = rotate_to_body(state.quaternion, (k[3], k[4], k[5] - self.gravity))
-        p, q, r = state.rates
+        load = self._load_at(state.speeds, targets, disturbance)
+        _, _, _, vx, vy, vz, a, b, c, d, p, q, r = state.body
+        ax, ay, az, _, _, _, _, dp, dq, dr = self._accelerations(a, b, c, d, p, q, r, load)
+        D, g = self._drag, self.gravity
+        x, y, z = rotate_to_body((a, b, c, d), (ax - D * vx, ay - D * vy, az - D * vz - g))
+        if self._imu_at_cg:
+            return [p, q, r], [x, y, z]
         v = self.vehicle
         X, Y, Z = v.imu_x, v.imu_y, v.imu_z
-        dp, dq, dr = k[10], k[11], k[12]
         x = x + dq * Z - dr * Y + p * q * Y + p * r * Z - (q * q + r * r) * X
         y = y + dr * X - dp * Z + p * q * X + q * r * Z - (p * p + r * r) * Y
         z = z + dp * Y - dq * X + p * r * X + q * r * Y - (p * p + q * q) * Z
         return [p, q, r], [x, y, z]
-
-
-def invert_symmetric(
-    xx: Value, yy: Value, zz: Value, xy: Value, yz: Value, xz: Value
-) -> tuple[Value, ...]:
-    """Inverse of a symmetric 3 x 3 matrix, elements in the same order (xx, yy, zz, xy, yz, xz)."""
-    c_xx = yy * zz - yz * yz
-    c_xy = xz * yz - xy * zz
-    c_xz = xy * yz - xz * yy
-    scale = 1.0 / (xx * c_xx + xy * c_xy + xz * c_xz)
-    return (
-        c_xx * scale,
-        (xx * zz - xz * xz) * scale,
-        (xx * yy - xy * xy) * scale,
-        c_xy * scale,
-        (xy * xz - xx * yz) * scale,
-        c_xz * scale,
-    )
 
 
 def rotate_to_body(

@@ -31,7 +31,8 @@ class FaultInjector:
 
     Attributes:
         sensor_faults: which are in force.
-        now: s since the start of the flight, set by the owner.
+        spoils: whether any is.
+        now: s since the start of the flight, set by the owner where any is in force.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class FaultInjector:
     ) -> None:
         self.sensor_faults = sensor_faults
         self.now = 0.0
+        self.spoils = sensor_faults != NO_SENSOR_FAULTS
         # A generator each: one trap does not move what another does.
         rotor, attitude, gyro, imu, force, tilt = (seed or np.random.SeedSequence(0)).spawn(6)
         self._rotor_random = np.random.default_rng(rotor)
@@ -57,6 +59,8 @@ class FaultInjector:
 
     def rpm(self, speeds: Sample) -> list[int]:
         """The rpm field for these rotor speeds in rad/s, motor by motor."""
+        if not self.spoils:
+            return [round(s * RPM) for s in speeds]
         sensor_faults = self.sensor_faults
         if (
             sensor_faults.rpm_repeats
@@ -89,6 +93,8 @@ class FaultInjector:
 
     def angles(self, angles: Sample) -> Sample:
         """Roll, pitch and yaw in rad, NaN, as they were, or with one far off."""
+        if not self.spoils:
+            return angles
         if self._is_on(self.sensor_faults.attitude_nan):
             return [math.nan] * 3
         if not (self._last_angles and self._is_on(self.sensor_faults.attitude_stuck)):
@@ -105,6 +111,8 @@ class FaultInjector:
 
     def inertial(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2) with outliers, repeats and bias."""
+        if not self.spoils:
+            return gyro, accelerometer
         sensor_faults = self.sensor_faults
         if sensor_faults.imu_frozen:
             last = self._last_inertial

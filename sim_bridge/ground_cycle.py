@@ -1,8 +1,10 @@
 """A mission from the ground and back to it, once or several times."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
-from sim_bridge.missions import HEIGHT, Mission, Reference, ramp
+from sim_bridge.missions import HEIGHT, Mission, Reference, ramp, references
 
 CLIMB = 6.0
 """s from the ground to the mission's height, and down again."""
@@ -61,9 +63,25 @@ class GroundCycle:
 
     def reference(self, t: float) -> Reference:
         """Set-points t seconds after the start."""
-        flight, at = self._place(t)
+        return next(self.references([t]))
+
+    def references(self, times: Sequence[float]) -> Iterator[Reference]:
+        """`reference` at many times."""
         length = self.mission.duration
-        here = self.mission.reference(min(max(at - CLIMB, 0.0), length))
+        places = [self._place(t) for t in times]
+        inside = [min(max(at - CLIMB, 0.0), length) for _, at in places]
+        for (flight, at), here in zip(places, references(self.mission, inside), strict=True):
+            yield self._placed(flight, at, here)
+
+    @cached_property
+    def _ends(self) -> tuple[Reference, Reference]:
+        """The mission's first set-points and its last."""
+        return self.mission.reference(0.0), self.mission.reference(self.mission.duration)
+
+    def _placed(self, flight: int, at: float, here: Reference) -> Reference:
+        """The mission's set-points from the ground and back, where earlier flights have ended."""
+        length = self.mission.duration
+        first, last = self._ends
         if not CLIMB <= at < CLIMB + length:
             # Up or down on the spot, where the mission begins or ended.
             falling = at >= CLIMB
@@ -71,12 +89,11 @@ class GroundCycle:
             share, rate, acceleration = ramp(u)
             rate = -rate if falling else rate
             x, y, _ = here.position
-            here = replace(
-                self.mission.reference(0.0),
+            here = first._replace(
                 position=(x, y, -HEIGHT * share),
                 velocity=(0.0, 0.0, -HEIGHT / CLIMB * rate),
                 acceleration=(0.0, 0.0, -HEIGHT / CLIMB**2 * acceleration),
             )
-        north, east, _ = self.mission.reference(length).position
+        north, east, _ = last.position
         x, y, z = here.position
-        return replace(here, position=(x + flight * north, y + flight * east, z))
+        return here._replace(position=(x + flight * north, y + flight * east, z))

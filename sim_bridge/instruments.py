@@ -55,6 +55,10 @@ class Instruments:
         self._rotors: deque[tuple[Sample, Sample]] = deque(maxlen=self._rotor_age + 1)
         self._attitudes: deque[Sample] = deque(maxlen=self._attitude_age + 1)
 
+        self._looks_back = bool(
+            self._imu_age or self._averaged or self._rotor_age or self._attitude_age
+        )
+
     @property
     def imu_age(self) -> float:
         """S by which the gyro is older than its stamp."""
@@ -67,7 +71,10 @@ class Instruments:
 
     def advance(self) -> None:
         """Take note of this physics step; call it at every one."""
-        self.faults.now = self.simulation.time
+        if self.faults.spoils:
+            self.faults.now = self.simulation.time
+        if not self._looks_back:
+            return
         if self._imu_age or self._averaged:
             self._inertial.append(self.simulation.imu())
         if self._rotor_age:
@@ -97,13 +104,17 @@ class Instruments:
         others draw for themselves.
         """
         tick = self.simulation.tick
-        channel = self._channels[sensor]
         drawn = self._drawn.get(sensor)
-        oldest = 0.0 if fresh else 2.0 * channel.interval / self.simulation.step_size
-        if drawn is None or tick - drawn[0] > oldest:
-            drawn = (tick, channel.next())
-            self._drawn[sensor] = drawn
-        return drawn[1]
+        if drawn is not None:
+            age = tick - drawn[0]
+            if age == 0:
+                return drawn[1]
+            interval = self._channels[sensor].interval
+            if not fresh and age <= 2.0 * interval / self.simulation.step_size:
+                return drawn[1]
+        sample = self._channels[sensor].next()
+        self._drawn[sensor] = tick, sample
+        return sample
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
@@ -168,7 +179,8 @@ class Instruments:
         if self.faults.sensor_faults.rpm_command:
             return list(targets)
         noise = self._noise("rotor", True)
-        return [max(0.0, speed + n) for speed, n in zip(speeds, noise, strict=True)]
+        noisy = [speed + n for speed, n in zip(speeds, noise, strict=True)]
+        return noisy if min(noisy) > 0.0 else [max(0.0, speed) for speed in noisy]
 
     def _rotor_state(self) -> tuple[Sample, Sample]:
         """Rotor speeds and their targets, rad/s, as old as they reach the messages."""
@@ -183,8 +195,8 @@ class Instruments:
 
     def commands(self) -> Sample:
         """Commands u of the rotors, 0..1."""
-        vehicle = self.simulation.vehicle
-        return [float(vehicle.command_of(target)) for target in self._rotor_state()[1]]
+        command_of = self.simulation.vehicle.command_of
+        return [float(command_of(target)) for target in self._rotor_state()[1]]
 
 
 def wrap(angle: float) -> float:

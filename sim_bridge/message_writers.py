@@ -16,6 +16,9 @@ MAGNETIC_FIELD = (0.215, 0.010, 0.430)
 """Gauss, NED: about that of central Europe."""
 
 
+_UNUSED = [0] * 16
+
+
 class MessageMaker:
     """Makes messages for the instant the simulation is at, each as one or more frames.
 
@@ -95,7 +98,7 @@ class FlightMessages(MessageMaker):
 
     def _servo_output_raw(self, outputs: list[int]) -> bytes:
         """SERVO_OUTPUT_RAW of outputs in us; its clock wraps after 71.6 minutes."""
-        outputs = outputs[:16] + [0] * (16 - len(outputs))
+        outputs = outputs[:16] + _UNUSED[len(outputs) :]
         return self.writer.frame(
             mavlink.MAVLink_servo_output_raw_message,
             self.instruments.now_us & 0xFFFFFFFF,

@@ -5,19 +5,25 @@ derivatives, envelope included, so that the set-points of all control loops agre
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 HEIGHT = 10.0
 """Height of every mission above the take-off point, m."""
 
+Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 Swing = tuple[float, float, float, float]
 """An angle (rad) and its first three derivatives."""
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """Set-points at one instant, the same for every vehicle of an ensemble.
 
     Attributes:
@@ -77,28 +83,24 @@ class Multisine:
     frequencies: tuple[float, ...]
     fall: float
     phases: tuple[float, ...]
-    _tones: tuple[tuple[float, float, float], ...] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        omegas = [2.0 * math.pi * f for f in self.frequencies]
-        raw = [w**-self.fall for w in omegas]
-        rms = math.sqrt(sum(x * x for x in raw) / 2.0)
-        tones = tuple(
-            (w, x / rms, phase) for w, x, phase in zip(omegas, raw, self.phases, strict=True)
-        )
-        object.__setattr__(self, "_tones", tones)
+    @cached_property
+    def _tones(self) -> tuple[Array, Array, Array, Array]:
+        """Of n tones: omega and phase (n,), what sine and cosine weigh in a `Swing` (n, 4)."""
+        omega = 2.0 * math.pi * np.array(self.frequencies)
+        raw = omega**-self.fall
+        amplitude = raw / math.sqrt((raw * raw).sum() / 2.0)
+        none = np.zeros_like(omega)
+        sine = np.stack([amplitude / omega, none, -amplitude * omega, none], axis=1)
+        cosine = np.stack([none, amplitude, none, -amplitude * omega**2], axis=1)
+        return omega, np.array(self.phases), sine, cosine
 
-    def __call__(self, t: float) -> Swing:
-        """Angle and its derivatives at time t."""
-        angle = rate = acceleration = jerk = 0.0
-        for omega, amplitude, phase in self._tones:
-            sine = amplitude * math.sin(omega * t + phase)
-            cosine = amplitude * math.cos(omega * t + phase)
-            angle += sine / omega
-            rate += cosine
-            acceleration -= sine * omega
-            jerk -= cosine * omega * omega
-        return angle, rate, acceleration, jerk
+    def __call__(self, t: Array | float) -> Array:
+        """Angle and its derivatives, (..., 4), at times (...) in s."""
+        omega, phase, sine, cosine = self._tones
+        phases = np.multiply.outer(t, omega) + phase
+        swing: Array = np.sin(phases) @ sine + np.cos(phases) @ cosine
+        return swing
 
 
 # Interleaved frequencies on a grid of 0.05 Hz: whole periods in 20 s, no tone on two axes. The
@@ -128,6 +130,11 @@ def ramp(u: float) -> Triple:
         return 0.0, 0.0, 0.0
     if u >= 1.0:
         return 1.0, 0.0, 0.0
+    return _quintic(u)
+
+
+def _quintic(u: Any) -> tuple[Any, Any, Any]:
+    """`ramp` of numbers or arrays within 0..1."""
     return (
         u * u * u * (10.0 + u * (6.0 * u - 15.0)),
         30.0 * u * u * (1.0 - u) * (1.0 - u),
@@ -155,6 +162,10 @@ class Leg:
 
     def at(self, t: float) -> Triple:
         """Distance (m), speed (m/s) and acceleration (m/s^2) at time t."""
+        if t <= self.start:
+            return 0.0, 0.0, 0.0
+        if t >= self.end + self.rise:
+            return self.length, 0.0, 0.0
         u, w = (t - self.start) / self.rise, (t - self.end) / self.rise
         up, up_rate, _ = ramp(u)
         down, down_rate, _ = ramp(w)
@@ -205,10 +216,25 @@ class ExcitationMission:
     blend: float = 1.0
     turbulence: float = 0.0
 
-    @property
+    @cached_property
     def cycle(self) -> float:
         """Length of all modes together, s."""
         return sum(m.length for m in self.modes)
+
+    @cached_property
+    def _begins(self) -> list[float]:
+        """When each mode begins in a cycle, s."""
+        return [0.0, *accumulate(m.length for m in self.modes[:-1])]
+
+    @cached_property
+    def _legs(self) -> list[tuple[float, int, Leg]]:
+        """When their modes begin, axis (0 north, 1 east) and the legs themselves."""
+        return [
+            (begin, axis, leg)
+            for begin, mode in zip(self._begins, self.modes, strict=True)
+            for axis, leg in enumerate((mode.forward, mode.right))
+            if leg is not None
+        ]
 
     @property
     def duration(self) -> float:
@@ -217,48 +243,54 @@ class ExcitationMission:
 
     def reference(self, t: float) -> Reference:
         """Set-points t seconds after the start."""
-        t -= self.lead
+        return next(self.references([t]))
+
+    def references(self, times: Sequence[float]) -> Iterator[Reference]:
+        """`reference` at many times; one of them costs nearly as much as a hundred."""
+        t = np.array(times) - self.lead
+        return map(self._reference, t.tolist(), self._swings(t).tolist())
+
+    def _swings(self, t: Array) -> Array:
+        """The axes' swings, (K, 3, 4), at K times after the lead: multisines in their envelopes."""
+        begins = np.array(self._begins)
+        at = t % self.cycle
+        mode = np.searchsorted(begins, at, side="right") - 1
+        gains = np.array([m.gains for m in self.modes])
+        low, high = gains[mode - 1], gains[mode]
+        # The first mode of the first cycle grows out of the hover.
+        low[(mode == 0) & (t < self.cycle)] = 0.0
+        u = np.clip((at - begins[mode]) / self.blend, 0.0, 1.0)
+        rise, rise_rate, rise_accel = (x[:, None] for x in _quintic(u))
+        gain = low + (high - low) * rise
+        gain_rate = (high - low) * rise_rate / self.blend
+        gain_accel = (high - low) * rise_accel / self.blend**2
+        multisines = np.stack([axis(t) for axis in (ROLL, PITCH, YAW)], axis=1)
+        angle, rate, accel, jerk = np.moveaxis(multisines, -1, 0)
+        return np.stack(
+            [
+                gain * angle,
+                gain * rate + gain_rate * angle,
+                gain * accel + 2.0 * gain_rate * rate + gain_accel * angle,
+                # Without the ramp's own third derivative, which jumps at its ends.
+                gain * jerk + 3.0 * (gain_rate * accel + gain_accel * rate),
+            ],
+            axis=-1,
+        )
+
+    def _reference(self, t: float, swings: Sequence[Sequence[float]]) -> Reference:
+        """Set-points t seconds after the lead, with the three axes' swings."""
         if t < 0.0:
             return hover_reference()
         turns, at = divmod(t, self.cycle)
         position = [0.0, 0.0]
         velocity = [0.0, 0.0]
         acceleration = [0.0, 0.0]
-        current = previous = self.modes[0]
-        since = begin = 0.0
-        for i, mode in enumerate(self.modes):
-            for axis, leg in enumerate((mode.forward, mode.right)):
-                if leg is not None:
-                    s, v, a = leg.at(at - begin)
-                    position[axis] += s + turns * leg.length
-                    velocity[axis] += v
-                    acceleration[axis] += a
-            if at >= begin:
-                current, since = mode, at - begin
-                # The first mode of the first cycle grows out of the hover.
-                previous = self.modes[i - 1] if i or turns else STILL
-            begin += mode.length
-        rise, rise_rate, rise_accel = ramp(since / self.blend)
-        swings = []
-        for axis, multisine in enumerate((ROLL, PITCH, YAW)):
-            low, high = previous.gains[axis], current.gains[axis]
-            gain = low + (high - low) * rise
-            gain_rate = (high - low) * rise_rate / self.blend
-            gain_accel = (high - low) * rise_accel / self.blend**2
-            angle, rate, accel, jerk = multisine(t)
-            swings.append(
-                (
-                    gain * angle,
-                    gain * rate + gain_rate * angle,
-                    gain * accel + 2.0 * gain_rate * rate + gain_accel * angle,
-                    # Without the ramp's own third derivative, which jumps at its ends.
-                    gain * jerk + 3.0 * (gain_rate * accel + gain_accel * rate),
-                )
-            )
+        for begin, axis, leg in self._legs:
+            s, v, a = leg.at(at - begin)
+            position[axis] += s + turns * leg.length
+            velocity[axis] += v
+            acceleration[axis] += a
         return make_reference(position, velocity, acceleration, swings)
-
-
-STILL = Mode(0.0, (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -275,6 +307,13 @@ class HoverMission:
         return hover_reference()
 
 
+def references(mission: Mission, times: Sequence[float]) -> Iterator[Reference]:
+    """A mission's set-points at these times; multisines are far cheaper many at a time."""
+    if isinstance(mission, ExcitationMission):
+        return mission.references(times)
+    return map(mission.reference, times)
+
+
 def hover_reference() -> Reference:
     """Set-points of a hover over the starting point."""
     return _HOVER
@@ -284,10 +323,10 @@ def make_reference(
     position: list[float],
     velocity: list[float],
     acceleration: list[float],
-    swings: list[Swing],
+    swings: Sequence[Sequence[float]],
 ) -> Reference:
     """Put horizontal motion and the swings of the three axes together."""
-    roll, pitch, yaw = (s[0] for s in swings)
+    (roll, *p), (pitch, *q), (yaw, *r) = swings
     x, y = 0.5 * roll, 0.5 * pitch
     # A unit quaternion of a turn about (roll, pitch, 0), good to second order in the angle.
     norm = math.sqrt(1.0 + x * x + y * y)
@@ -297,9 +336,9 @@ def make_reference(
         (acceleration[0], acceleration[1], 0.0),
         (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)),
         (1.0 / norm, x / norm, y / norm, 0.0),
-        (swings[0][1], swings[1][1], swings[2][1]),
-        (swings[0][2], swings[1][2], swings[2][2]),
-        (swings[0][3], swings[1][3], swings[2][3]),
+        (p[0], q[0], r[0]),
+        (p[1], q[1], r[1]),
+        (p[2], q[2], r[2]),
     )
 
 

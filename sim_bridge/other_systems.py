@@ -19,6 +19,9 @@ class OtherSystems:
 
     The second vehicle is a PX4 that sends what would spoil an estimate if it were taken for the
     first one's: rates, attitude and rotor speeds of random size.
+
+    Attributes:
+        some: whether there are any.
     """
 
     def __init__(self, instruments: Instruments, seed: np.random.SeedSequence) -> None:
@@ -28,6 +31,7 @@ class OtherSystems:
         self._random = np.random.default_rng(seed)
         self._vehicle = FrameWriter(SECOND_SYSTEM, 1) if sensor_faults.forwarded else None
         self._radio = FrameWriter(*RADIO) if sensor_faults.radio else None
+        self.some = self._vehicle is not None or self._radio is not None
         self._sample_ticks = round(PERIOD / self._sim.step_size)
         self._second_ticks = round(1.0 / self._sim.step_size)
 

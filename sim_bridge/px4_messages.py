@@ -11,6 +11,8 @@ from sim_bridge.message_writers import HOME, MAGNETIC_FIELD, FlightMessages
 IMU_FIELDS = 63
 """HIGHRES_IMU fields_updated: accelerometer and gyro."""
 
+_UNUSED = (0.0,) * 32
+
 DISARMED = 900.0
 """us: PWM of an output that drives nothing."""
 
@@ -18,24 +20,22 @@ DISARMED = 900.0
 class Px4Messages(FlightMessages):
     """Makes each message for the instant the simulation is at, as one or more frames."""
 
+    _driven: tuple[int, list[float]] = (-1, [])
+
     def highres_imu(self) -> list[bytes]:
         """HIGHRES_IMU."""
-        (p, q, r), (x, y, z) = self.instruments.inertial()
-        state = self._sim.state
+        gyro, accelerometer = self.instruments.inertial()
+        body = self._sim.state.body
         return [
             self.writer.frame(
                 mavlink.MAVLink_highres_imu_message,
                 self.instruments.now_us,
-                x,
-                y,
-                z,
-                p,
-                q,
-                r,
-                *rotate_to_body(state.quaternion, MAGNETIC_FIELD),
+                *accelerometer,
+                *gyro,
+                *rotate_to_body(body[6:10], MAGNETIC_FIELD),
                 self._pressure(),
                 0.0,
-                HOME[2] - state.body[2],
+                HOME[2] - body[2],
                 35.0,
                 IMU_FIELDS,
                 0,
@@ -48,12 +48,13 @@ class Px4Messages(FlightMessages):
         rpm = self.instruments.faults.rpm(speeds)
         k_M = self._sim.vehicle.k_M
         volts = self._sim.voltage
+        # Electrical power is shaft power over an efficiency of 0.8.
+        power = 0.8 * volts
         frames = []
         for first in range(0, self._rotors, 4):
             group = speeds[first : first + 4]
             gap = [0] * (4 - len(group))
-            # Electrical power is shaft power over an efficiency of 0.8.
-            amps = [k_M * s * s * s / (0.8 * volts) for s in group]
+            amps = [k_M * s * s * s / power for s in group]
             frames.append(
                 self.writer.frame(
                     mavlink.MAVLink_esc_status_message,
@@ -78,7 +79,7 @@ class Px4Messages(FlightMessages):
                 self.instruments.now_us,
                 len(outputs),
                 *outputs,
-                *[0.0] * (32 - len(outputs)),
+                *_UNUSED[len(outputs) :],
             )
         ]
 
@@ -87,15 +88,20 @@ class Px4Messages(FlightMessages):
         return [self._servo_output_raw([round(x) for x in self._outputs()])]
 
     def _outputs(self) -> list[float]:
-        span = self._sim.vehicle.command
+        """Of this instant, computed once for all messages that show them."""
+        tick, outputs = self._driven
+        if tick == self._sim.tick:
+            return outputs
         if self._sim.armed:
-            outputs = [span.min + u * (span.max - span.min) for u in self.instruments.commands()]
+            span = self._sim.vehicle.command
+            low, width = span.min, span.max - span.min
+            outputs = [low + u * width for u in self.instruments.commands()]
         else:
             outputs = [DISARMED] * self._rotors
         # A count of outputs, the unused ones among them, as PX4 in simulation sends it.
-        return outputs + [DISARMED] * (
-            self.instruments.faults.sensor_faults.active_count - len(outputs)
-        )
+        outputs += [DISARMED] * (self.instruments.faults.sensor_faults.active_count - len(outputs))
+        self._driven = self._sim.tick, outputs
+        return outputs
 
     def esc_info(self) -> list[bytes]:
         """ESC_INFO, four rotors a message."""

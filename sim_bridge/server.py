@@ -41,6 +41,8 @@ class Pace:
 
     def wait(self, flown: float) -> None:
         """Wait until this many seconds of flight are due."""
+        if self._speed == math.inf:
+            return
         ahead = self._start + flown / self._speed - time.monotonic()
         if ahead > 0.0:
             time.sleep(ahead)

@@ -12,6 +12,7 @@ from sim_bridge.dynamics import CALM, STEP_US, Disturbance, Dynamics, State, rot
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.missions import HEIGHT, Mission
 from sim_bridge.physics import IDEAL, Physics
+from sim_bridge.set_points import SetPoints
 from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
 from sim_bridge.surroundings import Surroundings
 
@@ -131,6 +132,7 @@ class Simulation:
         self._changes = sorted(changes, key=lambda change: change.time)
         self._control_steps = control_steps
         self._period = control_steps * self.step_size
+        self._set_points = SetPoints(mission, self.step_size, control_steps)
         self._make_controller = controller
         self._controller = controller(vehicle, self._period)
         wobble = mission.turbulence if turbulence is None else turbulence
@@ -233,7 +235,7 @@ class Simulation:
         self._controller.full_throttle = physics.punch_out is not None and physics.punch_out.holds(
             self.time
         )
-        self.targets = self._controller.update(self.state, self.mission.reference(self.time))
+        self.targets = self._controller.update(self.state, self._set_points.at(self.tick))
         if physics.throttle_cut is not None and physics.throttle_cut.holds(self.time):
             self.targets = [self.vehicle.speed_of(physics.idle)] * len(self.targets)
         self.disturbance = self._turbulence.next()

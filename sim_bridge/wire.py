@@ -14,9 +14,10 @@ from fastcrc.crc16 import mcrf4xx
 MAGIC = 0xFD
 MAGIC_1 = 0xFE
 SIGNED = 0x01
-_HEADER = struct.Struct("<BBBBBBBHB")
-_HEADER_1 = struct.Struct("<BBBBBB")
-_CRC = struct.Struct("<H")
+_HEADER = struct.Struct("<BBBBBBHB")
+_HEADER_1 = struct.Struct("<BBBBB")
+_START, _START_1 = bytes((MAGIC,)), bytes((MAGIC_1,))
+_EXTRAS = tuple(bytes((i,)) for i in range(256))
 
 SIGNING_EPOCH_US = 1_420_070_400_000_000
 """us from 1970 to 2015, where the time stamps of signatures begin."""
@@ -83,6 +84,7 @@ class FrameWriter:
         self.version = version
         self.signer = signer
         self.sequence = 0
+        self._known: dict[Any, tuple[Callable[..., bytes], int, int]] = {}
 
     def frame(self, message: Any, *values: Any) -> bytes:
         """A frame of the given message class; empty where version 1 has no such message.
@@ -91,7 +93,13 @@ class FrameWriter:
             message: class of the dialect.
             values: the fields in wire order (`ordered_fieldnames`), arrays spread out.
         """
-        return self.frame_of_payload(message.id, message.crc_extra, message.unpacker.pack(*values))
+        known = self._known.get(message)
+        if known is None:
+            msgid, crc_extra = message.id, message.crc_extra
+            known = message.unpacker.pack, msgid, crc_extra
+            self._known[message] = known
+        pack, msgid, crc_extra = known
+        return self.frame_of_payload(msgid, crc_extra, pack(*values))
 
     def frame_of_payload(self, msgid: int, crc_extra: int, payload: bytes) -> bytes:
         """A frame around a packed payload; empty where version 1 has no such message."""
@@ -99,28 +107,24 @@ class FrameWriter:
             return self._frame_1(msgid, crc_extra, payload)
         # Version 2 cuts trailing zero bytes.
         payload = payload.rstrip(b"\0") or payload[:1]
-        head = _HEADER.pack(
-            MAGIC,
-            len(payload),
-            0 if self.signer is None else SIGNED,
-            0,
-            self.sequence,
-            self.sysid,
-            self.compid,
-            msgid & 0xFFFF,
-            msgid >> 16,
-        )
-        frame = self._closed(head + payload, crc_extra)
-        return frame if self.signer is None else frame + self.signer.signature(frame)
+        signer = self.signer
+        sequence = self.sequence
+        self.sequence = (sequence + 1) & 0xFF
+        low, high = msgid & 0xFFFF, msgid >> 16
+        flags = 0 if signer is None else SIGNED
+        head = _HEADER.pack(len(payload), flags, 0, sequence, self.sysid, self.compid, low, high)
+        frame = _closed(_START, head + payload, crc_extra)
+        return frame if signer is None else frame + signer.signature(frame)
 
     def _frame_1(self, msgid: int, crc_extra: int, payload: bytes) -> bytes:
         if msgid > 255:
             return b""
         payload = payload[: BASE_LENGTHS.get(msgid)]
-        head = _HEADER_1.pack(MAGIC_1, len(payload), self.sequence, self.sysid, self.compid, msgid)
-        return self._closed(head + payload, crc_extra)
-
-    def _closed(self, body: bytes, crc_extra: int) -> bytes:
+        head = _HEADER_1.pack(len(payload), self.sequence, self.sysid, self.compid, msgid)
         self.sequence = (self.sequence + 1) & 0xFF
-        crc = mcrf4xx(bytes((crc_extra,)), mcrf4xx(body[1:]))
-        return body + _CRC.pack(crc)
+        return _closed(_START_1, head + payload, crc_extra)
+
+
+def _closed(start: bytes, body: bytes, crc_extra: int) -> bytes:
+    crc: int = mcrf4xx(body + _EXTRAS[crc_extra])
+    return start + body + crc.to_bytes(2, "little")

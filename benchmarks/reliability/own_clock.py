@@ -7,6 +7,7 @@ Here a recording, as that study plays it, is handed to a session in this process
 recording and results as JSON lines. The session's clock goes on by the processor time that its
 thread takes and leaps over what it waits for: as on a core that nobody else uses, but for caches.
 A datagram arrives when its time on that clock has come, whatever the session does at that moment.
+A second table shows the calls of more than 5 ms, which are what data wait for.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from benchmarks.reliability import watched
+from benchmarks.reliability.long_calls import LongCalls
 from benchmarks.reliability.rate import growth, rows_of_times, table
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live import live_session as live
@@ -101,10 +103,12 @@ class PlayedLink(Link):
         """There is nothing to close."""
 
 
-def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession]:
-    """Take a recording as it came; the times of it, and the session at its end."""
+def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession, LongCalls]:
+    """Take a recording as it came; the times of it, the session at its end, its long calls."""
     clock, times = OwnClock(), watched.Times()
     watched.watch(times)
+    calls = LongCalls(time.thread_time)
+    calls.watch()
     link = PlayedLink(recording, clock, times)
     options = LiveOptions(rate=1000, refit_interval=0.5, predict=False, coach=CoachOptions())
     results = JsonLines(str(folder / "result.jsonl"), force=True)
@@ -125,7 +129,7 @@ def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession]
         if t is not None and t.t - told >= watched.SAMPLED_EVERY:
             told = t.t
             times.memory.append((told, watched.resident()))
-    return times, session
+    return times, session, calls
 
 
 def main() -> None:
@@ -138,7 +142,7 @@ def main() -> None:
     parser.add_argument("flight", type=Path, help="a recording, as `sim-bridge --tlog` makes it")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        times, session = run(options.flight, Path(name))
+        times, session, calls = run(options.flight, Path(name))
     if session.problem is not None:
         raise session.problem
     told = times.as_dict()
@@ -150,6 +154,7 @@ def main() -> None:
         ("growth since minute 2", f"{grown:.2f} MB", ""),
     ]
     print(table(rows))
+    print(f"\n{calls.table()}")
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ class Times:
     def __init__(self) -> None:
         self.memory: list[tuple[float, int]] = []
         self._arrived, self._ends = Kept(1_500_000), Kept(1_500_000)
-        self._taken_ends, self._taken, self._renewed = (Kept(400_000) for _ in range(3))
+        self._taken_ends, self._taken, self._renewed = (Kept(1_500_000) for _ in range(3))
         self._bytes = self._taken_bytes = 0
 
     def arrive(self, ns: int, size: int) -> None:

@@ -10,6 +10,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.dynamics import Disturbance, Dynamics, State, rotate_to_body
 from sim_bridge.simulated_vehicle import Vehicle, hover_thrusts
 from sim_bridge.simulation import trim
+from sim_bridge.uneven_rotors import even
 
 
 def matrix(q: list[float]) -> np.ndarray:
@@ -241,3 +242,39 @@ def test_payload_hook_changes_the_physics_only_from_then_on(paper_vehicle: Vehic
     k = dynamics.derivative(state.body, dynamics.wrench(state.speeds, state.speeds))
     assert k[5] == pytest.approx(GRAVITY / 2)
     assert k[11] < 0.0 or k[11] > 0.0  # the CG moved: hover thrusts no longer balance
+
+
+@pytest.mark.parametrize("rotor_inertia", [0.0, 1e-4])
+def test_what_a_step_remembers_of_the_last_one_changes_nothing(
+    paper_vehicle: Vehicle, rotor_inertia: float
+) -> None:
+    v = replace(paper_vehicle, linear_drag=0.2, rotor_inertia=rotor_inertia)
+    dynamics = Dynamics(v)
+    rng = np.random.default_rng(5)
+    state = again = random_state(rng)
+    targets, gust = [200.0, 150.0, 120.0, 180.0], Disturbance()
+    for k in range(60):
+        if k % 7 == 3:
+            targets = rng.uniform(100.0, 250.0, 4).tolist()
+        if k % 5 == 2:
+            gust = Disturbance((0.5 * k, -1.0, 2.0), (0.01, 0.02 * k, -0.03))
+        if k % 3 == 0:
+            felt = dynamics.imu(state, targets, gust)
+            np.testing.assert_allclose(felt, Dynamics(v).imu(again, targets, gust), rtol=1e-11)
+        state = dynamics.step(state, targets, gust)
+        again = Dynamics(v).step(again, targets, gust)
+        np.testing.assert_allclose(state.body, again.body, rtol=1e-12, atol=1e-13)
+        assert state.speeds == again.speeds
+
+
+def test_rotors_taken_all_at_once_are_those_taken_one_by_one(paper_vehicle: Vehicle) -> None:
+    whole, single = Dynamics(paper_vehicle), Dynamics(replace(paper_vehicle, traits=even(4)))
+    assert whole.uneven is None
+    assert single.uneven is not None
+    state = other = random_state(np.random.default_rng(6))
+    gust = Disturbance((0.5, -1.0, 2.0), (0.01, 0.02, -0.03))
+    for _ in range(100):
+        state = whole.step(state, [200.0, 150.0, 120.0, 180.0], gust)
+        other = single.step(other, [200.0, 150.0, 120.0, 180.0], gust)
+    np.testing.assert_allclose(state.body, other.body, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(state.speeds, other.speeds, rtol=1e-13)

@@ -227,9 +227,8 @@ def _squares_of(t: Array, force: Array, phase: Array, centers: Array, rate: floa
             parts = (parts - parts.mean(axis=1, keepdims=True)) * taper[:, None]
             moment = times - times[:, :1]
             turns = turned[:, None] + 2.0 * math.pi * offsets * moment[:, None]
-            carrier = np.exp(-1j * turns)  # (some, offsets, count)
-            swung = (parts[:, None] * carrier[..., None]).sum(axis=2)
-            level = (np.abs(swung) ** 2).sum(axis=2)
+            # |sum f e^(-i turns)|^2, of each offset over the axes: (some, offsets).
+            level = ((np.cos(turns) @ parts) ** 2 + (np.sin(turns) @ parts) ** 2).sum(axis=2)
             out[some] = scale * (level[:, 0] - np.median(level[:, 1:], axis=1))
     found: list[float] = out[np.isfinite(out)].tolist()
     return found

@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
@@ -39,6 +41,8 @@ from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.transceiver import Transceiver
 
+_LOADED_AHEAD = ("scipy.optimize",)
+"""What else a flight loads where it first needs it: data would wait 0.1 s and more."""
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
 _ASK_EVERY = 0.2
@@ -109,7 +113,7 @@ class LiveSession:
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._commands = CommandQueue()
-        self._toggling = False
+        self._toggling = self._postponed = False
         self._choice: HeardVehicle | None = None
         self._stop = threading.Event()
         self._all_taken = False
@@ -230,6 +234,8 @@ class LiveSession:
     # -- the session's thread
 
     def _run(self) -> None:
+        for name in _LOADED_AHEAD:
+            self._guarded(partial(import_module, name))
         began = time.monotonic()
         self._guarded(lambda: self._loop(began))
         self._guarded(self._station.leave)
@@ -242,7 +248,7 @@ class LiveSession:
         self._publish(LinkState.ENDED)
         self._estimate.drop()
 
-    def _guarded(self, step: Callable[[], None]) -> None:
+    def _guarded(self, step: Callable[[], object]) -> None:
         """Do a step; errors are handed to the main thread, which reports them."""
         try:
             step()
@@ -261,13 +267,22 @@ class LiveSession:
                 return
 
     def _turn(self, items: Sequence[Item], now: float) -> None:
-        """Learn from what came, answer the vehicle, do what users ask, show how things stand."""
+        """Learn from what came, answer the vehicle, do what users ask, show how things stand.
+
+        Showing and advising wait for the next turn where samples were processed in this one: what
+        arrives on a fast link meanwhile would wait for both.
+        """
+        before = self._estimate.chain.t
         for item in items:
             self._take(item)
+        learned = self._estimate.chain.t != before
         self._attend(now)
         self._see_backlog(now)
         self._meet(self._commands.grant(self._estimate.note))
         self._estimate.note_all(self._source.take_events())
+        self._postponed = learned and not self._postponed
+        if self._postponed:
+            return
         if self._backlog.is_idle:
             self._estimate.think()
         every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
