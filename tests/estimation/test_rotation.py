@@ -28,7 +28,7 @@ def inputs(rng):
     H = 20.0 * slow[:, 7]
     rates = slow[:, :3]
     gyroscopic = np.column_stack([rates[:, 1] * H, rates[:, 0] * H, 10.0 * np.gradient(H)])
-    return np.column_stack([rotors, rb.rate_products(rates), rates, gyroscopic])
+    return np.column_stack([rotors, rb.rate_signals(rates), gyroscopic])
 
 
 def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
