@@ -315,7 +315,7 @@ def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
     # What is known beforehand will do instead; what is not stays zero.
     prior = prior_of({i: (THETA[i], 0.1 * abs(THETA[i])) for i in range(6)})
     known = first_guess(total, N, at, prior)
-    np.testing.assert_array_equal(known, [*THETA[:6], *[0.0] * 5, *at])
+    np.testing.assert_array_equal(known, [*THETA[:6], *[0.0] * (rb.N_THETA - 6), *at])
     unphysical = prior_of({0: (1.0, 0.1), 1: (1.0, 0.1), 2: (9.0, 0.1)})
     assert first_guess(total, N, at, unphysical) is None
 
