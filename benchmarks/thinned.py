@@ -85,7 +85,7 @@ def acceleration(
     w = lfilter([1.0 - a], [1.0, -a], commands - commands[0], axis=0) + commands[0]
     H = np.sqrt(np.clip(w, 0.0, None)) @ geometry[2]
     turning = [rates[:, 1] * H, rates[:, 0] * H, np.gradient(H, dt)]
-    x = np.column_stack([w @ rb.mixer(geometry), rb.rate_products(rates), rates, *turning])
+    x = np.column_stack([w @ rb.mixer(geometry), rb.rate_signals(rates), *turning])
     out: Array = x @ rb.forward_matrix(theta).T
     return out
 

@@ -64,7 +64,7 @@ def nonlinear_least_squares(samples: Samples, dt: float, setting: float) -> tupl
     x = np.column_stack([rotors, rb.rate_products(rates)])
 
     def residual(scaled: Array) -> Array:
-        theta = np.append(scaled * _SIZE, [0.0, 0.0])
+        theta = np.append(scaled * _SIZE, np.zeros(rb.N_THETA - 9))
         Q = rb.forward_matrix(theta)[:, : x.shape[1]]
         return np.asarray((accelerations - x @ Q.T).ravel())
 
@@ -100,7 +100,7 @@ def unscented_filter(samples: Samples, dt: float, setting: float) -> tuple[Array
 
     def advance(state: Array, _: float, u: Array) -> Array:
         w = state[:3]
-        Q = rb.forward_matrix(np.append(state[3:] * _SIZE, [0.0, 0.0]))[:, :10]
+        Q = rb.forward_matrix(np.append(state[3:] * _SIZE, np.zeros(rb.N_THETA - 9)))[:, :10]
         drive = u @ Q[:, :4].T
         products = Q[:, 4:]
 

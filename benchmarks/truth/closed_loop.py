@@ -34,7 +34,7 @@ from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, INERTIA
 from gcs_sysid.signals.samples import Samples
 
 STEP = 1e-3
@@ -82,8 +82,9 @@ class Vehicle:
     @property
     def theta(self) -> Array:
         """(N_THETA,) relative to k_T, see `rigid_body.THETA`."""
-        scaled = [value / self.k_T for value in self.inertia]
-        return np.array([*scaled, *self.cg, self.k_M / self.k_T, 0.0, 0.0])
+        known = [*self.inertia, *self.cg, self.k_M / self.k_T]
+        names = (*INERTIA, "cg_x", "cg_y", "moment_ratio")
+        return rb.theta_of(dict(zip(names, known, strict=True)), self.k_T)
 
 
 Excitation = Callable[[Array, int, np.random.Generator], Array]

@@ -55,7 +55,7 @@ def fit_of(airframe, turned=(0.0, 0.0, 0.0), sigma=0.3, seed=1):
     def inputs(geometry, rates):
         signals, H = rb.rotor_signals(geometry, speeds)
         momentum = np.column_stack([rates[:, 1] * H, rates[:, 0] * H, 10.0 * np.gradient(H)])
-        return np.column_stack([signals, rb.rate_products(rates), rates, momentum])
+        return np.column_stack([signals, rb.rate_signals(rates), momentum])
 
     R = Rotation.from_rotvec(turned).as_matrix().T
     y = inputs(QUAD.geometry, rates) @ rb.forward_matrix(THETA).T

@@ -122,7 +122,7 @@ def test_bound_equals_the_dense_computation(truth, slow, color):
         def change(now, w):
             rotors, H = rb.rotor_signals(truth.geometry, spline(now))
             dH = slope(now) @ truth.geometry[2]
-            return Q @ [*rotors, *rb.rate_products(w), *w, w[1] * H, w[0] * H, dH]
+            return Q @ [*rotors, *rb.rate_signals(w), w[1] * H, w[0] * H, dH]
 
         return solve_ivp(change, (t[0], t[-1]), first, "DOP853", t, rtol=1e-9, atol=1e-10).y.T
 

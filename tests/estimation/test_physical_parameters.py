@@ -18,7 +18,7 @@ from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import NOTHING, Value
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.parameters import CORE_OF
+from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.model.scale_reference import ScaleReference
 
 CORE = CORE_OF["speed"]
@@ -31,6 +31,7 @@ TRUE = {
     "moment_ratio": 6.14e-6 / K_T, "rotational_damping": 0.004, "rotor_inertia": 6e-5,
     "linear_drag": 0.25,
 }  # fmt: skip
+ALL = dict.fromkeys((n for n, p in PARAMETERS.items() if p.in_result("speed")), 0.0) | TRUE
 THETA = rb.theta_of(TRUE, K_T)
 COVARIANCE = np.diag((0.003 * THETA) ** 2)
 ROTATION = RotationFit(THETA, COVARIANCE, np.eye(3), np.full(3, 0.99), 1000, True)
@@ -45,7 +46,8 @@ def spread(share, **r2):
 @pytest.mark.parametrize("anchor", [("mass", MASS), ("k_T", K_T)])
 def test_either_true_anchor_gives_the_truth(anchor):
     values = physical_parameters(ScaleReference(*anchor), ROTATION, TRANSLATION, ARM)
-    assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
+    assert set(values) == {n for n, p in PARAMETERS.items() if p.in_result("speed")}
+    assert {n: v.value for n, v in values.items()} == pytest.approx(ALL, rel=1e-12)
     assert values[anchor[0]] == Value(anchor[1], 0.0, "given")
     assert verdict(values) == ("identified", ())
 
@@ -58,7 +60,7 @@ def test_what_canted_rotors_add_is_no_drag_torque():
     values = physical_parameters(
         anchor, replace(ROTATION, theta=theta), TRANSLATION, ARM, cant=cant
     )
-    assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
+    assert {n: v.value for n, v in values.items()} == pytest.approx(ALL, rel=1e-12)
     scale = resolve_scale(anchor, TRANSLATION, {})
     each = rotor_values(replace(ROTATION, theta=theta), scale, 4, cant)
     assert [r["k_M"].value for r in each] == pytest.approx([TRUE["k_M"]] * 4, rel=1e-12)

@@ -25,7 +25,7 @@ def inputs(rng, tumbling):
     rotors = slow[:, 3:7] * [torque, torque, 2e3, 1e4] + [3.0, 7.0, 7e4, 0.0]
     H = 20.0 * slow[:, 7]
     gyroscopic = np.column_stack([rates[:, 1] * H, rates[:, 0] * H, 10.0 * np.gradient(H)])
-    return np.column_stack([rotors, rb.rate_products(rates), rates, gyroscopic])
+    return np.column_stack([rotors, rb.rate_signals(rates), gyroscopic])
 
 
 def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):

@@ -28,7 +28,7 @@ def inputs(rng):
     H = 20.0 * slow[:, 7]
     rates = slow[:, :3]
     gyroscopic = np.column_stack([rates[:, 1] * H, rates[:, 0] * H, 10.0 * np.gradient(H)])
-    return np.column_stack([rotors, rb.rate_products(rates), rates, gyroscopic])
+    return np.column_stack([rotors, rb.rate_signals(rates), gyroscopic])
 
 
 def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
@@ -148,9 +148,13 @@ def test_intervals_of_few_batches_are_students():
     np.testing.assert_allclose(few.std, narrow.std * few.warm_start.widening, rtol=1e-3)
 
 
+OTHERS = np.full(rb.N_THETA - rb.DAMPING, 9.0)
+"""Standard deviations of damping and rotor inertia."""
+
+
 def fit_of(std):
     """A fit with these relative standard deviations of what makes up the core parameters."""
-    covariance = np.diag(np.append(np.full(rb.DAMPING, std), [9.0, 9.0]) ** 2)
+    covariance = np.diag(np.append(np.full(rb.DAMPING, std), OTHERS) ** 2)
     return RotationFit(THETA, covariance, np.eye(3), np.ones(3), 100, True)
 
 
@@ -170,7 +174,7 @@ def test_the_shortest_memory_of_those_alike_is_taken(stds, chosen):
 
 
 def test_damping_and_rotor_inertia_do_not_choose_the_memory():
-    sharp = replace(fit_of(1.0), covariance=np.diag(np.append(np.ones(rb.DAMPING), [1e-6, 1e-6])))
+    sharp = replace(fit_of(1.0), covariance=np.diag(np.append(np.ones(rb.DAMPING), 1e-7 * OTHERS)))
     assert rotation.uncertainty(sharp) == pytest.approx(0.0)
     assert rotation.uncertainty(fit_of(np.e)) == pytest.approx(1.0)
 
@@ -217,7 +221,7 @@ def test_a_fit_by_hand_has_what_it_was_given():
 def test_a_start_in_a_worse_valley_is_not_gone_on_from():
     batches, counts, _ = moments_of()
     fit = fit_rotation(batches, counts, PLAIN, NONE)
-    wrong = replace(fit, theta=fit.theta * [30.0, 30.0, 30.0, *[1.0] * 8])
+    wrong = replace(fit, theta=fit.theta * [30.0, 30.0, 30.0, *[1.0] * (rb.N_THETA - 3)])
     again = fit_rotation(batches, counts, PLAIN, NONE, start=wrong)
     np.testing.assert_allclose(again.theta, fit.theta, atol=1e-3 * fit.std.min())
 

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.actuator_dynamics import (
+    BODY,
+    N_COORDINATES,
+    PLAIN,
+    WIDTH,
+    ActuatorDynamics,
+)
 from gcs_sysid.estimation.priors import COORDINATES, DELAY, N_UNKNOWNS, prior_of
 from gcs_sysid.estimation.search import (
     COORDINATE_MEAN,
@@ -31,14 +37,14 @@ STEP = np.append(np.maximum(1e-6 * np.abs(THETA), 1e-8), [1e-7, 1e-7, 1e-6, 1e-6
 def rows_of(dynamics, at, seed=1, sigma=0.5):
     """(N, width) rows of elements whose outputs are those of THETA at some coordinates."""
     rng = np.random.default_rng(seed)
-    size = np.array([60.0, 60.0, 2e3, 1e4, *[1.0] * 9, 20.0, 20.0, 10.0])
+    size = np.array([60.0, 60.0, 2e3, 1e4, *[1.0] * len(rb.RATE_SIGNALS), 20.0, 20.0, 10.0])
     if dynamics is PLAIN:
         rows = rng.normal(size=(N, WIDTH))
         rows[:, : rb.N_SIGNALS] *= size
     else:
         # Elements hang together as filters of one signal do.
         rows = rng.normal(size=(N, dynamics.width))
-        rotors = dynamics.width - 14
+        rotors = dynamics.width - BODY
         signals = rng.normal(size=(N, 5)) * [60.0, 60.0, 2e3, 1e4, 10.0]
         elements = rotors // 5
         rows[:, :rotors] = np.tile(signals, elements) * (1.0 + 0.2 * rng.normal(size=(N, rotors)))
@@ -128,10 +134,10 @@ def test_a_prior_costs_its_squared_distance_a_row():
     away = (1.03 * THETA[2] - 150.0) / 5.0
     assert difference[0] == pytest.approx((away**2 + 1.0) / N)
     information = problem.prior_information()
-    assert information.shape == (12, 12)
-    np.testing.assert_allclose(np.diag(information)[[2, 11]], [0.04, 1e6])
+    assert information.shape == (rb.N_THETA + 1, rb.N_THETA + 1)
+    np.testing.assert_allclose(np.diag(information)[[2, rb.N_THETA]], [0.04, 1e6])
     pull = problem.prior_pull(unknowns)
-    np.testing.assert_allclose(pull[[2, 11]], [-away / 5.0, -1e3])
+    np.testing.assert_allclose(pull[[2, rb.N_THETA]], [-away / 5.0, -1e3])
     assert np.count_nonzero(pull) == 2
 
 
@@ -139,7 +145,7 @@ def test_known_noise_is_in_the_cost_and_not_in_the_gradient():
     at = np.array([0.0, 0.03, 0.4, 0.0, 0.0])
     rows = rows_of(COMMANDS, at)
     noise = np.zeros((COMMANDS.width, COMMANDS.width))
-    rotors = COMMANDS.width - 14
+    rotors = COMMANDS.width - BODY
     noise[:rotors, :rotors] = np.diag(np.full(rotors, 2.0))
     bank = (rows.T @ rows)[None]
     unknowns = np.append(1.02 * THETA, at)[None]
@@ -270,7 +276,7 @@ def test_four_starts_where_lag_and_curve_are_unknown_too():
 def test_noise_that_is_told_is_undone():
     at = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
     rows = rows_of(COMMANDS, at, sigma=0.05)
-    rotors = COMMANDS.width - 14
+    rotors = COMMANDS.width - BODY
     noise = np.zeros((COMMANDS.width, COMMANDS.width))
     noise[:rotors, :rotors] = 0.02 * np.diag(np.diag(rows[:, :rotors].T @ rows[:, :rotors] / N))
     bank = (rows.T @ rows)[None]
@@ -309,7 +315,7 @@ def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
     # What is known beforehand will do instead; what is not stays zero.
     prior = prior_of({i: (THETA[i], 0.1 * abs(THETA[i])) for i in range(6)})
     known = first_guess(total, N, at, prior)
-    np.testing.assert_array_equal(known, [*THETA[:6], *[0.0] * 5, *at])
+    np.testing.assert_array_equal(known, [*THETA[:6], *[0.0] * (rb.N_THETA - 6), *at])
     unphysical = prior_of({0: (1.0, 0.1), 1: (1.0, 0.1), 2: (9.0, 0.1)})
     assert first_guess(total, N, at, unphysical) is None
 

@@ -32,7 +32,7 @@ BATCHES, ROWS = 30, 40
 def batches_of(later_theta, noise=0.02):
     """Rows of random inputs; from 60 % of the flight on another vehicle may have made them."""
     random = np.random.default_rng(1)
-    size = np.array([600, 600, 7e4, 1.5e4, *[0.5] * 6, *[0.7] * 3, 30, 30, 100])
+    size = np.array([600, 600, 7e4, 1.5e4, *np.full(len(rb.RATE_SIGNALS), 0.6), 30, 30, 100])
     out = np.empty((BATCHES, 1, WIDTH, WIDTH))
     for k in range(BATCHES):
         x = random.standard_normal((ROWS, N_X)) * size

@@ -65,7 +65,7 @@ class Vehicle:
         rotors, H = rb.rotor_signals(self.geometry, self.Omega)
         p, q, _ = self.w
         H_dot = float(self.spin @ self.Omega_dot)
-        return np.concatenate([rotors, rb.rate_products(self.w), self.w, [q * H, p * H, H_dot]])
+        return np.concatenate([rotors, rb.rate_signals(self.w), [q * H, p * H, H_dot]])
 
 
 @pytest.mark.parametrize("rotors", [4, 6, 8])
@@ -125,10 +125,26 @@ def test_signals_take_any_leading_shape():
     geometry = Vehicle(rng, 6).geometry
     speeds, rates = rng.uniform(100, 500, (5, 7, 6)), rng.normal(size=(5, 7, 3))
     rotors, H = rb.rotor_signals(geometry, speeds)
-    products = rb.rate_products(rates)
-    assert (rotors.shape, H.shape, products.shape) == ((5, 7, 4), (5, 7), (5, 7, 6))
+    of_rates, slopes = rb.rate_signals(rates), rb.rate_slopes(rates)
+    n = len(rb.RATE_SIGNALS)
+    assert (rotors.shape, H.shape) == ((5, 7, 4), (5, 7))
+    assert (of_rates.shape, slopes.shape) == ((5, 7, n), (5, 7, 3, n))
     np.testing.assert_allclose(rotors[2, 3], rb.rotor_signals(geometry, speeds[2, 3])[0])
-    np.testing.assert_allclose(products[2, 3], rb.rate_products(rates[2, 3]))
+    np.testing.assert_array_equal(of_rates[2, 3], rb.rate_signals(rates[2, 3]))
+    np.testing.assert_array_equal(slopes[2, 3], rb.rate_slopes(rates[2, 3]))
+
+
+def test_signals_of_the_rates_have_their_names_and_slopes():
+    rates = np.array([3.0, -5.0, 7.0])
+    named = dict(zip(rb.SIGNALS[rb.OF_RATES], rb.rate_signals(rates), strict=True))
+    products = {"qr": -35.0, "rp": 21.0, "pq": -15.0, "pp": 9.0, "qq": 25.0, "rr": 49.0}
+    assert products | {"p": 3.0, "q": -5.0, "r": 7.0} == {
+        name: named[name] for name in (*products, *"pqr")
+    }
+    # A central difference of a parabola is exact; the step is a power of two.
+    for axis, step in enumerate(0.5 * np.eye(3)):
+        slope = rb.rate_signals(rates + step) - rb.rate_signals(rates - step)
+        np.testing.assert_array_equal(rb.rate_slopes(rates)[axis], slope)
 
 
 ROTATION = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]

@@ -160,9 +160,12 @@ def test_what_cannot_be_negative_is_not():
     bounded = Estimate(-5e-3, 2e-3, "N m s", "zero", not_negative=True).bounded
     assert bounded.value == 0.0
     assert bounded.ci95 == pytest.approx((0.0, Z95 * 2e-3))
-    assert {n for n, p in PARAMETERS.items() if p.sign == "not negative"} == {
-        "rotational_damping", "roll_damping", "pitch_damping", "yaw_damping",
-        "rotor_inertia", "linear_drag",
+    signs = {n: p.sign for n, p in PARAMETERS.items()}
+    assert {n for n, sign in signs.items() if sign == "any"} == {
+        "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "thrust_curve",
+    }  # fmt: skip
+    assert {n for n, sign in signs.items() if sign == "positive"} == {
+        "mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "T_max", "moment_ratio",
     }  # fmt: skip
 
 

@@ -226,6 +226,7 @@ def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
     assert basic.rotor_inertia == 0.0
     assert basic.drag == 0.0
     assert not basic.damping.any()
+    assert (basic.mass, basic.motor_lag) == (model.mass, model.motor_lag)
     assert np.ptp(basic.thrust) == 0.0
     assert basic.thrust.sum() == pytest.approx(model.thrust.sum())
     assert basic.inertia is model.inertia

@@ -136,8 +136,7 @@ def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
     turning = np.stack([_derivative(w, period) for w in rates.T], axis=1)
     thrust = craft.thrust * (1.0 + up / GRAVITY) / (np.cos(roll) * np.cos(pitch))
     x = np.zeros((_POINTS, rb.N_SIGNALS))
-    x[:, 4:10] = rb.rate_products(rates)
-    x[:, 10:13] = rates
+    x[:, rb.OF_RATES] = rb.rate_signals(rates)
     x[:, 2] = thrust
     # What the rotors have to give on top of what these signals do by themselves.
     theta = craft.theta.copy()
@@ -149,8 +148,8 @@ def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
     shares = x[:, :4] @ np.linalg.pinv(rb.mixer(craft.geometry))
     speeds = np.sqrt(np.maximum(shares, 0.0))
     H = (shares if craft.commands else speeds) @ craft.geometry[2]
-    x[:, 13], x[:, 14] = rates[:, 1] * H, rates[:, 0] * H
-    x[:, 15] = _derivative(H, period)
+    x[:, -3:-1] = rates[:, 1::-1] * H[:, None]  # q H, p H
+    x[:, -1] = _derivative(H, period)
     return Motion(x, rates, shares, period)
 
 

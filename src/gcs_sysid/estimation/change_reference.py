@@ -229,9 +229,7 @@ def form_rows(
         rotor = (1.0 - part) * rotor + part * later
     signals, H = rb.rotor_signals(geometry, rotor)
     rates = imu[:, 3:6]
-    columns = np.column_stack(
-        [signals, rb.rate_products(rates), rates, rates[:, 1] * H, rates[:, 0] * H]
-    )
+    columns = np.column_stack([signals, rb.rate_signals(rates), rates[:, 1::-1] * H[:, None]])
     x = np.empty((n, N_X))
     x[:, : rb.N_SIGNALS - 1] = 0.5 * (columns[1:] + columns[:-1])
     x[:, rb.N_SIGNALS - 1] = np.diff(H) / dt

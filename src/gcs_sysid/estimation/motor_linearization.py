@@ -249,8 +249,7 @@ class MotorRows:
                 [
                     flat,
                     products.reshape(-1, sets * len(_COUPLED)),
-                    rb.rate_products(rates),
-                    rates,
+                    rb.rate_signals(rates),
                     gyro,
                 ]
             ),

@@ -100,8 +100,7 @@ class Propagator:
         H = self._H[stage]
         x = np.empty((len(w), rb.N_SIGNALS))
         x[:, :_N_ROTOR_SIGNALS] = self._rotors[stage]
-        x[:, _COLUMN["qr"] : _COLUMN["rr"] + 1] = rb.rate_products(w)
-        x[:, _COLUMN["p"] : _COLUMN["r"] + 1] = w
+        x[:, rb.OF_RATES] = rb.rate_signals(w)
         x[:, _COLUMN["qH"]] = w[:, 1] * H
         x[:, _COLUMN["pH"]] = w[:, 0] * H
         x[:, _COLUMN["dH"]] = self._dH[stage]
@@ -145,13 +144,8 @@ def _interpolate(values: Array, steps: int, shift: float = 0.0) -> tuple[Array, 
 
 def _rate_jacobian(Q: Array, w: Array, H: Array) -> Array:
     """(n, 3, 3) d(Q x)/dw at (n, 3) rates and (n,) H."""
-    p, q, r = (w[:, i : i + 1] for i in range(3))
-    qr, rp, pq, pp, qq, rr, P, Qq, R, qH, pH = (
-        Q[:, _COLUMN[name]]
-        for name in ("qr", "rp", "pq", "pp", "qq", "rr", "p", "q", "r", "qH", "pH")
-    )
-    H = H[:, None]
-    by_p = r * rp + q * pq + 2.0 * p * pp + P + H * pH
-    by_q = r * qr + p * pq + 2.0 * q * qq + Qq + H * qH
-    by_r = q * qr + p * rp + 2.0 * r * rr + R
-    return np.stack([by_p, by_q, by_r], axis=2)
+    slopes = rb.rate_slopes(w).reshape(3 * len(w), -1)  # one product of matrices, not n
+    by_rate = (slopes @ Q[:, rb.OF_RATES].T).reshape(-1, 3, 3)  # (n, by, of)
+    by_rate[:, 0] += H[:, None] * Q[:, _COLUMN["pH"]]
+    by_rate[:, 1] += H[:, None] * Q[:, _COLUMN["qH"]]
+    return np.ascontiguousarray(by_rate.swapaxes(1, 2))

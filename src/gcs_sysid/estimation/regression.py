@@ -156,10 +156,10 @@ class RowMaker:
             products = s.rates[None, :, 1::-1] * forms[..., None]
             out[:, self._products] = np.swapaxes(products, 0, 1).reshape(n, -1)
         out[:, self._bends] = np.swapaxes(bent, 0, 1).reshape(n, -1)
-        out[:, late : late + 6] = rigid_body.rate_products(s.rates)
-        out[:, late + 6 : late + 9] = s.rates
-        out[:, late + 9 : late + 11] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
-        out[:, late + 11 : late + BODY] = s.gyro
+        coupled, gyro = late + len(rigid_body.RATE_SIGNALS), late + BODY - 3
+        out[:, late:coupled] = rigid_body.rate_signals(s.rates)
+        out[:, coupled:gyro] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
+        out[:, gyro : late + BODY] = s.gyro
         lift = attitude.down_axis(s.attitude) * thrust[..., None]
         out[:, self._lift] = np.swapaxes(lift, 0, 1).reshape(n, -1)
         out[:, self._thrust] = thrust.T

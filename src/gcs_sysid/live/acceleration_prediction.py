@@ -22,6 +22,7 @@ from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.signals.smoothers import WindowSmoother
 
 _ROTOR_SIGNALS = 5
+_RATES = slice(rb.RATE_SIGNALS.index("p"), rb.RATE_SIGNALS.index("r") + 1)
 KEPT = 10.0
 """s of rows that a live session shows."""
 _SETTLING = 5.0
@@ -130,20 +131,20 @@ class Predictor:
                 late = (1.0 - curve) * signals[0] + curve * signals[1]
             H = signals[0][:, 4:]
         body = np.column_stack(
-            [rb.rate_products(piece.rates), piece.rates, piece.rates[:, 1::-1] * H, piece.gyro]
+            [rb.rate_signals(piece.rates), piece.rates[:, 1::-1] * H, piece.gyro]
         )
         t = piece.t[:, None]
         rows = self.smoother.update(np.column_stack([late, body, t]), _ROTOR_SIGNALS)
+        inputs = rb.N_SIGNALS - _ROTOR_SIGNALS
         average = rows.average[:, _ROTOR_SIGNALS:]
-        gyro = slice(_ROTOR_SIGNALS + 11, _ROTOR_SIGNALS + 14)
-        measured = rows.derivative[:, gyro]
+        measured = rows.derivative[:, rb.N_SIGNALS : rb.N_SIGNALS + 3]
         predicted = np.full_like(measured, np.nan)
         if model is not None:
             x = np.column_stack(
-                [rows.late_average[0, :, :4], average[:, :11], rows.late_derivative[0, :, 4]]
+                [rows.late_average[0, :, :4], average[:, :inputs], rows.late_derivative[0, :, 4]]
             )
             predicted = x @ rb.forward_matrix(model.theta).T
-        return Rows(rows.average[:, -1], average[:, 6:9], measured, predicted)
+        return Rows(rows.average[:, -1], average[:, _RATES], measured, predicted)
 
 
 class LivePrediction:

@@ -37,15 +37,19 @@ ELEMENTS = slice(0, N_INERTIA)
 RELATIVE = np.array([REGISTRY[name].scale != "none" for name in THETA])
 """(N_THETA,) which entries are relative to k_T (T_max); the others are lengths."""
 
+_PRODUCTS = ("qr", "rp", "pq", "pp", "qq", "rr")
+RATE_SIGNALS = (*_PRODUCTS, "p", "q", "r")
+"""Names of those inputs that are functions of the body rates alone, see `rate_signals`."""
 SIGNALS = (
     "roll", "pitch", "thrust", "yaw",  # -sum y O, sum x O, sum O, sum s O, with O = Omega^2
-    "qr", "rp", "pq", "pp", "qq", "rr",
-    "p", "q", "r",
+    *RATE_SIGNALS,
     "qH", "pH", "dH",  # H = sum s Omega and its derivative
 )  # fmt: skip
 """Names of the forward form's inputs."""
 
 N_SIGNALS = len(SIGNALS)
+OF_RATES = slice(SIGNALS.index(RATE_SIGNALS[0]), SIGNALS.index(RATE_SIGNALS[-1]) + 1)
+"""The `RATE_SIGNALS` among the signals."""
 _COLUMN = {name: i for i, name in enumerate(SIGNALS)}
 
 
@@ -213,6 +217,22 @@ def rate_products(rates: Array) -> Array:
     """(..., 6) qr, rp, pq, pp, qq, rr of (..., 3) body rates."""
     products: Array = rates[..., _LEFT] * rates[..., _RIGHT]
     return products
+
+
+def rate_signals(rates: Array) -> Array:
+    """(..., len(RATE_SIGNALS)) signals of (..., 3) body rates, in the order of `RATE_SIGNALS`."""
+    return np.concatenate([rate_products(rates), rates], axis=-1)
+
+
+def rate_slopes(rates: Array) -> Array:
+    """(..., 3, len(RATE_SIGNALS)) derivatives of `rate_signals` by p, q and r."""
+    slopes = np.zeros((*rates.shape, len(RATE_SIGNALS)))
+    for k, (i, j) in enumerate(zip(_LEFT, _RIGHT, strict=True)):
+        slopes[..., i, k] += rates[..., j]
+        slopes[..., j, k] += rates[..., i]
+    n = len(_PRODUCTS)
+    slopes[..., n : n + 3] = np.eye(3)
+    return slopes
 
 
 def direct_rows(rates: Array, accelerations: Array, rotors: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Vehicles drawn from a result's covariance, and the flight model of a result or of its samples."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +22,8 @@ _LEAST_ACCEPTED = 1e-3
 """Share of draws that a rigid body must be able to have; below it the covariance says nothing."""
 _FEW = 3
 """Missing parameters whose motions are named one by one."""
-_OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag", "thrust_curve")
-"""Zero in a flight model where the flight does not determine them."""
+_BY_NAME = tuple(f.name for f in fields(FlightModel) if f.name in REGISTRY and f.name != "mass")
+"""Of the flight model, parameters that are zero where the flight does not determine them."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
             )
         )
     zero = np.zeros(np.shape(values["mass"]))
-    values |= {name: zero for name in _OPTIONAL if name not in values and name not in AXIS_DAMPINGS}
+    damping = values.get("rotational_damping", zero)
     thrusts = values[thrust][..., None] * _shares(result, "k_T", geometry.shape[1])
     torques = values[torque][..., None] * _shares(result, "k_M", geometry.shape[1])
     return FlightModel(
@@ -178,13 +178,9 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
         # yaw goes with their torque.
         torque=(torques * values[thrust][..., None] if command else torques)
         + airframe.cant * thrusts,
-        damping=np.stack(
-            [values.get(name, values["rotational_damping"]) for name in AXIS_DAMPINGS], axis=-1
-        ),
-        rotor_inertia=values["rotor_inertia"],
-        drag=values["linear_drag"],
-        thrust_curve=values["thrust_curve"],
-        motor_lag=values.get("motor_lag", zero),
+        damping=np.stack([values.get(name, damping) for name in AXIS_DAMPINGS], axis=-1),
+        drag=values.get("linear_drag", zero),
+        **{name: values.get(name, zero) for name in _BY_NAME},
     )
 
 

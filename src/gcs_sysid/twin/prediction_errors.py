@@ -11,7 +11,7 @@ the end, noise of the rotors' stream, and whatever disturbs the vehicle.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
+from gcs_sysid.model.parameters import THETA
 from gcs_sysid.twin.carried_disturbance import NOTHING_CARRIED, choose_carried
 from gcs_sysid.twin.measured_flight import MeasuredFlight
 
@@ -28,6 +29,8 @@ HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """s, lengths of the stretches."""
 QUANTITIES = ("rates", "attitude", "velocity")
 UNITS = {"rates": "rad/s", "attitude": "rad", "velocity": "m/s"}
+_ROTATION = tuple(f.name for f in fields(FlightModel) if f.name in THETA)
+"""Fields of the flight model that turn it and are not of the basic one."""
 _MOST_AVERAGED = 0.1
 """s of the past that the state at the start may be averaged over, at most."""
 _JUDGED_AT = 0.1
@@ -274,9 +277,7 @@ def basic_model(model: FlightModel) -> FlightModel:
         model,
         thrust=alike(model.thrust),
         torque=alike(model.torque),
-        damping=np.zeros_like(model.damping),
-        rotor_inertia=np.zeros_like(model.rotor_inertia),
-        drag=np.zeros_like(model.drag),
+        **{name: np.zeros_like(getattr(model, name)) for name in ("damping", "drag", *_ROTATION)},
     )
 
 
