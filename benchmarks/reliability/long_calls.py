@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from gcs_sysid.session.pipeline import Pipeline
+
 from gcs_sysid.estimation.change_watch import ChangeWatch
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.live.flight_coach import Coach
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_session import LiveSession
-from gcs_sysid.session.pipeline import Pipeline
 
 LONG_MS = 5.0
 CALLS: dict[str, tuple[type, str]] = {
