@@ -4,12 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.session.pipeline import Pipeline
-
 from gcs_sysid.estimation.change_watch import ChangeWatch
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.live.flight_coach import Coach
 from gcs_sysid.live.hover_watch import HoverWatch
+from gcs_sysid.live.live_estimate import LiveEstimate
 from gcs_sysid.live.live_session import LiveSession
 
 LONG_MS = 5.0
@@ -21,7 +20,7 @@ CALLS: dict[str, tuple[type, str]] = {
     "validation of a fit": (OnlineEstimator, "_validate"),
     "quick fits": (OnlineEstimator, "_followed"),
     "change before there is a reference": (ChangeWatch, "early"),
-    "0.1 s of frames: decoding, grid, rows": (Pipeline, "_read"),
+    "0.1 s of frames: decoding, grid, rows": (LiveEstimate, "learn"),
     "snapshot": (LiveSession, "_publish"),
     "result passed on": (LiveSession, "_report_result"),
 }
