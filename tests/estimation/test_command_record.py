@@ -5,12 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import command_record, tuned_motors
+from benchmarks import early
+from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.motor_linearization import LocalDynamics
 from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.priors import CURVE
+from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord
+from gcs_sysid.estimation.search import COORDINATE_STD
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
+from sim_bridge.doublets import ALL_MISSIONS
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.physics import Physics
+from sim_bridge.simulated_vehicle import stack_vehicles
 
 DT = 0.005
 LAG = 0.05
@@ -161,3 +170,61 @@ def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch
     commands = flown(truth, samples)._record.commands
     assert commands._kept is None
     assert commands._to_compare is None
+
+
+def record_about(truth, samples, share):
+    """The commands of a flight, with rows about a share of the lag found."""
+    record = flown(truth, samples)._record.commands
+    now = record._now
+    at = now.fit.rotation.coordinates.copy()
+    at[actuator_dynamics.LAG] *= share
+    basis = LocalDynamics(record._rounded(at), now.basis.lag_place.of, DT)
+    maker, white = record._made(basis, now.maker.hover)
+    fit = record._fitted(white, basis)
+    record._now = replace(now, basis=basis, maker=maker, white=white, fit=fit)
+    return record
+
+
+def test_motors_that_are_not_the_rows_any_more_are_looked_for(truth, samples):
+    """Halfway the fit finds them far away; then not every sample asks."""
+    right, wrong = (record_about(truth, samples, share) for share in (1.0, 0.5))
+    for record in (right, wrong):
+        assert not record.is_due()
+        record._check = 0.0
+    assert wrong.is_due()
+    assert not right.is_due()
+    assert right._check == pytest.approx(1.25 * right._samples * DT)
+
+
+def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(truth, samples):
+    right, wrong = (record_about(truth, samples, share) for share in (1.0, 0.5))
+    near, far = (record._now.fit.rotation for record in (right, wrong))
+    assert not right.distance_doubt(near).any()
+    doubt = wrong.distance_doubt(far)
+    std, own = np.sqrt(np.diag(doubt)), far.full_covariance
+    along = own[:, LAG_PLACE] / own[LAG_PLACE, LAG_PLACE] * COORDINATE_STD[1]
+    assert std[LAG_PLACE] >= COORDINATE_STD[1]
+    assert np.all(std >= np.abs(along))
+    assert std[CURVE] >= COORDINATE_STD[2]
+
+
+@pytest.mark.slow
+def test_a_lag_first_found_wrong_misleads_no_one():
+    """Speed lags by 119 ms, 24 s of doublets say 48: what is shown until 40 s holds."""
+    vehicle = early.drawn(3, 3)[2]
+    clean = fly_ensemble(
+        stack_vehicles([vehicle]), ALL_MISSIONS[early.MISSION], early.RATE, 40.4,
+        physics=Physics(lag_of="speed"),
+    )  # fmt: skip
+    samples = early.samples_of(clean.with_noise("mems", 0.0, [3]), 0, commands=True)
+    truth = vehicle.truth()
+    looks = early.shown(samples, clean.t, truth["mass"])
+    wrong = {
+        (at, name): (value.value - truth[name]) / value.std
+        for at, values in zip(early.TIMES, looks, strict=True)
+        for name, value in values.items()
+        if name in early.JUDGED and value.status in early.SHOWN and value.std
+        if abs(value.value - truth[name]) > 3.0 * value.std
+    }
+    assert wrong == {}
+    assert looks[-1]["Ixx"].status == "identified"

@@ -425,7 +425,15 @@ class OnlineEstimator:
         place = start.lag_place
         if place is None:
             return [self._read(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
-        return [with_lag_doubt(fit, place, start.lag_doubt) for fit in fits]
+        commands = self._record.commands
+        return [
+            with_lag_doubt(
+                fit,
+                place,
+                start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit)),
+            )
+            for fit in fits
+        ]
 
     def _read(self, fit: RotationFit, instant: _Instant | None = None) -> RotationFit:
         """A fit to speeds, with what they miss between readings; at an instant, or now."""
@@ -550,6 +558,7 @@ class OnlineEstimator:
                 return found[0]
             place = record.places(self._whitened.basis.lag_place.of)[0]
             off = record.commands.doubt + curve_doubt(found[0])
+            off = off + record.commands.distance_doubt(found[0])
             return with_lag_doubt(found[0], place, off)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()

@@ -247,7 +247,7 @@ class FlightRecord:
                     white = self._of_speeds
                     if white is not None and self.seconds >= self._judge_at:
                         self._judge_gyro(white)
-                elif self.commands.due:
+                elif self.commands.is_due():
                     self._tune(self.commands)
             if ends_left and part[1] == ends_left[0]:
                 del ends_left[0]

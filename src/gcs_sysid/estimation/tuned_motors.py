@@ -7,7 +7,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows
-from gcs_sysid.estimation.search import residual_maker
+from gcs_sysid.estimation.priors import CURVE, LAG
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import COORDINATE_STD, residual_maker
 from gcs_sysid.estimation.whitened_fit import WhitenedFit
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import Whitener
@@ -51,7 +53,27 @@ class TunedRows:
 
     def is_within(self, steps: float) -> bool:
         """Whether the motors found are so many steps of the linearization away, at most."""
-        off = np.abs(self.fit.rotation.coordinates - self.basis.at)
+        return self._is_near(self.fit.rotation, steps)
+
+    def distance_doubt(self, fit: RotationFit) -> Array:
+        """(N_UNKNOWNS, N_UNKNOWNS) covariance of what a later fit to the rows may be off by.
+
+        The motors may be found, from more flight, far from those that the rows are made about. Then
+        curve and lag are what they ordinarily are, and all unknowns go with them, until rows are
+        made again.
+        """
+        doubt = np.zeros_like(fit.full_covariance)
+        if self._is_near(fit, TRUSTED):
+            return doubt
+        for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
+            own = fit.full_covariance[place, place]
+            if own > 0.0:
+                along = fit.full_covariance[:, place] / own * std
+                doubt += np.outer(along, along)
+        return doubt
+
+    def _is_near(self, fit: RotationFit, steps: float) -> bool:
+        off = np.abs(fit.coordinates - self.basis.at)
         return bool((off <= steps * self.basis.moved).all())
 
     def restart(self) -> None:
