@@ -7,10 +7,13 @@ import pytest
 
 from gcs_sysid.estimation import command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.motor_linearization import step_of
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.record import FlightRecord
+from gcs_sysid.estimation.tuned_motors import TunedRows
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
+from gcs_sysid.estimation.whitening import bank_for_commands
 
 DT = 0.005
 LAG = 0.05
@@ -161,3 +164,18 @@ def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch
     commands = flown(truth, samples)._record.commands
     assert commands._kept is None
     assert commands._to_compare is None
+
+
+def test_rows_that_are_gone_on_with_have_all_whiteners(truth, samples, monkeypatch):
+    """Also where another place is likeliest by few whiteners alone."""
+    bank, cost = bank_for_commands(step_of(DT).time), TunedRows.cost.fget
+
+    def flattered(tuned):
+        return cost(tuned) - 1e6 * (len(tuned.white.whiteners) < len(bank))
+
+    monkeypatch.setattr(TunedRows, "cost", property(flattered))
+    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
+    commands = flown(truth, samples)._record.commands
+    assert len(commands.white.whiteners) == len(bank)
+    with commands.settled():
+        assert len(commands.white.whiteners) == len(bank)
