@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 
 from benchmarks import early
+from gcs_sysid.coach.predicted_information import predicted_information
+from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
-from gcs_sysid.estimation.motor_linearization import LocalDynamics
-from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, step_of
+from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import CURVE
 from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.tuned_motors import TunedRows
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
+from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.physics import Physics
@@ -228,3 +233,32 @@ def test_a_lag_first_found_wrong_misleads_no_one():
     }
     assert wrong == {}
     assert looks[-1]["Ixx"].status == "identified"
+
+
+def test_rows_that_are_gone_on_with_have_all_whiteners(truth, samples, monkeypatch):
+    """Also where another place is likeliest by few whiteners alone."""
+    bank, cost = bank_for_commands(step_of(DT).time), TunedRows.cost.fget
+
+    def flattered(tuned):
+        return cost(tuned) - 1e6 * (len(tuned.white.whiteners) < len(bank))
+
+    monkeypatch.setattr(TunedRows, "cost", property(flattered))
+    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
+    commands = flown(truth, samples)._record.commands
+    assert len(commands.white.whiteners) == len(bank)
+    with commands.settled():
+        assert len(commands.white.whiteners) == len(bank)
+
+
+@pytest.mark.parametrize("curves", [COMMANDS.curves, (0.0,)])
+def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curves):
+    """They estimate more of the motors than those of the window, which it predicts."""
+    estimator = OnlineEstimator(truth.geometry, DT, replace(COMMANDS, curves=curves))
+    estimator.update(samples)
+    fit = estimator.fit()
+    assert fit.rotation.whiteners
+    known = prior_vehicle(load_airframe("paper"), commands=True)
+    noise = prior_noise(known.craft)
+    before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
+    after = predicted_information(fit, known, noise, estimator.free).after()
+    assert (after.rotation.std < before.rotation.std).all()

@@ -87,6 +87,16 @@ def test_rotors_that_stand_still_have_no_thrust():
 
 
 @pytest.mark.slow
+def test_gaps_before_a_step_leave_it_a_mean_to_be_held_against():
+    """Where most samples of each mean are missing, the first is of what flies after the step."""
+    flight = flown(2.0, 1.2)
+    samples, gaps = exact(flight), (np.arange(len(flight.t)) % 15 < 9) & (flight.t < 2.2)
+    force = np.where(gaps[:, None], np.nan, samples.force)
+    found = early_change(flight.t, replace(samples, force=force), DT, GEOMETRY, None, END)
+    assert found is None or found[0].onset > 2.2
+
+
+@pytest.mark.slow
 @pytest.mark.thorough
 def test_a_flight_with_an_early_step_is_two_segments_however_it_comes():
     flights = [follow_blocks(n) for n in (25, 700)]

@@ -180,7 +180,14 @@ def _information_of(
     if rotation.warm_start is not None:
         # Deviations from the model are fitted between theta and the coordinates.
         deviating = slice(rb.N_THETA, rb.N_THETA + len(rotation.deviations))
-        widening[free] = np.delete(rotation.warm_start.widening, deviating)
+        own = np.delete(rotation.warm_start.widening, deviating)
+        if len(own) == len(free):
+            widening[free] = own
+        else:
+            # Whitened rows of commands have asymmetry and exponent of the lag besides.
+            every = np.arange(N_UNKNOWNS)
+            curve = rb.N_THETA + CURVE
+            widening[every if curve in free else np.delete(every, curve)] = own
         freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
     for axis, of_axis in enumerate(_OF_AXIS):

@@ -277,13 +277,14 @@ class CommandRecord:
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in found if tuned.trusted] or found[:1]
         cost = np.array([tuned.cost for tuned in found])
-        likeliest = int(np.argmin(cost))
-        if found[likeliest] is not first:
-            found[likeliest] = self._with_all_whiteners(found[likeliest])
-            cost[likeliest] = found[likeliest].cost
+        best = int(np.argmin(cost))
+        # By all whiteners it may be another one that is likeliest.
+        while len(found[best].white.whiteners) < len(first.white.whiteners):
+            found[best] = self._with_all_whiteners(found[best])
+            cost[best] = found[best].cost
+            best = int(np.argmin(cost))
         weight = np.exp(cost.min() - cost)
         unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
-        best = int(np.argmin(cost))
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt += np.outer(found[best].away, found[best].away)

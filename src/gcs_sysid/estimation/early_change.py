@@ -83,7 +83,8 @@ def early_change(
     window = Window(t, samples, dt, reference, float(t[-1]) + dt, _WHOLE)
     first, last = t[0] + LEAST_BEFORE, min(until, t[-1] - TUNING.ages[0])
     times = np.array([window.time_of(i) for i in range(len(window.e))])
-    places = np.flatnonzero((times >= first) & (times <= last))
+    # With gaps the first mean may come this late: there is none before it to compare with.
+    places = 1 + np.flatnonzero((times[1:] >= first) & (times[1:] <= last))
     if not len(places):
         return None
     nothing = History(np.full(4, np.nan), np.empty((0, 4)), window.step)
