@@ -365,3 +365,13 @@ def test_a_log_larger_than_any_card_holds_is_not_read(tmp_path):
         file.truncate(dataflash_format.MOST_BYTES + 1)
     with pytest.raises(InputError, match=r"too large for an ArduPilot log: 4,294,967,297 bytes"):
         open_log(path)
+
+
+def test_a_log_of_a_second_battery_alone_has_no_voltage(tmp_path, dataflash_file):
+    log, path = dataflash_file, tmp_path / "flight.bin"
+    log.type("BAT", "QBf", "TimeUS,Inst,Volt")
+    log.row("BAT", 1_000_000, 1, 12.5)
+    path.write_bytes(log.bytes())
+    recording = read_dataflash(path)
+    assert recording.counts == {"BAT": 1}
+    assert not recording.tracks

@@ -14,7 +14,7 @@ from benchmarks.reliability.hostile import ulg_entry as entry
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.telemetry import ulog
+from gcs_sysid.telemetry import ulog, ulog_scan
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import MAGIC
 from gcs_sysid.telemetry.dataflash import read_dataflash
@@ -99,6 +99,35 @@ def test_a_subscription_behind_garbage_is_found(tmp_path):
         formats(TOP + "float x;") + b"\0\0Z" * 50 + subscribed("sensor_combined") + row(12) * 4
     )
     assert len(UlogFile(path, {"sensor_combined"}).topics["sensor_combined", 0]["x"]) == 4
+
+
+SYNC = ulog_scan._SYNC
+PARAMETER = entry("P", b"\x07float A" + struct.pack("<f", 1.0))
+STATUS = entry("A", struct.pack("<BH", 0, 3) + b"vehicle_status")
+DAMAGE = {
+    "parameters, which nothing finds again": b"\xff" + PARAMETER * 300,
+    "rows of a topic learned by now": b"\xff" + SYNC + (row(12, 7) * 3 + b"\xff\xff") * 30,
+    "SYNC entries": (SYNC + b"\xff\xff" + PARAMETER) * 60,
+    "a topic's name": b"\xffvehicle_status" * 100 + STATUS + PARAMETER,
+}
+
+
+@pytest.mark.parametrize("garbage", DAMAGE.values(), ids=DAMAGE)
+def test_windows_of_any_size_give_the_same_of_a_damaged_ulog(tmp_path, monkeypatch, garbage):
+    path = tmp_path / "some.ulg"
+    layout = formats(TOP + "float x;", "vehicle_status:uint64_t timestamp;")
+    path.write_bytes(layout + garbage + subscribed("sensor_combined") + row(12) * 4 + garbage)
+    monkeypatch.setattr(ulog_scan, "_MARGIN", 250)
+
+    def read(window):
+        monkeypatch.setattr(ulog_scan, "_WINDOW", window)
+        file = UlogFile(path, {"sensor_combined", "vehicle_status"})
+        rows = [len(topic["timestamp"]) for topic in file.topics.values()]
+        return rows, file.initial, file.changed, file.garbage_bytes, file.faults
+
+    whole = read(2**20)
+    assert whole[0] == [4]
+    assert all(read(window) == whole for window in range(251, 900))
 
 
 def test_data_appended_after_a_crash_are_read(tmp_path):

@@ -180,6 +180,8 @@ class Recording:
 
     def add_voltage(self, t: Array, volts: Array) -> None:
         """Add the battery's, as an extra too: (n,) s and (n,) or (n, 1) V."""
+        if not len(t):
+            return
         self.extras["battery voltage"] = t, volts
         reported = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
         self.add(Stream.VOLTAGE, t[reported], volts[reported])

@@ -36,6 +36,8 @@ _MOST_NEW_KINDS = 1000
 """Entries of unknown kinds."""
 _OTHERS, _BYTES_AN_OTHER = 2**16, 64
 """Entries that are no rows: so many, and one for so many bytes. More of them are garbage."""
+_DOUBTFUL_OTHER = 15
+"""Of those, so many more for one behind garbage or of no use: logs have few, garbage many."""
 _LONG = 300
 """Bytes of an entry other than a row that others must follow: a length may be damaged."""
 _WINDOW = 2**22
@@ -44,14 +46,12 @@ _HUNTED = 2**16
 """Bytes searched at once where the chain is broken."""
 _MARGIN = 4 * 2**16
 """Bytes that must follow an entry before it is decided, unless the file ends."""
-_NAMES_TRIED = 64
-"""Places in what is searched at once at which a topic's name may begin a subscription."""
 _ZEROS_PIECE = 2**20
 
 _FILE_HEAD = 16
 _HEAD = 3
 _SYNC = b"\x08\x00S\x2f\x73\x13\x20\x25\x0c\xbb\x12"
-_D = ord("D")
+_A, _D, _S = ord("A"), ord("D"), ord("S")
 _SIZES = {
     "B": (40, 255), "F": (3, 2**16), "I": (5, 2**16), "M": (6, 2**16), "P": (8, 300),
     "Q": (9, 300), "A": (4, 259), "R": (2, 2), "L": (9, 4096), "C": (11, 4096), "S": (8, 8),
@@ -136,7 +136,10 @@ class UlogFile:
         self._parameters: list[tuple[int, str, float]] = []
         self._pauses: list[tuple[int, float]] = []
         self._found: list[int] = []  # entries in what was searched, and up to where that was
-        self._next = self._searched = 0
+        self._found_others: list[int] = []  # of these, those that are no rows
+        self._next = self._other = self._searched = 0
+        self._hunting = False  # whether the last window ended in garbage
+        self._names = sorted(name.encode() for name in self._wanted)
         try:
             self._read(path)
         except OSError as error:
@@ -191,10 +194,13 @@ class UlogFile:
     def _scan(self, content: bytes, position: int, *, final: bool) -> int:
         """Find the entries of a window, which begins with one; the bytes that are done."""
         end = len(content)
-        limit = end if final else end - _MARGIN
+        limit = end if final else max(end - _MARGIN, 0)
         self._searched = self._next = 0
         self._found = []
         at = 0
+        if self._hunting:
+            at = self._hunt(content, 0, limit, position)
+            self.garbage_bytes += at
         while at + 5 <= limit:
             size, kind, number = _ANY_HEAD(content, at)
             following = at + _HEAD + size
@@ -210,15 +216,16 @@ class UlogFile:
             elif following <= end and self._take(content, at, kind, size, position):
                 at = following
                 continue
-            if final and self._is_cut_short(content, at, following, end, kind):
+            if final and self._is_cut_short(content, at, position, following, kind):
                 at = end
                 break
-            found = self._hunt(content, at + 1, limit)
+            found = self._hunt(content, at + 1, limit, position)
             self.garbage_bytes += found - at
             at = found
         if final and at < end:
             # Fewer than an entry: one that is cut short.
             at = end
+        self._hunting &= not final
         self._settle(content)
         return min(at, end)
 
@@ -231,6 +238,7 @@ class UlogFile:
         if not can_be or not _follows(content, following):
             return None
         self._learned.add(number)
+        self._searched = 0  # what was found was found without it
         return self._subscribe(number, size, size, None)
 
     def _subscribe(
@@ -248,10 +256,11 @@ class UlogFile:
             self._new_kinds += 1
             can_be = 0 < size < 10_000 and self._new_kinds <= _MOST_NEW_KINDS
             return can_be and _follows(content, at + _HEAD + size)
+        allowed = self._next_other()
         self._others += 1
         if not bounds[0] <= size <= bounds[1]:
             return False
-        if self._others > _OTHERS + (position + at) // _BYTES_AN_OTHER:
+        if allowed > position + at:
             return False
         if size > _LONG and not _follows(content, at + _HEAD + size):
             return False
@@ -301,6 +310,7 @@ class UlogFile:
         if number in self._learned:
             self._learned.remove(number)
         elif number in self._subscriptions or name in self.faults:
+            self._others += _DOUBTFUL_OTHER
             return
         subscribed = len(self._subscriptions) - len(self._learned)
         if subscribed >= MOST_SUBSCRIPTIONS or len(self.faults) >= _MOST_FAULTS:
@@ -329,26 +339,42 @@ class UlogFile:
         kept = [c for c in columns if c == "timestamp" or self._is_read(name, c)]
         return np.dtype([(column, layout[column]) for column in kept])
 
-    def _is_cut_short(self, content: bytes, at: int, following: int, end: int, kind: int) -> bool:
+    def _is_cut_short(
+        self, content: bytes, at: int, position: int, following: int, kind: int
+    ) -> bool:
         """Whether the file ends inside of this entry."""
+        end = len(content)
         if following <= end or _BOUNDS[kind] is None:
             return False
-        return self._hunt(content, at + 1, end) >= end
+        return self._hunt(content, at + 1, end, position) >= end
 
-    def _hunt(self, content: bytes, at: int, limit: int) -> int:
-        """Where the next entry begins, or `limit`."""
-        self.damaged = True
+    def _hunt(self, content: bytes, at: int, limit: int, position: int) -> int:
+        """Where the next entry of a window at a position in the file begins, or `limit`."""
+        self.damaged = self._hunting = True
         while at < limit:
             if not self._searched or at >= self._searched:
                 self._search(content, at, min(at + _HUNTED, limit))
             self._next = bisect_right(self._found, at - 1, self._next)
-            if self._next < len(self._found):
-                return self._found[self._next]
+            found = self._found[self._next : self._next + 1]
+            others = self._found_others
+            # Of these, those that would be refused are passed over.
+            first = max(at, self._next_other() - position)
+            self._other = bisect_right(others, first - 1, self._other)
+            other = others[self._other : self._other + 1]
+            if found or other:
+                self._hunting = False
+                at = min(found + other)
+                self._others += _DOUBTFUL_OTHER * (found != [at])
+                return at
             at = self._searched
         return limit
 
+    def _next_other(self) -> int:
+        """Where in the file the next entry may begin that is no row."""
+        return (self._others + 1 - _OTHERS) * _BYTES_AN_OTHER
+
     def _search(self, content: bytes, start: int, stop: int) -> None:
-        """Find what begins an entry in a stretch: rows of known topics, subscriptions, SYNC."""
+        """Find what begins an entry in a stretch: rows of known topics and subscriptions."""
         data = np.frombuffer(content, np.uint8)
         count = max(min(stop, len(content) - 5) - start, 0)
         # The upper byte of a length is small, which spares looking at what only holds Ds.
@@ -358,21 +384,16 @@ class UlogFile:
         size = data[at] | data[at + 1].astype(np.int32) << 8
         number = data[at + 3] | data[at + 4].astype(np.int32) << 8
         sound = (self._low[number] <= size) & (size <= self._high[number])
-        found = at[sound & (at + _HEAD + size <= len(content))].tolist()
-        synced = content.find(_SYNC, start, stop + len(_SYNC) - 1)
-        if synced >= 0:
-            found.append(synced)
-        for name in self._wanted:
-            text, tried = name.encode(), start + 6
-            for _ in range(_NAMES_TRIED):
-                place = content.find(text, tried, stop + 6 + len(text))
-                if place < 0:
-                    break
-                if content[place - 6 : place - 3] == bytes([3 + len(text), 0, ord("A")]):
-                    found.append(place - 6)
-                tried = place + len(text)
-        self._found = sorted(found)
-        self._next, self._searched = 0, stop
+        self._found = at[sound & (at + _HEAD + size <= len(content))].tolist()
+        letters, upper = data[start + 2 : start + 2 + count], data[start + 1 : start + 1 + count]
+        synced = np.flatnonzero((letters == _S) & (upper == 0)) + start
+        others: list[int] = _places_of(_SYNC, data, synced).tolist()
+        named = np.flatnonzero((letters == _A) & (upper == 0)) + start
+        for name in self._names:
+            mine = named[data[named] == 3 + len(name)]
+            others += (_places_of(name, data, mine + 6) - 6).tolist()
+        self._found_others = sorted(others)
+        self._next, self._other, self._searched = 0, 0, stop
 
     def _settle(self, content: bytes) -> None:
         """Copy the rows of a window, and give what has no time that of the rows before it."""
@@ -430,6 +451,14 @@ def _follows(content: bytes, at: int) -> bool:
             return False
         at += _HEAD + size
     return at <= len(content)
+
+
+def _places_of(text: bytes, data: Array, at: Array) -> Array:
+    """Those of some places at which a text begins."""
+    at = at[at + len(text) <= len(data)]
+    for i, letter in enumerate(text):
+        at = at[data[at + i] == letter]
+    return at
 
 
 def _end_without_zeros(path: Path) -> int:
