@@ -58,6 +58,18 @@ def test_progress_is_of_motion_and_not_of_time():
     assert after.enough or all(gain.expected < (gain.now or 1.0) for gain in after.gains)
 
 
+def test_a_reset_between_looking_and_thinking_ends_the_thought():
+    flight = Flight("px4-sih", ManoeuvreMission(), 2)
+    coach = Coach(flight.chain, CoachOptions(TARGET))
+    flight.fly(4.5)
+    coach.look()
+    assert coach._thought is not None
+    flight.chain.reset()
+    coach.think()
+    assert coach.choice is None
+    assert coach.look() is None
+
+
 @pytest.mark.slow
 def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
     mission = ManoeuvreMission()

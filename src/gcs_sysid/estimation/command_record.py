@@ -280,7 +280,7 @@ class CommandRecord:
         best = int(np.argmin(cost))
         # By all whiteners it may be another one that is likeliest.
         while len(found[best].white.whiteners) < len(first.white.whiteners):
-            found[best] = self._with_all_whiteners(found[best])
+            found[best] = self._with_all_whiteners(found[best], hover)
             cost[best] = found[best].cost
             best = int(np.argmin(cost))
         weight = np.exp(cost.min() - cost)
@@ -348,11 +348,14 @@ class CommandRecord:
             rounded[CURVE] = self._curve
         return rounded
 
-    def _with_all_whiteners(self, tuned: TunedRows) -> TunedRows:
-        """The same of rows that can be gone on with."""
-        maker, white = self._made(tuned.basis, tuned.maker.hover)
-        fit = self._fitted(white, tuned.basis)
-        return replace(tuned, maker=maker, white=white, fit=fit or tuned.fit)
+    def _with_all_whiteners(self, tuned: TunedRows, hover: float) -> TunedRows:
+        """The same of rows that can be gone on with; by more whiteners motors may be others."""
+        place = tuned.basis.lag_place.of
+        converged = self._converged(tuned.fit.rotation.coordinates, place, hover)
+        if converged is not None:
+            return converged
+        maker, white = self._made(tuned.basis, hover)
+        return replace(tuned, maker=maker, white=white)
 
     def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
         """Whether rows of all samples, were they made now, would be those there are."""

@@ -152,7 +152,8 @@ class Coach:
     def think(self) -> None:
         """Weigh all maneuvers, if that is due."""
         thought, self._thought = self._thought, None
-        if thought is not None:
+        # After a reset nothing is estimated, whatever was to be thought over.
+        if thought is not None and self._chain.estimator is not None:
             self._weigh(*thought)
 
     def _forget(self) -> None:
