@@ -18,6 +18,7 @@ from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.link import SerialLink, TcpLink
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
@@ -26,7 +27,7 @@ from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.missions import MISSIONS
 from sim_bridge.playback import play
 from sim_bridge.px4 import Px4
-from sim_bridge.server import TruthFile, fly
+from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
 
@@ -84,6 +85,31 @@ class AtOnce:
 
     def wait(self, flown):
         pass
+
+
+class OnceAsked:
+    """Flies in real time until the session has asked for its rates, then as fast as the wire allows.
+
+    Else the emulator may be down again before it is asked.
+    """
+
+    FAST = 5000.0
+
+    def __init__(self, pace, speaks):
+        self._pace, self._streams, self._clock = pace, speaks.schedule.streams, Pace(1.0)
+
+    def wait(self, flown):
+        (self._pace if self._is_asked() else self._clock).wait(flown)
+
+    def _is_asked(self):
+        imu, rotors = ("HIGHRES_IMU", "RAW_IMU"), ("ESC_STATUS", "ESC_TELEMETRY_1_TO_4")
+        sent = [
+            self._streams[MESSAGE_IDS[name]].interval
+            for names in (imu, rotors)
+            for name in names
+            if MESSAGE_IDS[name] in self._streams
+        ]
+        return sum(0.0 < interval <= self.FAST for interval in sent) >= 2
 
 
 @dataclass(frozen=True)
@@ -283,7 +309,10 @@ def test_every_message_of_the_emulator_is_used_or_accounted_for(wire, autopilot)
     truth = TruthFile(None, simulation, speaks)
     options = LiveOptions(rate=250.0, refit_interval=10.0)
     final = live(
-        wire, airframe, lambda: fly(simulation, speaks, [out], 20.0, wire.pace, truth), options
+        wire,
+        airframe,
+        lambda: fly(simulation, speaks, [out], 20.0, OnceAsked(wire.pace, speaks), truth),
+        options,
     )
     told = final.telemetry
     assert told["received"] == out.frames
