@@ -88,7 +88,7 @@ class AtOnce:
 
 
 class OnceAsked:
-    """Flies in real time until the session has asked for its rates, then as fast as the wire allows.
+    """Flies in real time until the session has asked for its rates, then as the wire allows.
 
     Else the emulator may be down again before it is asked.
     """
