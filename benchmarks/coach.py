@@ -17,6 +17,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from benchmarks.accuracy.flights import measure
+from benchmarks.linked import linked
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.estimation.online import OnlineEstimator
@@ -27,12 +28,8 @@ from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.summary import values_of
-from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.origin import Origin
-from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.intake import Intake
 from sim_bridge.ensemble import Flight as EmulatedFlight
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS, Mission
@@ -89,10 +86,7 @@ class Flight:
         self.simulation = Simulation(self.vehicle, mission, gusts)
         self._autopilot = Px4(self.simulation, "mems", 0.02, rate, sensors)
         self._scanner = FrameScanner()
-        intake = Intake()
-        options, origin = ChainOptions(history_interval=0.5), Origin(intake, "emulator")
-        self.chain = Chain(self.airframe, options, origin=origin)
-        self._link = FrameGathering(intake, lambda: self.chain.until_tick)
+        self.chain, self._link = linked(self.airframe, ChainOptions(history_interval=0.5))
 
     def fly(self, seconds: float) -> None:
         """Fly on for a while."""

@@ -14,18 +14,17 @@ import time
 from pathlib import Path
 
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
+from benchmarks.linked import linked
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.ensemble import fly_ensemble
@@ -98,9 +97,7 @@ def frame_rates(log: Path) -> dict[str, float]:
     rates = {}
     for name, seconds in _BLOCKS[1:]:
         size = max(round(seconds * RATE * len(frames) / samples), 1)
-        intake = Intake()
-        chain = Chain(load_airframe("paper"), origin=Origin(intake, ""))
-        link = FrameGathering(intake, lambda chain=chain: chain.until_tick)
+        chain, link = linked(load_airframe("paper"))
         began = time.process_time()
         for i in range(0, len(frames), size):
             chain.take(link.take(frames[i : i + size], 1.7e9))

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,9 +307,18 @@ class HoverMission:
         return hover_reference()
 
 
+@runtime_checkable
+class _ManyAtOnce(Protocol):
+    """A mission that has a cheaper way for many times."""
+
+    def references(self, times: Sequence[float]) -> Iterator[Reference]:
+        """`Mission.reference` at these times."""
+        ...
+
+
 def references(mission: Mission, times: Sequence[float]) -> Iterator[Reference]:
     """A mission's set-points at these times; multisines are far cheaper many at a time."""
-    if isinstance(mission, ExcitationMission):
+    if isinstance(mission, _ManyAtOnce):
         return mission.references(times)
     return map(mission.reference, times)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.missions import Mission, Reference, references
 
 AHEAD = 128
@@ -30,13 +29,7 @@ class SetPoints:
         reference = next(self._ready, None) if tick == self._next else None
         if reference is None:
             ticks = range(tick, tick + AHEAD * self._steps, self._steps)
-            times = [k * self._step_size for k in ticks]
-            mission = self._mission
-            self._ready = (
-                mission.references(times)
-                if isinstance(mission, GroundCycle)
-                else references(mission, times)
-            )
+            self._ready = references(self._mission, [k * self._step_size for k in ticks])
             reference = next(self._ready)
         self._next = tick + self._steps
         return reference

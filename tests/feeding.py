@@ -4,15 +4,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain as joined
 from itertools import islice
 
-from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record
 from gcs_sysid.signals.time_base import Block, TimeBase
-from gcs_sysid.telemetry.frame_gathering import FrameGathering
-from gcs_sysid.telemetry.intake import Intake
 
 AT_ONCE = 64
 
@@ -28,13 +23,6 @@ def feed(chain: Chain, records: Iterable[Record], at_once: int = AT_ONCE) -> Non
     """Give records to a chain."""
     for piece in pieces(records, at_once):
         chain.take(piece)
-
-
-def linked(airframe: Airframe, options: ChainOptions | None = None) -> tuple[Chain, FrameGathering]:
-    """A chain, and what gives it the records of a link's frames."""
-    intake = Intake()
-    chain = Chain(airframe, options, origin=Origin(intake, ""))
-    return chain, FrameGathering(intake, lambda: chain.until_tick)
 
 
 def grid_of(

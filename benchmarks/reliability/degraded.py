@@ -20,15 +20,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.linked import linked
 from benchmarks.reliability.fault_cases import CASES, DROPOUTS, HEADLINE, Case
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.origin import Origin
-from gcs_sysid.telemetry.frame_gathering import FrameGathering
-from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
@@ -204,9 +201,7 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"
         record(fly(flight, seed), case.line, seed, path)
-        intake = Intake()
-        chain = Chain(load_airframe(AIRFRAME), origin=Origin(intake, ""))
-        link = FrameGathering(intake, lambda: chain.until_tick)
+        chain, link = linked(load_airframe(AIRFRAME))
         waiting = ends.tolist()
         used, back = None, np.inf
         for time_us, frame in read_tlog(path):

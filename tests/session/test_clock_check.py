@@ -4,6 +4,7 @@ import struct
 
 import pytest
 
+from benchmarks.linked import linked
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
@@ -11,7 +12,6 @@ from gcs_sysid.session.clock_check import clock_doubt, is_simulated
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog
-from tests.feeding import linked
 
 
 @pytest.fixture(scope="module")

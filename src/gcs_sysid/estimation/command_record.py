@@ -122,8 +122,10 @@ class CommandRecord:
         more. Asked after a number of samples, as it notes when it looked.
         """
         seconds = self._samples * self._dt
-        if self._kept is None or seconds >= self._next:
-            return self._kept is not None
+        if self._kept is None:
+            return False
+        if seconds >= self._next:
+            return True
         if self._now is None or seconds < self._check:
             return False
         self._check = _CHECKED * seconds

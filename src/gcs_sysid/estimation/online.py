@@ -553,13 +553,13 @@ class OnlineEstimator:
             found = self._whitened.fit(start, self.prior, calm=self._is_calm())
             if found is None:
                 return None
-            self._left_out = found[1]
+            fitted, self._left_out = found
             if record.commands is None:
-                return found[0]
+                return fitted
             place = record.places(self._whitened.basis.lag_place.of)[0]
-            off = record.commands.doubt + curve_doubt(found[0])
-            off = off + record.commands.distance_doubt(found[0])
-            return with_lag_doubt(found[0], place, off)
+            commands = record.commands
+            off = commands.doubt + curve_doubt(fitted) + commands.distance_doubt(fitted)
+            return with_lag_doubt(fitted, place, off)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:

@@ -152,7 +152,7 @@ class Coach:
     def think(self) -> None:
         """Weigh all maneuvers, if that is due."""
         thought, self._thought = self._thought, None
-        # After a reset nothing is estimated, whatever was to be thought over.
+        # A reset may have come in between: there is no estimate to advise on.
         if thought is not None and self._chain.estimator is not None:
             self._weigh(*thought)
 

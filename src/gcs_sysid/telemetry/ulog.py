@@ -181,7 +181,7 @@ def _whole(number: Any) -> int:
 
 
 def _columns(topic: Topic, *fields: str) -> Array:
-    """(n, count) of fields, see `OnboardMessage.fields`; KeyError when not all of them is there."""
+    """(n, count) of fields, see `OnboardMessage.fields`; KeyError when not all are there."""
     columns: list[Array] = []
     for field in fields:
         name, _, size = field.rstrip("]").partition("[")
