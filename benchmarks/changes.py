@@ -30,7 +30,7 @@ from gcs_sysid.argument_types import positive
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning, tuning_for_commands
 from gcs_sysid.intervals import Z95

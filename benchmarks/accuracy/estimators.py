@@ -7,10 +7,11 @@ import numpy as np
 from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximize_likelihood
-from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning

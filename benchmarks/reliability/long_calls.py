@@ -6,6 +6,7 @@ from typing import Any
 
 from gcs_sysid.estimation.change_watch import ChangeWatch
 from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.rotation_estimator import RotationEstimator
 from gcs_sysid.live.flight_coach import Coach
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_estimate import LiveEstimate
@@ -17,7 +18,7 @@ CALLS: dict[str, tuple[type, str]] = {
     "coach: maneuvers compared": (Coach, "think"),
     "full fit, between flights and at the end": (OnlineEstimator, "_full_fit"),
     "running fit that chooses whiteners": (OnlineEstimator, "_settle"),
-    "validation of a fit": (OnlineEstimator, "_validate"),
+    "validation of a fit": (RotationEstimator, "validate"),
     "quick fits": (OnlineEstimator, "_followed"),
     "change before there is a reference": (ChangeWatch, "early"),
     "0.1 s of frames: decoding, grid, rows": (LiveEstimate, "learn"),

@@ -10,7 +10,7 @@ from gcs_sysid.estimation.change_detection import ChangeDetector
 from gcs_sysid.estimation.change_hypotheses import judge
 from gcs_sysid.estimation.change_kinds import Cause, describe
 from gcs_sysid.estimation.change_window import TUNING, Frames
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.sequential_tests import Cusum, Level
 from gcs_sysid.estimation.translation import TranslationFit

@@ -10,8 +10,9 @@ from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, step_of
-from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import CURVE
 from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.evidence import RULES, Evidence, evidence_of
-from gcs_sysid.estimation.online import Fit, FitMoments
+from gcs_sysid.estimation.fit import Fit, FitMoments
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.validation import Validation

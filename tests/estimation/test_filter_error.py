@@ -15,10 +15,10 @@ from gcs_sysid.estimation.filter_error import (
     likeliest_noise,
     offline_bank,
 )
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.instrumental_variables import InstrumentFit, combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import most_passes
 from gcs_sysid.estimation.offline import fit_offline
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning

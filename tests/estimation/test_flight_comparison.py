@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.actuator_dynamics import CURVE
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.flight_comparison import ENOUGH, Trial, is_another
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
+from gcs_sysid.estimation.fit import Fit, FitMoments
 from gcs_sysid.estimation.given_errors import (
     Given,
     aligned,
@@ -17,7 +18,6 @@ from gcs_sysid.estimation.given_errors import (
     with_given,
 )
 from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.online import Fit, FitMoments
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.translation import TranslationFit

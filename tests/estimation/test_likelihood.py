@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
 from gcs_sysid.estimation.likelihood import (
     NoInformationError,
@@ -15,7 +16,6 @@ from gcs_sysid.estimation.likelihood import (
     maximize_likelihood,
 )
 from gcs_sysid.estimation.offline import fit_offline
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.propagation import SPLINE_END
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Event

@@ -10,7 +10,7 @@ from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library, motion
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import RATE, SPEED_STD, PriorVehicle, prior_noise
 from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 
 HOVER = 5.0
 """s of quiet hover at the start."""

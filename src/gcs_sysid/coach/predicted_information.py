@@ -13,11 +13,12 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
-from gcs_sysid.estimation.online import MIN_MOMENTUM_SECONDS, Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_MEAN
 from gcs_sysid.estimation.status import RULES
+from gcs_sysid.estimation.thrust_estimator import MIN_MOMENTUM_SECONDS
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import bartlett
 from gcs_sysid.intervals import Z95

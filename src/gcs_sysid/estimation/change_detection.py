@@ -30,7 +30,7 @@ from gcs_sysid.estimation.change_reference import (
     form_rows,
     reference_of,
 )
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.sequential_tests import CLIPPED, Baseline, Cusum, Level
 from gcs_sysid.signals.samples import Samples
 

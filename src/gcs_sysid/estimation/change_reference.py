@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, LagOf, motor_filter
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb

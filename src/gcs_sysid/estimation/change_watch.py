@@ -13,7 +13,7 @@ from gcs_sysid.estimation.change_hypotheses import Judgement, judge
 from gcs_sysid.estimation.change_reference import Reference
 from gcs_sysid.estimation.change_window import TUNING, Frames
 from gcs_sysid.estimation.early_change import actuator_of, early_change
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.signals.samples import Samples

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Mask
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.layout_test import LEAST_RATE
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.parameters import Parameter, RotorInput
 

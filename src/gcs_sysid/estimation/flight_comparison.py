@@ -10,7 +10,8 @@ from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import CURVE
-from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.fit import Fit
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 

@@ -32,8 +32,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import WIDTH
 from gcs_sysid.estimation.deviations import Deviations
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.imu_rotation import PER_TURN, missed_by, rotation_of, turned
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.scale import resolve_scale
 from gcs_sysid.estimation.search import N_X, residual_maker

@@ -13,6 +13,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.input_noise import with_sparse_readings
 from gcs_sysid.estimation.instrumental_variables import combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import (
@@ -21,7 +22,7 @@ from gcs_sysid.estimation.likelihood import (
     maximize_likelihood,
     most_passes,
 )
-from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Tracker

@@ -9,86 +9,31 @@ call.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
-
-import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
-from gcs_sysid.estimation.disturbance import curve_doubt
-from gcs_sysid.estimation.input_noise import is_sparse, with_sparse_readings
-from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
-from gcs_sysid.estimation.motor_linearization import MeanThrust
+from gcs_sysid.estimation.actuator_dynamics import CURVE
+from gcs_sysid.estimation.fit import Fit
+from gcs_sysid.estimation.instant import Instant
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
-from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.rotation_estimator import RotationEstimator
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.thrust_estimator import ThrustEstimator
+from gcs_sysid.estimation.translation import Gain, TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.validation import Validation, validate
-from gcs_sysid.estimation.whitened_estimator import LEAST_OWN, Followed, LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.estimation.whitened_estimator import LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.whitened_moments import OfflineBank
-from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.samples import Samples
 
 _SETTLE_GROWTH = 1.5
-_MIN_BATCHES = 10
-"""Batches from which their scatter gives a standard deviation."""
 _WELL_KNOWN = 10.0
 """s of flight from which the search for a warm start starts from the one before."""
-MIN_MOMENTUM_SECONDS = 5.0
-"""Flight time from which momentum balance beats the accelerometer's bias."""
 
 PriorSource = Callable[[TranslationFit | None], Prior | None]
 """Prior knowledge, given k_T / m as far as it is known."""
-
-
-class FitMoments(NamedTuple):
-    """Sums of products of rows [x, y] at a fit's coordinates.
-
-    Attributes:
-        rows: (3, WIDTH, WIDTH) of each axis' rows, without the inputs' known noise.
-        window: (WIDTH, WIDTH) of the rows of the symmetric window.
-        number: of these; 0: not known.
-    """
-
-    rows: Array
-    window: Array
-    number: int = 0
-
-    @property
-    def rates(self) -> Array | None:
-        """(3,) rms of roll, pitch and yaw rate, rad/s, slower than some 5 Hz; None: not known."""
-        if not self.number:
-            return None
-        return rigid_body.rms_rates(self.window, self.number)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What the estimator knows at one instant, relative to k_T."""
-
-    rotation: rotation.RotationFit | None
-    translation: TranslationFit | None
-    seconds: float
-    """Flight time used."""
-    validation: Validation | None = None
-    """Of full fits; of running ones the latest, if any."""
-    accelerometer: TranslationFit | None = None
-    """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
-    rigid_body_test: RigidBodyTest | None = None
-    """Whether it moves like a rigid body; None while undecided."""
-    other_layout: str | None = None
-    """What is wrong with the airframe's layout, where another explains the motion far better."""
-    running: bool = False
-    """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
-    moments: FitMoments | None = None
-    """Moments that determine where the IMU and the rotors are, see `given_errors`."""
-    aligned_by: RotationFit | None = None
-    """The fit that the moments are of, where `rotation` is another estimator's."""
 
 
 @dataclass(frozen=True)
@@ -108,31 +53,6 @@ class _WarmStart:
     batches: tuple[int, int]
     settle: float
     left_out: LeftOut | None
-
-
-@dataclass(frozen=True)
-class _Instant:
-    """The moments at one instant.
-
-    Attributes:
-        rotation: (width, width) with the leak that is followed.
-        rows: in them.
-        noise: of one row, see `rotation.fit_rotation`.
-        whitened: the same of rows that were whitened; None where none are.
-        momentum: (3, thrusts + 3, thrusts + 3).
-        momentum_rows: in them.
-        seconds: flight time.
-        mean_thrust: by commands; None without motors for them.
-    """
-
-    rotation: Array
-    rows: int
-    noise: Array
-    whitened: Followed | None
-    momentum: Array
-    momentum_rows: int
-    seconds: float
-    mean_thrust: MeanThrust | None
 
 
 class OnlineEstimator:
@@ -157,13 +77,12 @@ class OnlineEstimator:
         """What else is known about the rotation; may be set at any time."""
         self.prior_source: PriorSource | None = None
         """Renews the prior with each warm start and full fit."""
-        self.accelerometer_gain: translation.Gain | None = None
-        """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning, offline)
-        self._basis = self._record.basis
-        self._speed_interval = tuning.speed_interval
-        self._whitening = WhitenedEstimator(self._record, geometry)
-        self._left_out: LeftOut | None = None
+        whitening = WhitenedEstimator(self._record, geometry)
+        self._thrust = ThrustEstimator(self._record, whitening)
+        self._rotation = RotationEstimator(
+            self._record, whitening, self._thrust, tuning.speed_interval
+        )
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None
@@ -172,9 +91,13 @@ class OnlineEstimator:
         self._rigid_body_test_at = 0.0
 
     @property
-    def _whitened(self) -> WhitenedEstimator | None:
-        """None where there are no whitened rows, or none yet."""
-        return None if self._record.whitened is None else self._whitening
+    def accelerometer_gain(self) -> Gain | None:
+        """How the accelerometer reads against gravity, from an earlier segment; may be set."""
+        return self._thrust.accelerometer_gain
+
+    @accelerometer_gain.setter
+    def accelerometer_gain(self, gain: Gain | None) -> None:
+        self._thrust.accelerometer_gain = gain
 
     @property
     def seconds(self) -> float:
@@ -199,13 +122,13 @@ class OnlineEstimator:
     @property
     def bound(self) -> Array:
         """(N_THETA,) Cramer-Rao standard deviations of the latest full fit to whitened rows."""
-        assert self._whitened is not None
-        return self._whitened.bound
+        assert self._rotation.whitened is not None
+        return self._rotation.whitened.bound
 
     @property
     def free(self) -> tuple[int, ...]:
         """The coordinates that are estimated, see `estimation.actuator_dynamics`."""
-        return self._basis.free
+        return self._record.basis.free
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's residual.
@@ -216,16 +139,7 @@ class OnlineEstimator:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.
         """
-        if self._whitened is not None and fit.whiteners:
-            return self._whitened.gyro_density(fit, theta)
-        record, n = self._record, rigid_body.N_SIGNALS
-        Q = rigid_body.forward_matrix(theta)
-        own = np.diag(fit.residual_covariance)
-        noise = self._basis.noise_at(record.noise(fit.leak), fit.coordinates)
-        rotors = np.diag(Q @ noise[:n, :n] @ Q.T)
-        left = np.maximum(own - rotors, LEAST_OWN * own)
-        density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
-        return density
+        return self._rotation.gyro_density(fit, theta)
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need; many estimators live but shortly."""
@@ -271,13 +185,13 @@ class OnlineEstimator:
 
     def _full_fit(self) -> Fit:
         self._renew_prior()
-        rot = self._fit_rotation()
+        rot = self._rotation.fit(None, self.prior)
         trans, accelerometer = self.fit_translation(rot)
-        validation = self._validate()
+        validation = self._rotation.validate(self.prior)
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # Inertia in roll and pitch is left to determine.
-            rot = self._fit_without_products()
+            rot = self._rotation.without_products(self.prior)
         return Fit(
             rot,
             trans,
@@ -285,12 +199,12 @@ class OnlineEstimator:
             validation,
             accelerometer,
             rigid_body_test,
-            moments=self._moments(rot),
+            moments=self._rotation.moments(rot),
         )
 
     def other_layout(self, fit: RotationFit | None) -> str | None:
         """What is wrong with the airframe's layout, if another explains the motion far better."""
-        return None if self._whitened is None else self._whitened.other_layout(fit)
+        return self._rotation.other_layout(fit)
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -300,10 +214,7 @@ class OnlineEstimator:
         Args:
             at: gives the coordinates of the basis; None: its middle.
         """
-        where = self._coordinates(at)
-        momentum = self._fit_momentum(where)
-        accelerometer = self._fit_accelerometer(where)
-        return self._with_slope(momentum or accelerometer, at), accelerometer
+        return self._thrust.fit(at, self.prior)
 
     def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
         """A fit with thrust over mass by the actuator dynamics of another one.
@@ -312,7 +223,7 @@ class OnlineEstimator:
             rotors: of them; None: the fit as it is.
             fit: of the whole record.
         """
-        if rotors is None or CURVE not in self._basis.free:
+        if rotors is None or CURVE not in self.free:
             return fit
         thrust, accelerometer = self.fit_translation(rotors)
         return replace(fit, translation=thrust, accelerometer=accelerometer)
@@ -325,7 +236,7 @@ class OnlineEstimator:
     def _follow(self, stops: Iterable[None], series: str) -> list[Fit]:
         """Quick fits at stops of what is coming in."""
         fits: list[Fit] = []
-        waiting: list[_Instant] = []
+        waiting: list[Instant] = []
         for _ in stops:
             if self._record.was_renewed():
                 if waiting:
@@ -339,7 +250,7 @@ class OnlineEstimator:
                 waiting = []
                 fits.append(self._settle(series, warm_start))
                 continue
-            waiting.append(self._instant(warm_start))
+            waiting.append(self._rotation.instant(warm_start.rotation, warm_start.left_out))
             if self._is_outdated(warm_start):
                 fits += self._followed(warm_start, waiting)
                 waiting = []
@@ -348,23 +259,6 @@ class OnlineEstimator:
             fits += self._followed(self._warm_starts[series], waiting)
         return fits
 
-    def _instant(self, warm_start: _WarmStart) -> _Instant:
-        record, leak = self._record, warm_start.rotation.leak
-        whitened = None
-        if self._whitened is not None:
-            assert warm_start.left_out is not None
-            whitened = self._whitened.instant(warm_start.rotation, warm_start.left_out)
-        return _Instant(
-            record.rotation.total[leak].copy(),
-            record.rotation.rows,
-            record.noise(leak),
-            whitened,
-            record.momentum.total.copy(),
-            record.momentum.rows,
-            self.seconds,
-            self._mean_thrust(),
-        )
-
     def _is_outdated(self, warm_start: _WarmStart) -> bool:
         return (
             warm_start.thrust is None
@@ -372,131 +266,57 @@ class OnlineEstimator:
             or self._is_rigid_body_test_due()
         )
 
-    def _followed(self, warm_start: _WarmStart, instants: Sequence[_Instant]) -> list[Fit]:
+    def _followed(self, warm_start: _WarmStart, instants: Sequence[Instant]) -> list[Fit]:
         """Quick fits at several instants, from one warm start."""
         if not instants:
             return []
-        rotations = self._follow_rotation(warm_start, instants)
+        rotations = self._rotation.follow(instants, warm_start.rotation, self.prior)
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
         if warm_start.thrust is not None:
-            weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
-            pairs = zip(weights, instants, strict=True)
-            thrusts = translation.follow_momentum(
-                np.stack([_mixed(w, i.momentum) for w, i in pairs]),
-                np.array([i.momentum_rows for i in instants]),
-                warm_start.thrust,
-            )
+            thrusts = self._thrust.follow(instants, rotations, warm_start.thrust)
         return [
             Fit(
                 rot,
-                self._with_slope(thrust, rot, i),
+                self._thrust.with_slope(thrust, rot, self.prior, i),
                 i.seconds,
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
-                moments=self._moments_at(rot, i),
+                moments=i.at(rot, self._record),
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
-
-    def _follow_rotation(
-        self, warm_start: _WarmStart, instants: Sequence[_Instant]
-    ) -> list[RotationFit]:
-        moments = [i.whitened for i in instants if i.whitened is not None]
-        if moments:
-            fits = self._whitening.follow(moments, warm_start.rotation, self.prior)
-            return self._doubted(fits, warm_start.rotation, instants)
-        place = warm_start.rotation.lag_place
-        self._use_place(place)
-        fits = rotation.follow_rotation(
-            np.stack([i.rotation for i in instants]),
-            np.array([i.rows for i in instants]),
-            self._basis,
-            np.stack([i.noise for i in instants]),
-            warm_start.rotation,
-            self.prior,
-        )
-        return self._doubted(fits, warm_start.rotation, instants)
-
-    def _doubted(
-        self, fits: list[RotationFit], start: RotationFit, instants: Sequence[_Instant]
-    ) -> list[RotationFit]:
-        """Fits with what lags taken over from an earlier one."""
-        place = start.lag_place
-        if place is None:
-            return [self._read(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
-        commands = self._record.commands
-        return [
-            with_lag_doubt(
-                fit,
-                place,
-                start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit)),
-            )
-            for fit in fits
-        ]
-
-    def _read(self, fit: RotationFit, instant: _Instant | None = None) -> RotationFit:
-        """A fit to speeds, with what they miss between readings; at an instant, or now."""
-        if not is_sparse(self._speed_interval) or fit.lag_place is not None:
-            return fit
-        found = self._moments(fit) if instant is None else self._moments_at(fit, instant)
-        if found is None:
-            return fit
-        return with_sparse_readings(fit, self._speed_interval, found.window)
-
-    def _use_place(self, place: LagPlace | None) -> None:
-        """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
-        if self._basis.bends:
-            self._basis.lag_place = place or self._places(None)[0]
-
-    def _places(self, start: RotationFit | None) -> list[LagPlace]:
-        """What may lag behind the commands, that of an earlier fit first."""
-        known = None if start is None else start.lag_place
-        return self._record.places() if known is None else self._record.places(known.of)
 
     def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self._record, fit.rotation
         assert rot is not None
-        where = self._coordinates(rot)
-        thrust = self._fit_momentum(where)
-        trans = thrust or self._fit_accelerometer(where)
+        thrust, trans = self._thrust.quick(rot, self.prior)
         followed = rot if warm_start.batches != record.batches else warm_start.rotation
         self._warm_starts[series] = replace(
             warm_start, rotation=followed, thrust=thrust, batches=record.batches
         )
         self._renew_prior()
-        self._use_place(rot.lag_place)
-        rigid_body_test = (
-            self._rigid_body_test_of(rot)
-            if self._is_rigid_body_test_due()
-            else self._rigid_body_test
-        )
-        return replace(
-            fit, translation=self._with_slope(trans, rot), rigid_body_test=rigid_body_test
-        )
+        record.use_place(rot.lag_place)
+        rigid_body_test = self._latest_rigid_body_test(rot)
+        trans = self._thrust.with_slope(trans, rot, self.prior)
+        return replace(fit, translation=trans, rigid_body_test=rigid_body_test)
 
     def _settle(self, series: str, before: _WarmStart | None) -> Fit:
         """A fit that chooses leak and delay, as a warm start for those to come."""
         self._renew_prior()
         known = before if self.seconds > _WELL_KNOWN else None
-        rot = self._fit_rotation(None if known is None else known.rotation)
-        where = self._coordinates(rot)
-        thrust = self._fit_momentum(where)
-        trans = thrust or self._fit_accelerometer(where)
+        rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
+        thrust, trans = self._thrust.quick(rot, self.prior)
         if rot is not None and self._record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
             self._warm_starts[series] = _WarmStart(
-                rot, thrust, self._record.batches, settle, self._left_out
+                rot, thrust, self._record.batches, settle, self._rotation.left_out
             )
-        rigid_body_test = (
-            self._rigid_body_test_of(rot)
-            if self._is_rigid_body_test_due()
-            else self._rigid_body_test
-        )
-        trans = self._with_slope(trans, rot)
-        if self._whitened is not None and not series:
-            self._validation = self._validate()
+        rigid_body_test = self._latest_rigid_body_test(rot)
+        trans = self._thrust.with_slope(trans, rot, self.prior)
+        if self._rotation.whitened is not None and not series:
+            self._validation = self._rotation.validate(self.prior)
         return Fit(
             rot,
             trans,
@@ -504,237 +324,24 @@ class OnlineEstimator:
             self._validation,
             rigid_body_test=rigid_body_test,
             running=True,
-            moments=self._moments(rot),
+            moments=self._rotation.moments(rot),
         )
-
-    def _moments(self, fit: RotationFit | None) -> FitMoments | None:
-        """Moments of the whole record, at a fit of it."""
-        if fit is None or self._record.article is not None:
-            return None
-        warm_start = _WarmStart(fit, None, self._record.batches, 0.0, self._left_out)
-        return self._moments_at(fit, self._instant(warm_start))
-
-    def _moments_at(self, fit: RotationFit, instant: _Instant) -> FitMoments:
-        basis, at = self._record.basis, fit.coordinates
-        # Leaky sums of rates are no rates.
-        count = instant.rows if self._record.memories[fit.leak] == 0.0 else 0
-        if instant.whitened is not None:
-            white = instant.whitened
-            without = white.moments - white.rows * white.noise
-            # Whitened rows have a range of their own.
-            within = np.clip(at, basis.low, basis.high)
-            return FitMoments(
-                white.basis.moments_at(without, at),
-                basis.moments_at(instant.rotation, within),
-                count,
-            )
-        window = basis.moments_at(instant.rotation, at)
-        without = window - instant.rows * basis.noise_at(instant.noise, at)
-        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window, count)
-
-    def _is_calm(self) -> bool:
-        """Whether it is known that no steady wind blows; without velocity nothing is."""
-        momentum = self._fit_momentum(self._coordinates(None))
-        return momentum is not None and momentum.wind < translation.CALM
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:
             self.prior = self.prior_source(self.fit_translation()[0])
 
-    def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
-        fit = self._fitted_rotation(start)
-        return None if fit is None else self._read(fit)
-
-    def _fitted_rotation(self, start: RotationFit | None) -> RotationFit | None:
-        record = self._record
-        if record.article:
-            return record.article.fit()
-        if self._whitened is not None:
-            found = self._whitened.fit(start, self.prior, calm=self._is_calm())
-            if found is None:
-                return None
-            fitted, self._left_out = found
-            if record.commands is None:
-                return fitted
-            place = record.places(self._whitened.basis.lag_place.of)[0]
-            commands = record.commands
-            off = commands.doubt + curve_doubt(fitted) + commands.distance_doubt(fitted)
-            return with_lag_doubt(fitted, place, off)
-        moments = record.rotation
-        data = moments.batches, moments.counts, self._basis, self._noise()
-        if self._basis.bends:
-            return self._fit_lag_places(start)
-        if start is not None:
-            fit = rotation.fit_rotation(*data, start, self.prior, record.noise_doubt)
-            if fit is not None and fit.converged:
-                return fit
-        return rotation.fit_rotation(*data, prior=self.prior, doubt=record.noise_doubt)
-
-    def _fit_lag_places(self, start: RotationFit | None) -> RotationFit | None:
-        """Of commands, with what lags as a hypothesis."""
-        record = self._record
-        moments, places = record.rotation, self._places(start)
-        data = moments.batches, moments.counts, self._basis, self._noise()
-        independent = record.seconds / record.half_width
-        others = self.prior, record.noise_doubt
-        if start is not None:
-            fit = fit_lag_places(*data, places, independent, start, *others)
-            if fit is not None and fit.converged:
-                return fit
-        return fit_lag_places(*data, places, independent, None, *others, start)
-
-    def _fit_momentum(self, where: Array) -> TranslationFit | None:
-        """Of the momentum balance, at (3,) coordinates; None while it is too early."""
-        record, weights = self._record, self._basis.thrust_weights(where)
-        if record.momentum_seconds <= MIN_MOMENTUM_SECONDS:
-            return None
-        batches, total = (
-            _mixed(weights, m) for m in (record.momentum.batches, record.momentum.total)
-        )
-        return translation.fit_momentum(batches, record.momentum.counts, total)
-
-    def _fit_accelerometer(self, where: Array) -> TranslationFit | None:
-        """Of the accelerometer's z axis, at (3,) coordinates."""
-        moments = self._record.accelerometer
-        mixed = _mixed(self._basis.thrust_weights(where), moments.batches)
-        return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
-
-    def _coordinates(self, fit: RotationFit | None) -> Array:
-        """(3,) of a fit, or the basis' middle with the thrust curve that is known beforehand."""
-        self._use_place(None if fit is None else fit.lag_place)
-        where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
-        if fit is None and self.prior is not None and CURVE in self._basis.free:
-            curve, _ = self.prior.thrust_curve
-            where = where.copy()
-            if np.isfinite(curve):
-                where[CURVE] = np.clip(curve, self._basis.low[CURVE], self._basis.high[CURVE])
-        return where
-
-    def _with_slope(
-        self,
-        fit: TranslationFit | None,
-        at: RotationFit | None,
-        instant: _Instant | None = None,
-    ) -> TranslationFit | None:
-        """The fit with how kappa changes with the thrust curve, where that is unknown.
-
-        It is gravity over the mean share of thrust.
-
-        Args:
-            fit: of thrust over mass.
-            at: what else is known.
-            instant: that the fit is of; None: now.
-        """
-        if fit is None or (at is None and CURVE not in self._basis.free):
-            return fit
-        if self._whitened is not None and at is not None:
-            fit = self._whitened.judged_thrust(fit, at)
-            mean = instant.mean_thrust if instant is not None else self._mean_thrust()
-            if mean is not None:
-                # Thrust of the rows that kappa is of has one time constant.
-                share, slope = mean.rectified(at.coordinates)
-                motors = slice(rigid_body.N_THETA, rigid_body.N_THETA + len(slope))
-                variance = float(slope @ at.full_covariance[motors, motors] @ slope)
-                spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
-                fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
-        if CURVE not in self._basis.free:
-            return fit
-        where = self._coordinates(at)
-        total = self._record.momentum.total if instant is None else instant.momentum
-        if fit.source == "accelerometer":
-            total = self._record.accelerometer.total
-        step = 0.05 * np.eye(len(where))[CURVE]
-        less, more = (
-            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
-            for c in (where - step, where + step)
-            for mixed in (_mixed(self._basis.thrust_weights(c), total),)
-        )
-        change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
-        if at is None:
-            # Of the curve nothing is known yet but what was known, or what it ordinarily is.
-            known = np.inf if self.prior is None else self.prior.thrust_curve[1]
-            curve_std = min(known, float(COORDINATE_STD[CURVE]))
-            return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
-        return replace(fit, curve_slope=float(change))
-
-    def _mean_thrust(self) -> MeanThrust | None:
-        commands = self._record.commands
-        return None if commands is None else commands.mean_thrust
-
     def _is_rigid_body_test_due(self) -> bool:
-        record = self._record
-        return (
-            record.article is None
-            and len(record.rotation.batches) >= _MIN_BATCHES
-            and self.seconds >= self._rigid_body_test_at
-        )
+        return self._rotation.can_test_rigid_body and self.seconds >= self._rigid_body_test_at
+
+    def _latest_rigid_body_test(self, fit: RotationFit | None) -> RigidBodyTest | None:
+        due = self._is_rigid_body_test_due()
+        return self._rigid_body_test_of(fit) if due else self._rigid_body_test
 
     def _rigid_body_test_of(self, fit: RotationFit | None) -> RigidBodyTest | None:
         """Whether the body is rigid; None while undecided."""
-        moments = self._record.rotation
-        if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
+        if fit is None or not self._rotation.can_test_rigid_body:
             return None
         self._rigid_body_test_at = _SETTLE_GROWTH * self.seconds
-        if self._whitened is not None:
-            self._rigid_body_test = self._whitened.test_rigid_body(fit)
-            return self._rigid_body_test
-        P = self._basis.map_at(fit.coordinates)
-        self._rigid_body_test = judge_rigid_body(moments.batches[:, fit.leak], P, fit.Q)
+        self._rigid_body_test = self._rotation.test_rigid_body(fit)
         return self._rigid_body_test
-
-    def _validate(self) -> Validation | None:
-        record = self._record
-        if record.article is not None:
-            return None
-        if self._whitened is not None:
-            return self._whitened.validate(self.prior)
-        return validate(
-            record.rotation.batches,
-            record.rotation.counts,
-            self._basis,
-            self._noise(),
-            record.noise_gains(),
-            self.prior,
-        )
-
-    def _fit_without_products(self) -> RotationFit | None:
-        fit = self._fitted_without_products()
-        return None if fit is None else self._read(fit)
-
-    def _fitted_without_products(self) -> RotationFit | None:
-        if self._whitened is not None:
-            found = self._whitened.fit(prior=self.prior, rigid=False)
-            return None if found is None else found[0]
-        fit = rotation.fit_rotation(
-            self._without_products(),
-            self._record.rotation.counts,
-            self._basis,
-            self._noise(),
-            prior=self.prior,
-            doubt=self._record.noise_doubt,
-        )
-        if fit is None or not self._basis.bends:
-            return fit
-        return replace(fit, lag_place=self._basis.lag_place)
-
-    def _without_products(self) -> Array:
-        """The moments as if products of rates were zero: of a body without gyroscopic torque."""
-        moments: Array = self._record.rotation.batches.copy()
-        places = self._basis.body_places(PRODUCTS)
-        moments[..., places, :] = 0.0
-        moments[..., :, places] = 0.0
-        return moments
-
-    def _noise(self) -> Array:
-        return np.stack([self._record.noise(i) for i in range(len(self._record.memories))])
-
-
-def _mixed(weights: Array, moments: Array) -> Array:
-    """(..., WIDTH, WIDTH) of rows whose thrusts are mixed by their (thrusts,) weights."""
-    if len(weights) == 1:
-        return moments
-    mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
-    mixer[0, :-3] = weights
-    mixer[1:, -3:] = np.eye(3)
-    mixed: Array = mixer @ moments @ mixer.T
-    return mixed

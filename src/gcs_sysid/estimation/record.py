@@ -20,6 +20,7 @@ from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.command_record import CommandRecord, FitWindow
 from gcs_sysid.estimation.input_noise import SpeedNoise
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places
+from gcs_sysid.estimation.motor_linearization import MeanThrust
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
 from gcs_sysid.estimation.rotation import fit_rotation
@@ -69,6 +70,7 @@ class FlightRecord:
         offline: whiteners for a second look at the same record; None: those of every flight.
 
     Attributes:
+        dt: s between samples.
         basis: of the rotors' part of the rows.
         rotation: (leaks, width, width) moments of the rotation.
         momentum: (3, thrusts + 3, ...) of the momentum balance.
@@ -94,6 +96,7 @@ class FlightRecord:
             half = max(tuning.min_half_samples, round(tuning.half_width / dt))
             half_width = half * dt
             smoother = WindowSmoother(dt, half, tuning.delays)
+        self.dt = dt
         self._smoother = smoother
         self.half_width = half_width
         commands = tuning.rotor_input == "command"
@@ -297,6 +300,11 @@ class FlightRecord:
         order = (first, *(of for of in LAGS_OF if of != first))
         return [LagPlace(of, *noise.level) for of in order]
 
+    def use_place(self, place: LagPlace | None) -> None:
+        """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
+        if self.basis.bends:
+            self.basis.lag_place = place or self.places()[0]
+
     def _tune(self, commands: CommandRecord) -> None:
         noise = self.input_noise
         assert isinstance(noise, CommandNoise)
@@ -327,6 +335,11 @@ class FlightRecord:
     def batches(self) -> tuple[int, int]:
         """How many batches of rotation and momentum have begun."""
         return len(self.rotation.batches), len(self.momentum.batches)
+
+    @property
+    def mean_thrust(self) -> MeanThrust | None:
+        """By commands; None without motors for them."""
+        return None if self.commands is None else self.commands.mean_thrust
 
     @property
     def speed_std(self) -> Array:

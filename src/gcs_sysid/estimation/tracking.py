@@ -25,8 +25,9 @@ from gcs_sysid.estimation.change_detection import Change, ChangeTuning
 from gcs_sysid.estimation.change_hypotheses import Judgement
 from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.change_watch import Alarm, ChangeWatch, gap
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
-from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
+from gcs_sysid.estimation.online import OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import accelerometer_gain

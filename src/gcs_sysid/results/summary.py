@@ -9,7 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.change_kinds import describe
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.physical_parameters import physical_parameters, rests_on_prior
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tracking import Event

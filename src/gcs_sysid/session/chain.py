@@ -15,8 +15,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.evidence import Evidence, evidence_of
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.given_errors import aligned, alignment_of
-from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
 from gcs_sysid.estimation.scale import relative_prior, resolve_scale

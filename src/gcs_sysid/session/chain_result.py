@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.estimation.evidence import AXES
+from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.given_errors import (
     CAUSES,
     Alignment,
@@ -17,7 +18,6 @@ from gcs_sysid.estimation.given_errors import (
     given_stds,
     with_given,
 )
-from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.physical_parameters import (
     rotor_values,
