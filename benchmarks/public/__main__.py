@@ -55,9 +55,7 @@ def cases(vehicles: int, logs: Path | None) -> list[tuple[str, str, Make]]:
                 found.append((group, f"{scenario} {number}", _emulate(scenario, number)))
     for place, files in recorded_flights.cases(logs).items() if logs else ():
         for log in files:
-            path = recorded_flights.truth_file(log)
-            assert path is not None
-            truth, changes = recorded_flights.truth_of(path)
+            truth, changes = recorded_flights.truth_of(log)
             if not changes:  # one truth for the whole flight
                 found.append((place, log.name, _recorded(log, truth)))
     return found

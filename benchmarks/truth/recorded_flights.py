@@ -37,8 +37,19 @@ def truth_file(log: Path) -> Path | None:
     return None
 
 
-def truth_of(path: Path) -> tuple[Truth, bool]:
-    """True parameters by the names of a result, and whether the vehicle changes in flight."""
+def truth_of(log: Path) -> tuple[Truth, bool]:
+    """True parameters of a log that has a `truth_file`, and whether the vehicle changes in flight."""
+    path = truth_file(log)
+    assert path is not None
+    truth, changes = _read(path)
+    if path.name == f"{_FAMILIES['LOG00']}.truth.json":
+        known = {} if log.name.startswith(_WITH_CAMERA) else OPEN_LOOP
+        truth = {name: v for name, v in truth.items() if name not in OPEN_LOOP} | known
+    return truth, changes
+
+
+def _read(path: Path) -> tuple[Truth, bool]:
+    """As `truth_of`, by the names of a result."""
     table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     truth: Truth = {}
     for key, value in table.items():
@@ -78,12 +89,7 @@ def cases(folder: Path) -> dict[str, list[Path]]:
 
 def run(log: Path) -> dict[str, Any]:
     """One log's outcome."""
-    path = truth_file(log)
-    assert path is not None
-    truth, changes = truth_of(path)
-    if path.name == f"{_FAMILIES['LOG00']}.truth.json":
-        known = {} if log.name.startswith(_WITH_CAMERA) else OPEN_LOOP
-        truth = {name: v for name, v in truth.items() if name not in OPEN_LOOP} | known
+    truth, changes = truth_of(log)
     out = judge(log, airframe_for(log), truth, peer=log.suffix == ".tlog")
     out["vehicle"] = log.name
     if changes:
