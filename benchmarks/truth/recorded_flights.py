@@ -38,7 +38,7 @@ def truth_file(log: Path) -> Path | None:
 
 
 def truth_of(log: Path) -> tuple[Truth, bool]:
-    """True parameters of a log that has a `truth_file`, and whether the vehicle changes in flight."""
+    """True parameters of a log with a `truth_file`, and whether the vehicle changes in flight."""
     path = truth_file(log)
     assert path is not None
     truth, changes = _read(path)

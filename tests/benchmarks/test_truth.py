@@ -15,6 +15,7 @@ from benchmarks.truth import __main__ as command
 from benchmarks.truth import emulated, independent, page, recorded_flights
 from benchmarks.truth.judge import against, judge
 from benchmarks.truth.scenarios import SCENARIOS
+from benchmarks.truth.real_flights import OPEN_LOOP
 from benchmarks.truth.vehicles import HEAVIEST, LAYOUTS, LIGHTEST, draw
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.simulated_vehicle import hover_thrusts
@@ -131,12 +132,21 @@ def test_truths_are_read_in_every_spelling(tmp_path: Path) -> None:
             }
         )
     )
-    truth, changes = recorded_flights.truth_of(path)
+    truth, changes = recorded_flights.truth_of(tmp_path / "x.tlog")
     assert changes
     assert truth["Ixx"] == 0.02
     assert (truth["cg_y"], truth["moment_ratio"]) == (-0.02, pytest.approx(0.02))
     assert (truth["k_T"], truth["rotational_damping"]) == ([1.0, 1.2], 0.02)
     assert "autopilot" not in truth
+
+
+def test_inertia_of_a_family_is_that_of_throws_and_unknown_with_a_camera(tmp_path: Path) -> None:
+    bench = {"Ixx": 7.2e-4, "Iyy": 7.8e-4, "Izz": 8.9e-4}
+    (tmp_path / "cinerat.truth.json").write_text(json.dumps(bench))
+    flown, _ = recorded_flights.truth_of(tmp_path / "LOG00267.tlog")
+    with_camera, _ = recorded_flights.truth_of(tmp_path / "LOG00340.tlog")
+    assert flown == {"Izz": 8.9e-4, **OPEN_LOOP}
+    assert with_camera == {"Izz": 8.9e-4}
 
 
 @pytest.mark.parametrize("name", ["rotorpy", "mujoco"])
