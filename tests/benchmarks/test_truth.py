@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.truth import __main__ as command
 from benchmarks.truth import emulated, independent, page, recorded_flights
 from benchmarks.truth.judge import against, judge
-from benchmarks.truth.scenarios import SCENARIOS
 from benchmarks.truth.real_flights import OPEN_LOOP
+from benchmarks.truth.scenarios import SCENARIOS
 from benchmarks.truth.vehicles import HEAVIEST, LAYOUTS, LIGHTEST, draw
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.simulated_vehicle import hover_thrusts
