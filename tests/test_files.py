@@ -2,11 +2,13 @@
 
 import os
 import sys
+import threading
+import time
 
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, write_whole
+from gcs_sysid.files import check_target, read_bytes, write_whole
 
 
 def test_writes_a_new_file_and_leaves_nothing_else(tmp_path):
@@ -63,3 +65,26 @@ def test_never_replaces_what_is_read(tmp_path):
     log.write_bytes(b"x")
     with pytest.raises(InputError, match="another file"):
         check_target(tmp_path / "." / "flight.tlog", replace=True, sources=(log,))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_pipe_is_read_where_someone_writes_and_given_up_where_nobody_does(tmp_path, monkeypatch):
+    pipe = tmp_path / "result.json"
+    os.mkfifo(pipe)
+    monkeypatch.setattr("gcs_sysid.files._WRITER_WITHIN", 0.01)
+    with pytest.raises(InputError, match="cannot read the result: a pipe to which nobody writes"):
+        read_bytes(pipe, 100, "the result")
+
+    def write_late() -> None:
+        with open(pipe, "wb", buffering=0) as file:
+            time.sleep(0.1)  # longer than nobody is waited for
+            file.write(b"{}")
+
+    monkeypatch.setattr("gcs_sysid.files._WRITER_WITHIN", 60.0)
+    # Open to read, so that the writer below need not wait for it to be opened.
+    held = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    writer = threading.Thread(target=write_late)
+    writer.start()
+    assert read_bytes(pipe, 100, "the result") == b"{}"
+    writer.join()
+    os.close(held)
