@@ -68,11 +68,11 @@ def test_never_replaces_what_is_read(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
-def test_a_pipe_is_read_where_someone_writes_and_given_up_where_nobody_does(tmp_path, monkeypatch):
+def test_a_pipe_without_a_writer_is_given_up(tmp_path, monkeypatch):
     pipe = tmp_path / "result.json"
     os.mkfifo(pipe)
     monkeypatch.setattr("gcs_sysid.files._WRITER_WITHIN", 0.01)
-    with pytest.raises(InputError, match="cannot read the result: a pipe to which nobody writes"):
+    with pytest.raises(InputError, match="cannot read the result: a pipe without a writer"):
         read_bytes(pipe, 100, "the result")
 
     def write_late() -> None:

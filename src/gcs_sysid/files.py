@@ -19,7 +19,7 @@ _MOST_DOTS = 1000
 _MOST_SQUARES = 10_000_000
 """Sum over the lines of dots squared, which takes tomllib 0.2 s."""
 _WRITER_WITHIN = 2.0
-"""s after which a pipe is given up that nobody has opened to write."""
+"""s after which a pipe without a writer is given up."""
 _STRICT = ("strict", "surrogateescape")
 """Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 
@@ -100,7 +100,7 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
         what: it is, for messages, such as "the airframe file".
 
     Raises:
-        InputError: it cannot be read, or is larger, or a pipe to which nobody writes.
+        InputError: it cannot be read, or is larger, or a pipe without a writer.
     """
     try:
         with open(path, "rb", opener=_open_written) as file:
@@ -114,10 +114,10 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
 
 
 def _open_written(path: str, flags: int) -> int:
-    """Open a file to read, without waiting for ever for someone to write to a pipe.
+    """Open a file to read, without waiting for ever for the writer of a pipe.
 
     Raises:
-        OSError: it cannot be opened, or nobody does.
+        OSError: it cannot be opened, or is a pipe without a writer.
     """
     if not hasattr(os, "O_NONBLOCK"):  # Windows has no pipes among its files
         return os.open(path, flags)
@@ -137,7 +137,7 @@ def _wait_for_writer(pipe: int) -> None:
         return
     with contextlib.suppress(BlockingIOError):  # there is a writer who has not written yet
         os.read(pipe, 1)
-        raise OSError(errno.EPIPE, "a pipe to which nobody writes")
+        raise OSError(errno.EPIPE, "a pipe without a writer")
 
 
 def read_text(path: Path, most: int, what: str) -> str:
