@@ -197,12 +197,17 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path} exists; --force overwrites it")
 
 
+def utf8(text: str) -> bytes:
+    """Text in UTF-8; bytes of a file's name that are none become their codes."""
+    return text.encode("utf-8", "backslashreplace")
+
+
 def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     """Write a file in one step: readers see all of it or none.
 
     Args:
         path: of it.
-        content: all of it; text becomes UTF-8.
+        content: all of it; text becomes UTF-8, as of `utf8`.
         replace: whether one that is there may be replaced.
 
     Raises:
@@ -217,7 +222,7 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     part = Path(name)
     try:
         with open(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+            file.write(utf8(content) if isinstance(content, str) else content)
         if os.name == "posix":
             part.chmod(0o666 & ~_umask())
         if replace:
