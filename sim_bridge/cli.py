@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid import __version__
-from gcs_sysid.argument_types import OneLineParser, between, not_negative, number, positive
+from gcs_sysid.argument_types import OneLineParser, baud, between, not_negative, number, positive
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.files import never_fail_to_print, read_bytes
 from gcs_sysid.telemetry.dialect import mavlink
@@ -232,7 +232,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial "
         f"device (default: {DEFAULT_CONNECT}, or none with --tlog)",
     )
-    add("--baud", type=int, default=115200, help="of a serial device (default: 115200)")
+    add("--baud", type=baud, default=115200, help="of a serial device (default: 115200)")
     add(
         "--speed",
         type=_speed,

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from gcs_sysid.errors import nearest
+from gcs_sysid.sanitize import one_line
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -20,6 +21,12 @@ class OneLineParser(argparse.ArgumentParser):
             self.error(f"unrecognized arguments: {' '.join(extra)}{near}")
         return found, extra
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """A value; an empty one is a variable that was never set, and what it asks for lost."""
+        if not arg_string and action.nargs != argparse.PARSER:
+            raise argparse.ArgumentError(action, "must not be empty")
+        return super()._get_value(action, arg_string)
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """A choice; one that is misspelt is answered with the nearest."""
         if action.choices is not None and value not in action.choices:
@@ -29,7 +36,25 @@ class OneLineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say it and stop."""
-        self.exit(2, f"{self.prog.split()[0]}: error: {message}; see {self.prog} --help\n")
+        said = one_line(message)
+        self.exit(2, f"{self.prog.split()[0]}: error: {said}; see {self.prog} --help\n")
+
+
+class AppendNamed(argparse.Action):
+    """Appends (name, ...) as "append" does, and refuses a name that was given before."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Append one; of two for a name, one would be ignored."""
+        before = getattr(namespace, self.dest)
+        if any(values[0] == name for name, *_ in before):
+            raise argparse.ArgumentError(self, f"{values[0]} is given twice")
+        setattr(namespace, self.dest, [*before, values])
 
 
 def number(text: str) -> float:
@@ -41,6 +66,13 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"must be a number, got {text!r}")
     return value
+
+
+def baud(text: str) -> int:
+    """An argparse type: the baud rate of a serial port."""
+    if not text.isdecimal() or not 1 <= len(text) <= 8 or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"must be a baud rate such as 57600, got {text!r}")
+    return int(text)
 
 
 def positive(text: str) -> float:

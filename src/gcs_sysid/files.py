@@ -1,7 +1,10 @@
 """Files read whole, within bounds, and written whole or not at all; standard streams."""
 
+import contextlib
+import errno
 import io
 import os
+import select
 import stat
 import sys
 import tempfile
@@ -15,6 +18,8 @@ _MOST_DOTS = 1000
 """In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 _MOST_SQUARES = 10_000_000
 """Sum over the lines of dots squared, which takes tomllib 0.2 s."""
+_WRITER_WITHIN = 2.0
+"""s after which a pipe without a writer is given up."""
 _STRICT = ("strict", "surrogateescape")
 """Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 
@@ -95,10 +100,10 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
         what: it is, for messages, such as "the airframe file".
 
     Raises:
-        InputError: it cannot be read, or is larger.
+        InputError: it cannot be read, or is larger, or a pipe without a writer.
     """
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=_open_written) as file:
             data = file.read(most + 1)
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
         reason = getattr(error, "strerror", None) or error
@@ -106,6 +111,33 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
     if len(data) > most:
         raise InputError(f"{path}: too large for {what}: more than {most:,} bytes")
     return data
+
+
+def _open_written(path: str, flags: int) -> int:
+    """Open a file to read, without waiting for ever for the writer of a pipe.
+
+    Raises:
+        OSError: it cannot be opened, or is a pipe without a writer.
+    """
+    if not hasattr(os, "O_NONBLOCK"):  # Windows has no pipes among its files
+        return os.open(path, flags)
+    handle = os.open(path, flags | os.O_NONBLOCK)
+    try:
+        if stat.S_ISFIFO(os.fstat(handle).st_mode):
+            _wait_for_writer(handle)
+        os.set_blocking(handle, True)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _wait_for_writer(pipe: int) -> None:
+    if select.select([pipe], [], [], _WRITER_WITHIN)[0]:
+        return
+    with contextlib.suppress(BlockingIOError):  # there is a writer who has not written yet
+        os.read(pipe, 1)
+        raise OSError(errno.EPIPE, "a pipe without a writer")
 
 
 def read_text(path: Path, most: int, what: str) -> str:
@@ -165,12 +197,17 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path} exists; --force overwrites it")
 
 
+def utf8(text: str) -> bytes:
+    """Text in UTF-8; bytes of a file's name that are none become their codes."""
+    return text.encode("utf-8", "backslashreplace")
+
+
 def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     """Write a file in one step: readers see all of it or none.
 
     Args:
         path: of it.
-        content: all of it; text becomes UTF-8.
+        content: all of it; text becomes UTF-8, as of `utf8`.
         replace: whether one that is there may be replaced.
 
     Raises:
@@ -185,7 +222,7 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     part = Path(name)
     try:
         with open(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+            file.write(utf8(content) if isinstance(content, str) else content)
         if os.name == "posix":
             part.chmod(0o666 & ~_umask())
         if replace:

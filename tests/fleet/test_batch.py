@@ -155,6 +155,17 @@ def test_exit_statuses_of_logs_that_tell_nothing(batch, logs, fly, tmp_path):
     assert batch(broken, "-o", tmp_path / "broken", *PAPER)[0] == 2
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
+def test_a_name_that_is_no_utf8_does_not_cost_the_table(batch, tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / os.fsdecode(b"bad\xff.tlog")).write_bytes(b"no log")
+    status, err = batch(folder, "-o", tmp_path / "out", *PAPER)
+    assert status == 2
+    assert "1 failed" in err
+    assert list(rows(tmp_path / "out")) == [r"bad\udcff.tlog"]
+
+
 def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     status, err = batch(tmp_path / "empty", "-o", tmp_path / "out", *PAPER)

@@ -206,6 +206,22 @@ def test_wind_is_told_from_the_drag_and_widens_the_interval(airframe):
     assert steady.by_wind == pytest.approx((0.0, 0.0), abs=1e-4)
 
 
+@pytest.mark.parametrize(("change", "problem"), [(0.2, True), (0.02, False)])
+def test_an_esc_that_always_reports_one_speed_is_no_measurement(airframe, change, problem):
+    (block,) = flight()
+    tracks = []
+    for track in block.tracks:
+        if track.stream is Stream.ROTOR_SPEED:
+            values = track.values.mean(axis=0) * (1.0 + 0.5 * change * np.sin(track.t))[:, None]
+            values[5:, 2] = values[5, 2]
+            values[:5] = 0.0  # before take-off
+            track = replace(track, values=values)
+        tracks.append(track)
+    streams = streams_of([replace(block, tracks=tuple(tracks))], airframe, "px4", {})
+    assert (streams.speeds is None) is problem
+    assert streams.refused == ({"ESC_STATUS": "rotor 3 always reads the same"} if problem else {})
+
+
 def test_time_goes_on_over_a_reboot(airframe):
     blocks = flight(reboot=True, seconds=60.0)
     windows = windows_of(streams_of(blocks, airframe, "px4", {}), 4)

@@ -240,12 +240,18 @@ def test_with_anchor_and_arm_want_positive_numbers(value):
     airframe = load_airframe("paper")
     with pytest.raises(InputError, match="mass must be a positive number"):
         airframe.with_anchor("mass", value)
-    with pytest.raises(InputError, match="--arm must be a positive length"):
+    with pytest.raises(InputError, match="--arm must lie between"):
         airframe.with_arm(value)
 
 
+@pytest.mark.parametrize("value", [5e-324, 0.0005])
+def test_with_arm_refuses_lengths_of_no_vehicle(value):
+    with pytest.raises(InputError, match=r"--arm must lie between 0\.001 and 100 m"):
+        load_airframe("paper").with_arm(value)
+
+
 def test_with_arm_refuses_lengths_that_are_not_meters():
-    with pytest.raises(InputError, match="at most 100 m, got 250"):
+    with pytest.raises(InputError, match="100 m, got 250; 250 mm are"):
         load_airframe("paper").with_arm(250.0)
 
 

@@ -328,6 +328,22 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     assert other.endswith("estimate restarts")
 
 
+@pytest.mark.parametrize("never_moved", [True, False])
+def test_an_estimate_from_a_dead_reading_is_discarded(never_moved):
+    chain = Chain(load_airframe("paper"))
+    chain.rotors = RotorSource("speed", "ESC_STATUS", "measured speeds")
+    chain.fit = before = replace(chain.fit, seconds=5.0)
+    chain.rotor_selector.refused["ESC_STATUS"] = "rotor 2 stands still while the others move"
+    chain.rotor_selector.never_moved = never_moved
+    nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
+    chain.learn(SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, None))
+    text = chain.log.of_rotors[0]["text"]
+    assert ("is discarded" in text) is never_moved
+    assert (chain.fit.seconds == 0.0) is never_moved
+    assert (chain.fit is before) is not never_moved
+    assert chain.input_lost == "ESC_STATUS rotor 2 stands still while the others move"
+
+
 @pytest.mark.slow
 def test_a_refused_result_identifies_nothing(paper_records):
     """As where a flight is long enough for thrust over mass, and not for the rotation."""

@@ -119,6 +119,42 @@ def test_unsound_speeds_give_way_to_commands(spoil, why):
     assert alone.refused == {"ESC_STATUS": why}
 
 
+def calm(v, spread=0.002):
+    return v.mean(axis=0) * (1.0 + spread * (v - v.mean(axis=0)) / np.ptp(v, axis=0))
+
+
+def test_an_rpm_of_zero_in_a_calm_hover_is_dead_telemetry():
+    t, _, v = signals()
+    v = calm(v)
+    assert judged(speeds(v, t)).choice.name == "ESC_STATUS"
+    v[:, 2] = 0.0
+    assert judged(speeds(v, t)).refused == {"ESC_STATUS": "rotor 3 reads 0 while the others move"}
+
+
+@pytest.mark.parametrize("ever", [True, False])
+def test_a_rotor_found_dead_stays_so_in_a_calm_hover(ever):
+    """A reading that never moved was believed in the calm hover before, wrongly."""
+    t, _, v = signals()
+    rotor_selector = RotorSourceSelector(PAPER, MASS)
+    stuck = v.mean(axis=0)[1]
+
+    def fly(n, values, reads):
+        values = values.copy()
+        if reads is not None:
+            values[:, 1] = reads
+        rotor_selector.extend(RecordBlock.of(speeds(values, t + n * STRETCH)).tracks)
+        assert rotor_selector.fly(STRETCH)
+        return rotor_selector.choice is not None
+
+    assert fly(0, calm(v), stuck if ever else None)
+    assert not fly(1, v, stuck)
+    assert rotor_selector.never_moved is ever
+    assert not fly(2, calm(v), stuck)
+    assert rotor_selector.refused == {"ESC_STATUS": "rotor 2 stands still as before"}
+    assert fly(3, calm(v), None)
+    assert fly(4, calm(v), stuck)  # it has moved since it was found dead
+
+
 def test_a_motor_at_its_limit_is_no_dead_telemetry():
     """A payload far out: one motor at full throttle, while the others fly the vehicle."""
     t, u, v = signals()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake
@@ -212,6 +213,27 @@ def test_a_reboot_is_told(sender):
     event = intake.take_events()[-1]
     assert (event.kind, event.t) == ("reboot", pytest.approx(1.01))
     assert "100.0 s" in event.text
+
+
+def test_a_clock_that_keeps_going_back_does_not_have_a_log_read_again_and_again(
+    sender, monkeypatch
+):
+    """As of two boards that send as one vehicle, each with its own clock."""
+    frames = [sender.heartbeat()]
+    for i in range(1000):
+        frames += [sender.imu(100.0 + 0.01 * i + 0.001 * k) for k in range(4)]
+        frames += [sender.attitude(10.0 + 0.01 * i + 0.001 * k) for k in range(2)]
+    looked_at = []
+    take = RecordDecoder.take
+    monkeypatch.setattr(
+        RecordDecoder,
+        "take",
+        lambda self, block, *rest: looked_at.append(len(block)) or take(self, block, *rest),
+    )
+    intake = Intake()
+    intake.frames(frames)
+    assert intake.decoder.clock.reboots > 900
+    assert sum(looked_at) < 100 * len(frames)
 
 
 @pytest.mark.slow

@@ -98,6 +98,18 @@ def test_attempts_grow_rarer_but_not_too_rare(clock):
     assert len(tries) > 10
 
 
+def test_one_that_hangs_up_at_once_every_time_is_called_ever_more_rarely(clock):
+    silent = [Plug() for _ in range(8)]
+    link, tries = persistent(Plug(), [*silent, Plug(b"one"), Plug()], clock)
+    while len(tries) < 10:
+        link.receive(0.05)
+        clock.now += 0.001
+    pauses = [b - a for a, b in zip([100.0, *tries], tries, strict=False)]
+    assert pauses[:4] == pytest.approx([FIRST_PAUSE * 2**n for n in range(4)], abs=0.1)
+    assert max(pauses) == pytest.approx(LONGEST_PAUSE, abs=0.1)
+    assert pauses[9] == pytest.approx(FIRST_PAUSE, abs=0.1)  # data came
+
+
 def test_what_is_sent_while_it_is_gone_is_counted(clock):
     second = Plug(b"x")
     link, _ = persistent(Plug(), [second], clock)

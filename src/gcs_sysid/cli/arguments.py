@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.argument_types import (
+    AppendNamed,
+    baud,
     between,
     measured,
     not_negative,
@@ -149,7 +151,7 @@ def _add_airframe(
     _add_layout(parser, unnamed, default).add_argument(
         "--prior",
         type=prior,
-        action="append",
+        action=AppendNamed,
         default=[],
         metavar="NAME=VALUE±STD",
         help="prior, such as k_M=6.1e-6+-1e-7 from a bench test; may be repeated",
@@ -291,7 +293,7 @@ def _add_vehicle_choice(parser: argparse._ActionsContainer) -> None:
 def _add_link(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--baud",
-        type=int,
+        type=baud,
         metavar="N",
         help="serial baud rate (default 115200); limits the message rates",
     )
@@ -491,7 +493,7 @@ def add_other_values(
     group.add_argument(
         "--set",
         type=read,
-        action="append",
+        action=AppendNamed,
         default=[],
         metavar=metavar,
         help=f"a value from elsewhere, SI, such as {example}; may be repeated",

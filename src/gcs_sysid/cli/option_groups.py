@@ -5,7 +5,15 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gcs_sysid.argument_types import between, not_negative, number, positive, split_prior
+from gcs_sysid.argument_types import (
+    AppendNamed,
+    baud,
+    between,
+    not_negative,
+    number,
+    positive,
+    split_prior,
+)
 from gcs_sysid.cli import arguments
 
 if TYPE_CHECKING:
@@ -125,7 +133,7 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "urls", nargs="*", metavar="URL", help="also listen here, such as /dev/ttyUSB0"
     )
-    parser.add_argument("--baud", type=int, metavar="N", help="baud rate of serial ports")
+    parser.add_argument("--baud", type=baud, metavar="N", help="baud rate of serial ports")
     parser.add_argument(
         "--duration",
         type=positive,
@@ -175,7 +183,7 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
     new.add_argument(
         "--prior",
         type=arguments.prior,
-        action="append",
+        action=AppendNamed,
         default=[],
         metavar="NAME=VALUE±STD",
         help="prior; may be repeated",

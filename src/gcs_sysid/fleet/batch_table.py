@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import write_whole
+from gcs_sysid.files import utf8, write_whole
 from gcs_sysid.fleet.jobs import Document, Job, Task
 from gcs_sysid.model.parameters import REGISTRY
 
@@ -163,10 +163,18 @@ def write_table(path: Path, rows: list[Row]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    table = pa.Table.from_pylist(sorted(rows, key=lambda row: row["path"]), _schema())
+    written = [{name: _storable(value) for name, value in row.items()} for row in rows]
+    table = pa.Table.from_pylist(sorted(written, key=lambda row: row["path"]), _schema())
     buffer = pa.BufferOutputStream()
     parquet.write_table(table, buffer, compression="zstd")
     write_whole(path, buffer.getvalue().to_pybytes(), replace=True)
+
+
+def _storable(value: Any) -> Any:
+    """A value, or a text that a table can hold."""
+    if isinstance(value, list):
+        return [_storable(each) for each in value]
+    return utf8(value).decode() if isinstance(value, str) else value
 
 
 def read_table(path: Path) -> list[Row]:

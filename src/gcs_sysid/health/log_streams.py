@@ -16,6 +16,8 @@ from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 
 _LONGEST = 200_000.0
 """s of a log; what is stamped later is damaged."""
+_CHANGE = 0.05
+"""Share of its mean by which a speed changes in a flight; rounding to 100 rpm is half of that."""
 _BOOT_GAP = 1000.0
 """s put between two boots, so that time goes on."""
 
@@ -117,6 +119,8 @@ def streams_of(
     for (stream, name), parts in rotors.items():
         samples = _per_rotor(parts, count, start)
         problem = _problem(samples, count)
+        if not problem and stream is Stream.ROTOR_SPEED:
+            problem = _constant_reading(samples)
         if problem:
             refused[name] = problem
             continue
@@ -184,4 +188,14 @@ def _problem(samples: Sequence[tuple[Array, Array]], count: int) -> str:
     silent = [i for i, (_, v) in enumerate(samples, 1) if not v.any()]
     if silent:
         return f"rotor {silent[0]} always reads 0"
+    return ""
+
+
+def _constant_reading(samples: Sequence[tuple[Array, Array]]) -> str:
+    """Which rotor reads one speed whenever it turns, though the others change theirs, if any."""
+    turning = [v[v != 0.0] for _, v in samples]
+    changes = np.array([float(np.ptp(v) / np.abs(v).mean()) for v in turning])
+    constant = changes == 0.0
+    if constant.any() and not constant.all() and changes[~constant].min() > _CHANGE:
+        return f"rotor {int(np.argmax(constant)) + 1} always reads the same"
     return ""

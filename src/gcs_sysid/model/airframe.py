@@ -39,7 +39,7 @@ _MOST_BYTES = 1_000_000
 _VEHICLES = ("paper", "px4-sih")
 """Built-in airframes of one vehicle with its own size; the others are layouts to be scaled."""
 
-MOST_ARM = 100.0
+LEAST_ARM, MOST_ARM = 0.001, 100.0
 """m; a rotor further out than this is a slip of the pen."""
 
 SIMULATION_TABLE = "simulation"
@@ -250,15 +250,15 @@ class Airframe:
         """The same layout scaled so that the mean rotor distance is `meters`.
 
         Raises:
-            InputError: the length is not a positive number.
+            InputError: the length is not one of a vehicle.
 
         Example:
             >>> round(load_airframe("paper").with_arm(0.2).arm, 6)
             0.2
         """
-        if not 0 < meters <= MOST_ARM:
+        if not LEAST_ARM <= meters <= MOST_ARM:
             raise InputError(
-                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {meters:g}"
+                f"--arm must lie between {LEAST_ARM:g} and {MOST_ARM:g} m, got {meters:g}"
                 + ("; 250 mm are 0.25" if meters > MOST_ARM else "")
             )
         k = meters / self.arm

@@ -112,7 +112,8 @@ class Chain:
         """What happened so far."""
         self._history = HistoryRecorder()
         self._events_reported = 0
-        self._rotors_lost = False
+        self.input_lost = ""
+        """Why the rotors' input was given up, while there is no other."""
         self._history_number = 0.0
         self._interval = options.history_interval
 
@@ -337,7 +338,7 @@ class Chain:
         """Learn from the next block of samples."""
         if block.rotors is not None and block.rotors is not self.rotors:
             self._use(block.rotors, block.newest_at)
-        elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
+        elif block.rotors is None and self.rotors is not None and not self.input_lost:
             self._report_loss(self.rotors.name, block.newest_at)
         for observer in self.observers:
             observer(block)
@@ -422,8 +423,8 @@ class Chain:
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
-        before, lost = self.rotors, self._rotors_lost
-        self.rotors, self._rotors_lost = rotors, False
+        before, lost = self.rotors, self.input_lost
+        self.rotors, self.input_lost = rotors, ""
         text = f"rotors from {rotors.name}, {rotors.why}"
         if before is None:
             self.log.note(t, text)
@@ -437,12 +438,14 @@ class Chain:
 
     def _report_loss(self, name: str, t: float) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""
-        self._rotors_lost = True
-        why = self.rotor_selector.refused.get(name, "stopped")
-        self.log.note_rotors(
-            t,
-            f"{name} {why}, and no other input is usable: the estimate is that of earlier data",
-        )
+        self.input_lost = f"{name} {self.rotor_selector.refused.get(name, 'stopped')}"
+        text = f"{self.input_lost}, and no other input is usable: the estimate"
+        if self.rotor_selector.never_moved:
+            self.log.note_rotors(t, f"{text} so far, of the same reading, is discarded")
+            self.tracker = None
+            self._forget_fit()
+        else:
+            self.log.note_rotors(t, f"{text} is that of earlier data")
 
     def _report_events(self, tracker: Tracker, t: float) -> None:
         reported, self._events_reported = (

@@ -60,7 +60,7 @@ def data_reasons(chain: "Chain", *, still: bool = False) -> tuple[str, ...]:
                 f"{_MISMATCH}: check motor order and rotor positions in the airframe file, and fly "
                 "roll and pitch",
             )
-        return ("too little flight with all needed data",)
+        return (chain.input_lost or "too little flight with all needed data",)
     rotation = fit.rotation
     least, _ = RULES.explained(whitened=bool(rotation.whiteners))
     if not still and rotation.r_squared.min() < least:

@@ -156,6 +156,10 @@ class RotorSourceSelector:
         """Whether there was any judgement yet."""
         self.repeats: dict[str, Repeats] = {}
         """Source -> repeats in flight."""
+        self.never_moved = False
+        """Whether the latest choice was lost for a rotor that has stood still ever since."""
+        self._standing: set[tuple[int, float]] = set()
+        self._found_dead: dict[str, set[tuple[int, float]]] = {}
         self._airframe = airframe
         self.anchor = anchor
         self._restart()
@@ -207,11 +211,14 @@ class RotorSourceSelector:
         refused = {}
         judgements = {}
         for name, stretch in self._stretches.items():
-            problem = self._unsound(stretch)
+            problem = self._unsound(stretch) or self._dead(name, stretch)
             if problem:
                 refused[name] = problem
             else:
                 judgements[name] = stretch
+        if self.choice is not None:
+            self._standing &= self._standing_in(self._stretches.get(self.choice.name))
+            self.never_moved = bool(self._standing)
         if self.choice is not None and self.choice.name in judgements:
             self.twin = self._twin(self.choice, judgements)
             self._restart()
@@ -225,6 +232,8 @@ class RotorSourceSelector:
             chosen = replace(chosen, why=gone + chosen.why, refused=refused)
         self.choice, self.refused = chosen, refused
         self.twin = None if chosen is None else self._twin(chosen, judgements)
+        if chosen is not None:
+            self._standing = self._standing_in(self._stretches[chosen.name])
         self._restart()
 
     def _restart(self) -> None:
@@ -249,15 +258,34 @@ class RotorSourceSelector:
         if stretch.stream is Stream.ROTOR_SPEED and all(stale):
             fresh = max(map(_readings, values)) / seconds
             return f"repeats old readings, {fresh:.0f} new ones a second"
-        still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0 and not _saturates(i, values)]
+        return ""
+
+    def _dead(self, name: str, stretch: Stretch) -> str:
+        """Why a rotor of a stretch that is otherwise sound is dead telemetry; empty if none is.
+
+        One that was found dead stays so while it reads the same, whether the others move or not.
+        """
+        values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
+        standing = self._standing_in(stretch)
+        still = [i for i, _ in sorted(standing) if not _saturates(i, values)]
+        known = self._found_dead.pop(name, set()) & standing
         if not still:
             return ""
-        moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
-        if np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
-            rotor = still[0]
-            reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
-            return f"rotor {rotor + 1} {reads} while the others move"
-        return ""
+        turn = [v for i, v in enumerate(values) if i not in still]
+        moves = [np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in turn]
+        stopped = stretch.stream is Stream.ROTOR_SPEED and any(not values[i].any() for i in still)
+        moving = bool(turn) and (stopped or float(np.median(moves)) > _MOVES)
+        if not moving and not known:
+            return ""
+        self._found_dead[name] = standing if moving else known
+        rotor = min(still if moving else (i for i, _ in known))
+        reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
+        return f"rotor {rotor + 1} {reads}" + (" while the others move" if moving else " as before")
+
+    def _standing_in(self, stretch: Stretch | None) -> set[tuple[int, float]]:
+        """Rotors of constant reading in a stretch, with that reading."""
+        rotors = [] if stretch is None else stretch.rotors(len(self._airframe.rotors))
+        return {(i, float(v[0])) for i, (_, v) in enumerate(rotors) if np.ptp(v) == 0.0}
 
     def _choose(
         self, stretches: Mapping[str, Stretch], refused: dict[str, str]

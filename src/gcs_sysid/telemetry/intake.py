@@ -32,6 +32,10 @@ _MOST_OTHERS_LISTED = 4
 """Vehicles listed one by one; a hostile sender can make up hundreds."""
 _MORE = 3
 """Ratio of messages to the chosen vehicle's from which another vehicle is reported as a problem."""
+_LEAST_PART = 64
+"""Frames read at once after an interruption: the vehicle's clock went back, or it is another."""
+_GROWTH = 2
+"""Factor by which the next part is longer than what was taken."""
 
 
 class Intake:
@@ -112,9 +116,13 @@ class Intake:
             Their records and the events; `take_events` does not return these again.
         """
         out = TrackCollector()
-        at = 0
+        at, most = 0, len(frames)
         while at < len(frames):
-            at += self._take_some(frames.part(at, len(frames)), out)
+            part = frames.part(at, min(at + most, len(frames)))
+            taken = self._take_some(part, out)
+            # A clock that goes back every few frames must not have all the others read again.
+            most = _GROWTH * (len(part) if taken == len(part) else max(taken, _LEAST_PART))
+            at += taken
         block = out.block()
         for track in block.tracks:
             if track.stream is Stream.ROTOR_SPEED and track.source not in self.turning:
@@ -231,7 +239,7 @@ class Intake:
         out: TrackCollector,
     ) -> None:
         """Note what became of frames, and when those that made records came."""
-        made = out.orders(frames.number) - frames.number
+        made = out.take_new() - frames.number
         ours = good & chosens
         counts = counts_of(frames.message_id[ours])
         fates = {

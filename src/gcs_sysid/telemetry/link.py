@@ -360,12 +360,11 @@ class PersistentLink(Link):
         self.breaks = self._breaks_before + self._link.breaks
         self.floods = self._link.floods
         self._count_unsent()
+        if chunks:
+            self._pause = FIRST_PAUSE
         if self._link.ended:
             self._link.close()
-            self._pause = FIRST_PAUSE
             self._next_try = self._clock() + self._pause
-        elif chunks:
-            self._pause = FIRST_PAUSE
         return chunks
 
     def _try(self, timeout: float) -> None:
@@ -375,12 +374,16 @@ class PersistentLink(Link):
         try:
             link = self._reopen(self.url)
         except LinkError:
-            self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
+            self._wait_longer()
             self._next_try = self._clock() + self._pause
             return
+        self._wait_longer()  # unless data come: the other side may hang up at once, every time
         self._breaks_before += self._link.breaks
         self._unsent_while_down += self._link.unsent
         self._link = link
+
+    def _wait_longer(self) -> None:
+        self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
 
     def send(self, data: bytes) -> None:
         """Send where the link is there."""

@@ -33,6 +33,7 @@ class TrackCollector:
         # (stream, source, offset, width) -> pieces (order, t, values).
         self._pieces: dict[_Key, list[tuple[Array, Array, Array]]] = {}
         self._single: dict[_Key, list[tuple[int, Record]]] = {}
+        self._new: list[Array] = []
 
     def add(
         self,
@@ -48,21 +49,21 @@ class TrackCollector:
             key = stream, source, offset, values.shape[1]
             self._settle(key)
             self._pieces.setdefault(key, []).append((order, t, values))
+            self._new.append(order)
 
     def add_record(self, order: int, record: Record) -> None:
         """Add one record."""
+        self._new.append(np.array([order]))
         if record.stream is Stream.PARAMETER:
             self.parameters.append((order, record))
         else:
             key = record.stream, record.source, record.offset, len(record.values)
             self._single.setdefault(key, []).append((order, record))
 
-    def orders(self, first: int) -> Array:
-        """(n,) rising, where the records stand that came with `first` or after it."""
-        single = [n for some in (self.parameters, *self._single.values()) for n, _ in some]
-        parts = [order for pieces in self._pieces.values() for order, _, _ in pieces]
-        orders = np.concatenate([np.array(single, np.int64), *parts])
-        made: Array = np.sort(orders[orders >= first])
+    def take_new(self) -> Array:
+        """(n,) rising, where the records stand that came since this was last asked."""
+        made: Array = np.sort(np.concatenate([np.array([], np.int64), *self._new]))
+        self._new.clear()
         return made
 
     def block(self) -> RecordBlock:
