@@ -309,20 +309,21 @@ def _believed(chains: Array, passed: Array, resumed: Array) -> Array:
         passed: (k,) us between the two.
         resumed: (k, 3) place, loop and us of events.
     """
-    pauses = [*map(tuple, resumed.tolist()), (np.inf, 0, 0)]
+    pauses = np.searchsorted(resumed[:, 0], chains[:, 0]).tolist()  # before each
+    lasting = np.append([0], np.cumsum(np.diff(resumed[:, 2]) % WRAP))  # from the first one
     starts = np.full(len(chains), -1)
     rows, times = chains.tolist(), passed.tolist()
     start = -1
     last: tuple[int, int] | None = None
     doubted: tuple[int, int, int] | None = None
-    now = next_pause = i = trusted = 0
+    now = paused = i = trusted = 0
     while i < len(rows):
-        place, loop, clock, end_loop, end_clock = rows[i]
-        while pauses[next_pause][0] < place:
-            _, paused_loop, paused_clock = pauses[next_pause]
-            now += (paused_clock - last[1]) % WRAP if last else paused_clock
-            last, doubted = (paused_loop, paused_clock), None
-            next_pause += 1
+        _, loop, clock, end_loop, end_clock = rows[i]
+        if pauses[i] > paused:
+            now += (int(resumed[paused, 2]) - last[1]) % WRAP if last else int(resumed[paused, 2])
+            now += int(lasting[pauses[i] - 1] - lasting[paused])
+            paused = pauses[i]
+            last, doubted = (int(resumed[paused - 1, 1]), int(resumed[paused - 1, 2])), None
         if last is None or _follows(last, loop, clock):
             start = now + (clock - last[1]) % WRAP if last else clock
         elif doubted is not None and _follows(doubted[1:], loop, clock):
@@ -332,7 +333,8 @@ def _believed(chains: Array, passed: Array, resumed: Array) -> Array:
             starts[doubted[0]] = max(start - before, 0)
         else:
             if i - trusted > _DOUBTS:
-                i = _next_believed(chains, i, last, pauses[next_pause][0])
+                next_pause = resumed[paused, 0] if paused < len(resumed) else np.inf
+                i = _next_believed(chains, i, last, next_pause)
             doubted = (i, *rows[i][3:])
             i += 1
             continue

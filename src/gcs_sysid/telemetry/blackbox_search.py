@@ -19,7 +19,7 @@ RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
 """Events: logging goes on after a pause (loop, us), a motor stop (reason), modes (new, old)."""
 LONGEST_EVENT = 256
 
-_FEW_JUMPS = 2**13
+_FEW_JUMPS, _FEW_GAPS = 2**13, 2**8
 _END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
 _OVER = 2**30
 """Length of an event that ends the log, so that it leads nowhere."""
@@ -143,17 +143,21 @@ def _way(at: int, may_begin: Mask, lengths: Array) -> tuple[Array, Mask]:
     """
     is_whole = lengths != 0
     place = _hops(at, is_whole, lengths)
-    damaged = np.flatnonzero(may_begin & ~is_whole)  # some lie between them
     from_each = np.append(at, place + lengths.take(place))
     to_each = np.append(place, len(lengths))
-    some = np.flatnonzero(to_each > from_each)
-    begins, behind = np.searchsorted(damaged, np.stack([from_each[some], to_each[some]]))
-    counts = behind - begins
-    rows = np.repeat(begins - np.cumsum(counts) + counts, counts)
-    rows += np.arange(len(rows))
-    if not len(rows):
-        return place, np.ones(len(place), bool)
-    place = np.sort(np.concatenate([place, damaged[rows]]), kind="stable")  # of two runs
+    gaps = np.flatnonzero(to_each > from_each)
+    if len(gaps) < _FEW_GAPS:
+        between = np.zeros(len(lengths), bool)
+        for first, behind in zip(from_each[gaps].tolist(), to_each[gaps].tolist(), strict=True):
+            between[first:behind] = True
+    else:
+        edges = np.zeros(len(lengths) + 1, np.int8)
+        edges[from_each[gaps]] = 1
+        edges[to_each[gaps]] -= 1
+        between = np.cumsum(edges[:-1], dtype=np.int8).view(bool)
+    between &= may_begin  # and damaged
+    between[place] = True
+    place = np.flatnonzero(between)
     return place, is_whole.take(place)
 
 
@@ -169,9 +173,12 @@ def _hops(at: int, is_whole: Mask, lengths: Array) -> Array:
     single: list[int] = []
     length, find = lengths.data, is_whole.tobytes().find  # read in place
     at = find(1, at)
-    while at >= 0 and len(single) < _FEW_JUMPS:
-        single.append(at)
-        at = find(1, at + length[at])
+    for few in (_FEW_JUMPS // 8, _FEW_JUMPS):
+        while at >= 0 and len(single) < few:
+            single.append(at)
+            at = find(1, at + length[at])
+        if at < len(lengths) // 16:
+            break
     place = np.array(single, np.intp)
     if at < 0:
         return place
@@ -210,8 +217,10 @@ def _event_ends(window: ByteWindow, at: Array) -> tuple[Array, Mask]:
         changed = at[changes]
         whole_number = window.nth(changed + 2, 1)
         ends[changes] = np.where(raw[changed + 1] < _FLOAT, whole_number, changed + 6)
-    last = event == LOG_END
-    ends[last] = at[last] + 1 + len(_END_MESSAGE)
-    message = raw[at[last, None] + 1 + np.arange(len(_END_MESSAGE))]
-    last[last] = (message == _END_MESSAGE).all(axis=1)
-    return ends, last
+    over = np.zeros(len(at), bool)
+    last = np.flatnonzero(event == LOG_END)
+    ends[last] += len(_END_MESSAGE)
+    for i, byte in enumerate(_END_MESSAGE):
+        last = last[raw[at[last] + 1 + i] == byte]
+    over[last] = True
+    return ends, over

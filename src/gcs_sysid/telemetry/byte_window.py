@@ -18,7 +18,7 @@ _CROWD = 0.125
 """Share of the bytes from which on every tag is looked at."""
 ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
 """Of the bits of a byte."""
-_LONG = -(2**30)
+_LONG = 2**30
 """Added to the rank of bytes of numbers that go on for too long."""
 
 
@@ -47,7 +47,8 @@ class ByteWindow:
         for i in range(1, _LONGEST_NUMBER):
             long &= goes_on[i : len(raw) - _LONGEST_NUMBER + 1 + i]
         self._has_long = bool(long.any())
-        # How many numbers that go on for too long follow each other from a byte on, (n + 1,).
+        # How many numbers that go on for too long follow each other from a byte on, (n + 1,); -1
+        # in all others.
         self._cut: Array | None = None
 
     def _begins_of(self, ends: Mask) -> Array:
@@ -70,20 +71,19 @@ class ByteWindow:
         lengths = np.append(starts[1:] - 1, np.int32(self._end)) - starts
         long = lengths >= _LONGEST_NUMBER
         starts, lengths = starts[long], lengths[long]
-        which = np.repeat(np.arange(len(starts), dtype=np.int32), lengths)
-        before = (np.cumsum(lengths) - lengths).astype(np.int32)
-        passed = np.arange(len(which), dtype=np.int32) - before.take(which)
-        at = starts.take(which) + passed
-        cut = np.zeros(len(self.raw) + 1, np.int32)
-        cut[at] = (lengths.take(which) - passed) // _LONGEST_NUMBER
+        pieces = lengths // _LONGEST_NUMBER
         ends = self.raw < 0x80
-        within = at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)]
-        ends[within - 1] = ends[starts + lengths - lengths % _LONGEST_NUMBER - 1] = True
+        ends[_counted(starts + (_LONGEST_NUMBER - 1), pieces, _LONGEST_NUMBER)] = True
         self._begins = self._begins_of(ends)
         np.cumsum(ends, dtype=np.int32, out=self._rank[1:])
-        self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
-        self._rank[at] += _LONG - cut[at]
-        self._cut = cut
+        at = _counted(starts, lengths, 1)
+        left = np.repeat(starts + lengths, lengths) - at
+        some = left // _LONGEST_NUMBER
+        all_of_them = np.repeat(pieces, lengths)
+        passed = (np.repeat(lengths, lengths) - left) // _LONGEST_NUMBER
+        self._rank[at] += all_of_them - passed - some + _LONG
+        self._cut = np.full(len(self.raw) + 1, -1, np.int32)
+        self._cut[at] = some
 
     def nth(self, at: Array, n: Array | int) -> Array:
         """Where number n, from 0 on, begins of those that follow each other from a position on.
@@ -92,7 +92,8 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        return self._nth_by_rank(self._ranks().take(at), at, n)
+        rank = self._ranks() if at.size else self._rank
+        return self._nth_by_rank(rank.take(at), at, n)
 
     def _ranks(self) -> Array:
         """(n + 1,) how many numbers end before each byte."""
@@ -102,19 +103,21 @@ class ByteWindow:
 
     def _nth_by_rank(self, rank: Array, at: Array, n: Array | int) -> Array:
         rank = np.add(rank, n)
-        flat = rank.reshape(-1)
-        long = np.flatnonzero(flat < 0) if self._cut is not None else flat[:0]
-        if len(long):
-            flat[long] -= _LONG
+        cut = self._cut
+        long = None
+        if cut is not None and rank.size and rank.max() >= _LONG:
+            long = rank >= _LONG
+            rank &= _LONG - 1
         found: Array = self._begins.take(rank)
         if not isinstance(n, int) or n == 0:
             found = np.maximum(found, at)
-        if len(long) and self._cut is not None:
-            where = np.broadcast_to(at, rank.shape).reshape(-1)[long]
-            numbers = n if isinstance(n, int) else np.broadcast_to(n, rank.shape).reshape(-1)[long]
-            later = self._begins[flat[long]]
-            few = numbers <= self._cut[where]
-            found.reshape(-1)[long] = np.where(few, where + _LONGEST_NUMBER * numbers, later)
+        if cut is not None and long is not None:
+            few = 4 * np.count_nonzero(long) < long.size
+            which = np.nonzero(long) if few else ...
+            at = np.broadcast_to(at, rank.shape)[which]
+            numbers = n if isinstance(n, int) else np.broadcast_to(n, rank.shape)[which]
+            cut_at = numbers <= cut.take(at)
+            found[which] = np.where(cut_at, at + _LONGEST_NUMBER * numbers, found[which])
         return found
 
     def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
@@ -182,3 +185,11 @@ class ByteWindow:
         for i in order:
             values = values << np.uint64(8) | self.raw[np.minimum(at + i, self._end)]
         return values
+
+
+def _counted(first: Array, counts: Array, step: int) -> Array:
+    """Numbers from each of (k,) on, as many as given for each, so far apart from each other."""
+    before = np.cumsum(counts) - counts
+    counted: Array = np.repeat(first - step * before, counts)
+    counted += step * np.arange(len(counted))
+    return counted
