@@ -52,8 +52,12 @@ _TRIED = 4096
 _CROWD = 8
 """Bytes for each candidate, at most, from which on their checksums are taken from those of the
 whole piece."""
+_FEW_RUNS = 4
+"""Candidates for each run, at least, where runs are few."""
 _NOWHERE = 2**30
 """Behind every piece."""
+_SEARCHED = 2**16
+"""Bytes searched together for magic bytes."""
 _CACHED = 2**14
 """Candidates looked at together: their arrays stay in the cache."""
 ALONE = 2**20
@@ -180,6 +184,11 @@ class Scanner:
         time_us[stamped] = rows_of(data, at[stamped] - STAMP, STAMP).view(">u8")[:, 0]
         if not kept:
             return time_us[:0], 0
+        steps = abs(np.diff(time_us.astype(float), prepend=self._behind_us))
+        steps[0] = 0.0 if np.isnan(steps[0]) else steps[0]
+        if stamped.all() and steps.max() <= CLOCK_STEP:  # as nearly always
+            self._behind_us, self._time_us = float(time_us[kept - 1]), int(time_us[kept - 1])
+            return time_us[:kept], 0
         around = np.full(len(at) + 2, np.nan)
         around[0] = self._behind_us
         around[1:-1] = np.where(stamped, time_us, np.nan)
@@ -237,7 +246,7 @@ def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
     n, first = len(at), int(at[0]) if len(at) else 0
     if n and int(at[-1]) - first == n - 1:
         return lambda offset: data[first + offset : first + offset + n]
-    return lambda offset: data[at + offset]
+    return lambda offset: data[offset:].take(at)
 
 
 def _are_right(data: Array, at: Array, agree: Callable[[Array, Array, Array], Mask]) -> Mask:
@@ -271,6 +280,11 @@ def _around(places: Array, at: Array, size: Array) -> tuple[Array, Array]:
     return np.searchsorted(places, starts, side="right"), np.searchsorted(places, stops)
 
 
+def _is_magic(data: Array) -> Mask:
+    is_magic: Mask = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
+    return is_magic
+
+
 class _Chain:
     """The frames in a piece of a file.
 
@@ -284,8 +298,12 @@ class _Chain:
         self._content = content
         self._data = data
         self._limit = limit
-        self._magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
-        at = np.flatnonzero(self._magic[: len(content)]).astype(np.int32)
+        at = np.concatenate(
+            [
+                np.flatnonzero(_is_magic(data[i : min(i + _SEARCHED, len(content))])) + i
+                for i in range(0, max(len(content), 1), _SEARCHED)
+            ]
+        ).astype(np.int32)
         parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
         # Where whole frames could begin, by their headers alone, and where the record after each
         # has its magic byte.
@@ -299,10 +317,11 @@ class _Chain:
         second = behind(0) == MAGIC_2
         follows = at + behind(1)
         follows += HEADER_1 + CHECKSUM + STAMP
-        newer = np.flatnonzero(second)
-        flags = behind(2)[newer]
-        follows[newer] += (HEADER_2 - HEADER_1) + SIGNATURE * (flags == FLAG_SIGNED)
-        follows[newer[flags > FLAG_SIGNED]] = _NOWHERE
+        follows += second * np.uint8(HEADER_2 - HEADER_1)
+        flags = behind(2) * second
+        if flags.any():
+            follows += (flags == FLAG_SIGNED) * np.uint8(SIGNATURE)
+            follows[flags > FLAG_SIGNED] = _NOWHERE
         fits = follows <= len(self._content) + STAMP
         return (at, follows) if fits.all() else (at[fits], follows[fits])
 
@@ -360,29 +379,23 @@ class _Chain:
             if record is None:
                 return np.empty(0, np.intp)
             begins.append(~position)
-        leading = self._magic.take(self._follows)  # to another record's magic byte
+        leading = _is_magic(self._data.take(self._follows))  # to another record's
         linked, follows = self._whole, self._follows
         if not leading.all():
             linked, follows = linked[leading], follows[leading]
         # Runs of candidates that lead to each other, and where the last of each leads.
         last = np.flatnonzero(np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1)))
         has_runs = len(last) < len(linked)
-        if has_runs:
-            follows = np.repeat(follows[last], np.diff(last, prepend=-1))
-        room = np.zeros(len(self._data), np.int32)
-        for first in range(0, len(linked), _CACHED):
-            some = slice(first, first + _CACHED)
-            room[linked[some].astype(np.intp)] = follows[some]
-        # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
-        leads_to, take = room.data, begins.append
+        enter, go_on = self._ways(linked, follows, last)
+        take = begins.append
         while record is not None and record <= self._limit:
             at = record + STAMP
-            following = leads_to[at]
+            following = enter(at)
             if following:
                 while following:
                     take(at)
                     at = following
-                    following = leads_to[at]
+                    following = go_on(at)
                 record = at - STAMP
             else:
                 position, record = self._next(record, hunting=False)
@@ -400,9 +413,44 @@ class _Chain:
         chain[index >= 0] = linked[index[index >= 0]]
         return chain
 
+    def _ways(
+        self, linked: Array, follows: Array, last: Array
+    ) -> tuple[Callable[[int], int | None], Callable[[int], int | None]]:
+        """Give where the run leads in which a candidate is, of any, and of one that a run leads to.
+
+        Args:
+            linked: (n,) the candidates.
+            follows: (n,) where each leads.
+            last: which of them are the last of a run.
+        """
+        leads = follows[last]
+        if _FEW_RUNS * len(last) < len(linked):
+            index = np.searchsorted(linked, leads)
+            met = np.flatnonzero(linked.take(index, mode="clip") == leads)
+            run = np.searchsorted(last, index[met])
+            ways = dict(zip(leads[met].tolist(), leads[run].tolist(), strict=True))
+
+            def enter(at: int) -> int | None:
+                index = int(np.searchsorted(linked, linked.dtype.type(at)))
+                if index == len(linked) or linked[index] != at:
+                    return None
+                return int(leads[np.searchsorted(last, index)])
+
+            return enter, ways.get
+        if len(last) < len(linked):
+            follows = np.repeat(leads, np.diff(last, prepend=-1))
+        room = np.zeros(len(self._data), np.int32)
+        for first in range(0, len(linked), _CACHED):
+            some = slice(first, first + _CACHED)
+            room[linked[some].astype(np.intp)] = follows[some]
+        # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
+        return room.data.__getitem__, room.data.__getitem__
+
     def _next(self, record: int, *, hunting: bool) -> tuple[int, int | None]:
         """Where the next frame begins, and the record after it; None when there is none."""
         content = self._content
+        if record >= len(content):
+            return len(content), None
         if not hunting:
             frame = read_frame(content, record + STAMP)
             if frame is not None and (
