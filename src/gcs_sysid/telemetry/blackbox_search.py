@@ -153,7 +153,7 @@ def _way(at: int, may_begin: Mask, lengths: Array) -> tuple[Array, Mask]:
     else:
         edges = np.zeros(len(lengths) + 1, np.int8)
         edges[from_each[gaps]] = 1
-        edges[to_each[gaps]] -= 1
+        edges[to_each[gaps]] = -1
         between = np.cumsum(edges[:-1], dtype=np.int8).view(bool)
     between &= may_begin  # and damaged
     between[place] = True
