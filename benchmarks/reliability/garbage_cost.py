@@ -26,9 +26,9 @@ MOST = 8_000_000
 """Bytes that are taken of a log."""
 
 
-def _drawn(letters: bytes) -> bytes:
-    """A megabyte of letters by chance."""
-    return bytes(Random(1).choices(letters, k=2**20))
+def _drawn(letters: bytes, size: int = 2**20) -> bytes:
+    """So many letters by chance."""
+    return bytes(Random(1).choices(letters, k=size))
 
 
 PATTERNS = {
@@ -37,6 +37,12 @@ PATTERNS = {
     "A3 95 80": b"\xa3\x95\x80", "A3 95 01": b"\xa3\x95\x01", "I": b"I", "P": b"P",
     "IE": b"IE", "H ": b"H ", "S": b"S", "PPE": b"PPE", "IPSE": b"IPSE",
     "IPSE drawn": _drawn(b"IPSE"), "P I 80 0 drawn": _drawn(b"PI\x80\0"),
+    "IPGHSE drawn": _drawn(b"IPGHSE"), "I P drawn": _drawn(b"IP"), "S E drawn": _drawn(b"SE"),
+    "S 0 drawn": _drawn(b"S\0"), "S S 80 drawn": _drawn(b"SS\x80"),
+    "P FF drawn": _drawn(b"P\xff"), "P 5x80 drawn": _drawn(b"P\x80\x80\x80\x80\x80"),
+    "I P 80 to FF": _drawn(b"IP\x80\x81\xfe\xff"), "E FF drawn": _drawn(b"E\xff"),
+    "E events": _drawn(b"EEEEE\x0e\x0e\x0d\x0d\x1e\x1e"),
+    **{f"IPSE of {period}": _drawn(b"IPSE", period) for period in (13, 345, 839, 841, 3001)},
 }  # fmt: skip
 
 

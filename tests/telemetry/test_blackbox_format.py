@@ -9,7 +9,7 @@ from benchmarks import blackbox_log as bbl
 from benchmarks.blackbox_log import BlackboxWriter, Field
 from benchmarks.reliability.fuzz.blackbox_reference import PlainReader
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry import blackbox_frames
+from gcs_sysid.telemetry import blackbox_frames, blackbox_search, blackbox_times, byte_window
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import read_frames
 
@@ -115,8 +115,11 @@ def test_logs_of_every_kind_are_read_as_a_plain_reader_reads_them(seed):
 
 @pytest.mark.parametrize(
     "garbage",
-    ["P", "IE", "I", "PH", "PPE", "S", "P\x80", "I" + "\x80" * 11, "IPGHSE\0\1\x7f", "PI\x80\0"],
-)
+    [
+        "P", "IE", "I", "PH", "PPE", "S", "P\x80", "I" + "\x80" * 11, "IPGHSE\0\1\x7f",
+        "PI\x80\0", "P\x80\x80\x80\x80\x80", "E\x0e\x0d\x1e", "E\xff",
+    ],
+)  # fmt: skip
 def test_much_garbage_is_read_as_a_plain_reader_reads_it(garbage):
     """Of which every byte may begin a frame; several groups of tagged numbers in each."""
     rng = random.Random(garbage)
@@ -184,6 +187,23 @@ def test_windows_do_not_show(monkeypatch):
         assert found.main.values.tolist() == expected.main.values.tolist()
         assert found.counts == expected.counts
         assert found.garbage_bytes == expected.garbage_bytes
+
+
+@pytest.mark.parametrize("garbage", ["S\0", "IPSE", "PI\x80\0", "E\x0e\0", "I\0"])
+def test_shortcuts_do_not_show(monkeypatch, garbage):
+    """Few jumps, gaps, doubts and letters are followed in another way than many."""
+    rng = random.Random(garbage)
+    writer, data = drawn_log(rng)
+    first = len(writer.header())
+    middle = (first + len(data)) // 2
+    drawn = "".join(rng.choices(garbage, k=2000)).encode("latin1")
+    data = damaged(rng, data[:middle] + drawn + data[middle:], first)
+    for many in (0, 10**6):
+        monkeypatch.setattr(blackbox_search, "_FEW_JUMPS", many)
+        monkeypatch.setattr(blackbox_search, "_FEW_GAPS", many)
+        monkeypatch.setattr(blackbox_times, "_DOUBTS", many or 1)
+        monkeypatch.setattr(byte_window, "_CROWD", float(many))
+        assert_as_plain(data)
 
 
 def test_columns_wanted_are_those_of_all():

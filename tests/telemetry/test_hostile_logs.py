@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.reliability.fuzz.harness import one_line_errors
-from benchmarks.reliability.garbage_cost import measure
+from benchmarks.reliability.garbage_cost import PATTERNS, measure
 from benchmarks.reliability.hostile import FILES, HEAD, TOP, ULG, formats, subscribed
 from benchmarks.reliability.hostile import ulg_entry as entry
 from gcs_sysid.errors import InputError
@@ -151,7 +151,10 @@ GARBAGE = {
     "00 00 5a": b"\0\0\x5a", "D": b"D", "A3 95": b"\xa3\x95", "A3 95 80": b"\xa3\x95\x80",
     "A3 95 01": b"\xa3\x95\x01",
 }  # fmt: skip
-MARKERS = {"P": b"P", "I": b"I", "IE": b"IE", "S": b"S", "PPE": b"PPE"}
+MARKERS = {"P": b"P", "I": b"I", "IE": b"IE", "S": b"S", "PPE": b"PPE"} | {
+    name: PATTERNS[name]
+    for name in ("IPSE drawn", "P I 80 0 drawn", "P 5x80 drawn", "E events", "IPSE of 841")
+}
 """Of a blackbox log, every byte of which may begin a frame."""
 LOGS = {
     "tlog": "ap_euler_two_flights.tlog", "ulg": "px4-sih-default.ulg", "bin": "ardupilot-sitl.bin",
@@ -166,7 +169,9 @@ def test_garbage_costs_no_more_than_a_log(shared_logs, tmp_path, kind):
     path = tmp_path / f"log.{kind}"
     for name, pattern in (GARBAGE | (MARKERS if kind == "BFL" else {})).items():
         middle = len(data) // 2
-        hurt = data[:middle] + (pattern * 6_000_000)[: len(data)] + data[middle:]
+        hurt = (
+            data[:middle] + (pattern * (len(data) // len(pattern) + 1))[: len(data)] + data[middle:]
+        )
         clean = cost = np.inf
         for _ in range(TURNS_AT_MOST):  # another process only ever adds to what is measured
             (now, samples), (hurt_now, found) = measure(path, (data, hurt))

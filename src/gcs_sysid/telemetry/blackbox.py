@@ -21,8 +21,9 @@ from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import DISARM, Frames, read_frames
+from gcs_sysid.telemetry.blackbox_frames import Frames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
+from gcs_sysid.telemetry.blackbox_search import DISARM
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording

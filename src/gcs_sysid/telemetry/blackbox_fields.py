@@ -1,10 +1,4 @@
-"""From bytes to fields, for many frames of a blackbox log at once.
-
-The fields have variable lengths, but where one ends shows without reading it: a number ends with
-the first byte below 0x80, a group has its length in its tag. So the n-th number from a position on
-begins behind the end that is n - 1 further in the list of all ends: one look-up for any number of
-frames and of fields.
-"""
+"""From bytes to fields, for many frames of a blackbox log at once."""
 
 from collections.abc import Callable
 from itertools import groupby
@@ -12,11 +6,10 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.blackbox_format import (
     GROUPS,
     INCREMENT,
-    MOST_FIELDS,
     NEG_14BIT,
     NULL,
     SIGNED_VB,
@@ -25,154 +18,10 @@ from gcs_sysid.telemetry.blackbox_format import (
     TAG8_8SVB,
     Definition,
 )
+from gcs_sysid.telemetry.byte_window import ONES, ByteWindow
 
 _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
-_LONGEST_NUMBER = 5
-CACHED = 2**14
-"""Positions looked at together: their arrays stay in the cache."""
-_ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
-
-
-class ByteWindow:
-    """Bytes of a session in which many frames are read at once.
-
-    Args:
-        raw: (n,) uint8. Behind the last first byte of a frame come as many as the longest frame
-            may have, zeros where the session has ended.
-
-    Attributes:
-        crowded: whether more than every fourth byte may begin a frame.
-    """
-
-    def __init__(self, raw: Array) -> None:
-        self.raw = raw
-        self.crowded = False
-        self._behind_tags: dict[tuple[int, int], Array] = {}
-        self._end = len(raw) - 1
-        last = raw < 0x80
-        self._begins = self._begins_of(last)
-        self._rank = np.zeros(len(raw) + 1, np.int32)
-        np.cumsum(last, dtype=np.int32, out=self._rank[1:])
-        goes_on = ~last
-        long = goes_on[: 1 - _LONGEST_NUMBER].copy()
-        for i in range(1, _LONGEST_NUMBER):
-            long &= goes_on[i : len(raw) - _LONGEST_NUMBER + 1 + i]
-        self._has_long = bool(long.any())
-        # How many numbers that go on for too long follow each other from a byte on, (n + 1,).
-        self._cut: Array | None = None
-
-    def _begins_of(self, ends: Mask) -> Array:
-        """Where the number behind the one begins that ends k-th, from 1 on; of half the size of
-        positions, so that more of it stays in the cache.
-        """
-        behind = np.flatnonzero(ends[:-1])
-        begins = np.full(len(behind) + 1 + MOST_FIELDS, self._end, np.int32)
-        begins[0] = 0
-        np.add(behind, 1, out=begins[1 : len(behind) + 1], casting="unsafe")
-        return begins
-
-    def _cut_long(self) -> None:
-        """Cut runs of bytes that say "it goes on" into numbers of five bytes.
-
-        Whatever byte of a run is begun from, all arrive behind the run's end, so that only how
-        many numbers lie between differs.
-        """
-        starts = self._begins[: len(self._begins) - MOST_FIELDS]
-        lengths = np.append(starts[1:] - 1, np.int32(self._end)) - starts
-        long = lengths >= _LONGEST_NUMBER
-        starts, lengths = starts[long], lengths[long]
-        which = np.repeat(np.arange(len(starts), dtype=np.int32), lengths)
-        before = (np.cumsum(lengths) - lengths).astype(np.int32)
-        passed = np.arange(len(which), dtype=np.int32) - before.take(which)
-        at = starts.take(which) + passed
-        cut = np.zeros(len(self.raw) + 1, np.int32)
-        cut[at] = (lengths.take(which) - passed) // _LONGEST_NUMBER
-        ends = self.raw < 0x80
-        within = at[(passed > 0) & (passed % _LONGEST_NUMBER == 0)]
-        ends[within - 1] = ends[starts + lengths - lengths % _LONGEST_NUMBER - 1] = True
-        self._begins = self._begins_of(ends)
-        np.cumsum(ends, dtype=np.int32, out=self._rank[1:])
-        self._rank[at] += (lengths // _LONGEST_NUMBER).take(which) - passed // _LONGEST_NUMBER
-        self._rank[at] -= cut[at]
-        self._cut = cut
-
-    def nth(self, at: Array, n: Array | int) -> Array:
-        """Where number n, from 0 on, begins of those that follow each other from a position on.
-
-        Args:
-            at: positions; of any shape to which n can be brought.
-            n: how many numbers lie between.
-        """
-        if self._has_long and self._cut is None and at.size:
-            self._cut_long()
-        found: Array = self._begins.take(self._rank.take(at) + n)
-        if not isinstance(n, int) or n == 0:
-            np.copyto(found, at, where=np.equal(n, 0))
-        if self._cut is not None:
-            cut = self._cut.take(at)
-            if cut.any():
-                np.copyto(found, at + _LONGEST_NUMBER * n, where=(n <= cut) & (cut > 0))
-        return found
-
-    def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
-        """Where what follows groups of a tag and the numbers that it marks begins.
-
-        Args:
-            at: (k,) positions of the first group's tag.
-            count: of the numbers that a tag can mark.
-            groups: that follow each other.
-        """
-        if self.crowded:  # garbage, of which every byte may begin a frame
-            return self._behind_every_tag(count, groups).take(at)
-        for _ in range(groups):
-            at = self._behind_tagged(at, self.raw[at], count)
-        return at
-
-    def _behind_every_tag(self, count: int, groups: int) -> Array:
-        """The same from every position on: each tag is looked at once, and groups are doubled."""
-        if (count, groups) not in self._behind_tags:
-            found = np.arange(len(self.raw), dtype=np.int32)
-            half = groups // 2
-            halves = [half, groups - half] if half else []
-            tables = [self._behind_every_tag(count, some) for some in halves]
-            for i in range(0, len(found), CACHED):
-                piece = found[i : i + CACHED]
-                if half:
-                    piece[:] = tables[1].take(tables[0][i : i + CACHED])
-                else:
-                    piece[:] = self._behind_tagged(piece, self.raw[i : i + CACHED], count)
-            self._behind_tags[count, groups] = found
-        return self._behind_tags[count, groups]
-
-    def _behind_tagged(self, at: Array, tag: Array, count: int) -> Array:
-        return self.within(self.nth(at + 1, _ONES.take(tag & ((1 << count) - 1))))
-
-    def within(self, at: Array) -> Array:
-        """(k,) positions, none behind the last."""
-        return np.minimum(at, self._end)
-
-    def numbers(self, at: Array) -> Array:
-        """Unsigned numbers that begin at positions of any shape; 0 where one is too long."""
-        values = self.raw[at].astype(np.int64)
-        flat, at = values.reshape(-1), at.reshape(-1)
-        more = np.flatnonzero(flat > 0x7F)
-        flat[more] &= 0x7F
-        for i in range(1, _LONGEST_NUMBER):
-            byte = self.raw[np.minimum(at[more] + i, self._end)].astype(np.int64)
-            flat[more] |= (byte & 0x7F) << (7 * i)
-            more = more[byte > 0x7F]
-        flat[more] = 0
-        values &= 0xFFFFFFFF
-        return values
-
-    def words(self, at: Array, size: int, *, little: bool) -> Array:
-        """(k,) uint64 of the bytes from (k,) positions on, at most eight."""
-        order = range(size - 1, -1, -1) if little else range(size)
-        values = np.zeros(len(at), np.uint64)
-        for i in order:
-            values = values << np.uint64(8) | self.raw[np.minimum(at + i, self._end)]
-        return values
 
 
 class _Part(Protocol):
@@ -242,7 +91,7 @@ class _TaggedNumbers:
         tag = window.raw[at].astype(np.int64)[:, None]
         values = np.zeros((len(at), len(which)), np.int64)
         row, column = np.nonzero(tag >> which & 1)
-        order = _ONES[tag[row, 0] & ((1 << which[column]) - 1)]
+        order = ONES[tag[row, 0] & ((1 << which[column]) - 1)]
         values[row, column] = _zigzag(window.numbers(window.nth(at[row] + 1, order)))
         return values
 

@@ -1,9 +1,7 @@
-"""Finds the frames of a blackbox session, and computes their values.
+"""The frames of a blackbox session, and their values.
 
-Only the end of a frame marks where the next one begins. Every byte that could begin one is tried,
-all of them at once; then the chain is followed from end to beginning. As in the reference decoder a
-frame counts when another follows it; else it is damaged, the search continues after its first byte,
-and P frames count again after the next I frame.
+As in the reference decoder a frame counts when another follows it; else it is damaged, the search
+continues after its first byte, and P frames count again after the next I frame.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -11,38 +9,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.blackbox_fields import CACHED, ByteWindow, Layout
+from gcs_sysid.telemetry.blackbox_fields import Layout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
 from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
-from gcs_sysid.telemetry.repeated_bytes import PERIOD, Repeats
-
-I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
-RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
-"""Events: logging goes on after a pause (loop, us), a motor stop (reason), modes (new, old)."""
+from gcs_sysid.telemetry.blackbox_search import (
+    DISARM,
+    LONGEST_EVENT,
+    RESUME,
+    E,
+    Found,
+    G,
+    H,
+    I,
+    P,
+    S,
+    find_frames,
+)
+from gcs_sysid.telemetry.byte_window import ByteWindow
 
 _AT_ONCE = 2**19
 """Bytes searched together."""
 _MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
-_LONGEST_EVENT = 256
 _MARGIN = 16
 """Bytes behind the longest frame."""
-_FEW_JUMPS = 2**13
-_END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
-
-_EVENTS = {
-    0: (0, 1, 0), 10: (5, 0, 0), 11: (4, 0, 0), 12: (8, 0, 0), RESUME: (0, 2, 0),
-    DISARM: (0, 1, 0), 20: (1, 1, 2), FLIGHT_MODE: (0, 2, 0), 40: (0, 1, 0), 41: (5, 0, 0),
-}  # fmt: skip
-"""Event -> bytes, numbers of variable length, bytes."""
-_ADJUSTMENT, _FLOAT = 13, 0x80
-_BEFORE, _NUMBERS, _BEHIND = np.array(
-    [[_EVENTS.get(event, (0, 0, 0))[i] for event in range(256)] for i in range(3)], np.int32
-)
-_IS_MARKER = np.isin(np.arange(256), list(MARKERS))
 _IS_USED = np.isin(np.arange(256), [RESUME, DISARM])
 
 
@@ -73,27 +66,6 @@ class Frames:
     damaged: int
     lost: int
     garbage_bytes: int
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Frames that follow each other, some of them damaged; (k,) each.
-
-    Attributes:
-        at: positions of their letters.
-        ends: positions behind them.
-        letters: their types.
-        whole: whether another frame follows.
-        gap: whether what follows is a letter of a type that the header does not describe.
-        over: whether it says that the log ends.
-    """
-
-    at: Array
-    ends: Array
-    letters: Array
-    whole: Mask
-    gap: Mask
-    over: Mask
 
 
 def read_frames(
@@ -185,9 +157,9 @@ def _named(names: Sequence[str], wanted: Collection[str]) -> Array:
 
 def _windows(
     data: bytes, start: int, stop: int, layouts: dict[int, Layout]
-) -> Iterator[tuple[ByteWindow, int, _Found]]:
+) -> Iterator[tuple[ByteWindow, int, Found]]:
     """Stretches of a session, the position in the file of each, and the frames that begin in it."""
-    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + _MARGIN
+    margin = max(LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + _MARGIN
     at = start
     for first in range(start, max(stop, start + 1), _AT_ONCE):
         if at >= first + _AT_ONCE:  # the log has ended
@@ -197,136 +169,13 @@ def _windows(
         if last == stop:
             raw = np.append(raw, np.zeros(margin, np.uint8))
         window = ByteWindow(raw)
-        found = _follow(window, max(at - first, 0), stop - first, layouts, margin)
+        stops = _AT_ONCE, stop - first
+        found = find_frames(window, max(at - first, 0), stops, layouts, margin)
         at = first + _AT_ONCE
         if found.whole[-1:].any():
             at = stop if found.over[-1] else max(first + int(found.ends[-1]), at)
         shifted = replace(found, at=found.at + first, ends=found.ends + first)
         yield window, first, shifted
-
-
-def _follow(
-    window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout], margin: int
-) -> _Found:
-    """The frames that begin in a window's first bytes.
-
-    Args:
-        window: of a session's bytes.
-        at: position from which on to search.
-        stop: end of the session.
-        layouts: of all types that the header describes.
-        margin: bytes that decide where a frame ends.
-    """
-    raw = window.raw
-    known = np.isin(np.arange(256), [*layouts, E])
-    may_begin = known[raw[: min(_AT_ONCE, stop)]]
-    begin = np.flatnonzero(may_begin).astype(np.int32)
-    begun = np.zeros(len(may_begin) + 1, np.int32)  # frames that could begin before each byte
-    np.cumsum(may_begin, out=begun[1:])
-    candidates = begin
-    repeats = Repeats(raw, begin, stop, margin) if _is_crowded(begin, raw) else None
-    if repeats:
-        candidates = begin[repeats.others]
-    window.crowded = _is_crowded(candidates, raw)
-    parts = [
-        _ends(window, candidates[i : i + CACHED], stop, layouts)
-        for i in range(0, max(len(candidates), 1), CACHED)
-    ]
-    ends, whole, over = (np.concatenate(some) for some in zip(*parts, strict=True))
-    if repeats:
-        ends, whole, over = repeats.fill(ends, PERIOD), repeats.fill(whole), repeats.fill(over)
-    leads_to = begun.take(ends[whole], mode="clip")
-    leads_to[over[whole]] = len(begin)
-    rows = _way(int(np.searchsorted(begin, at)), whole, leads_to)
-    begin, ends = begin[rows].astype(np.int64), ends[rows].astype(np.int64)
-    found = _Found(begin, ends, raw[begin], whole[rows], whole[rows], over[rows])
-    behind = raw[np.minimum(found.ends, len(raw) - 1)]
-    return replace(found, gap=found.whole & (found.ends < stop) & ~known[behind])
-
-
-def _is_crowded(begin: Array, raw: Array) -> bool:
-    return 4 * len(begin) > len(raw)
-
-
-def _ends(
-    window: ByteWindow, begin: Array, stop: int, layouts: dict[int, Layout]
-) -> tuple[Array, Mask, Mask]:
-    """Where frames end that begin at (k,) positions, which are whole, and which end the log."""
-    raw = window.raw
-    letters = raw.take(begin)
-    by_letter = np.argsort(letters, kind="stable")
-    at = begin.take(by_letter) + 1
-    ends = at.copy()
-    over = np.zeros(len(begin), bool)
-    counts = np.bincount(letters, minlength=256)
-    behind_each = np.cumsum(counts)
-    for letter in np.flatnonzero(counts).tolist():
-        mine = slice(behind_each[letter] - counts[letter], behind_each[letter])
-        if letter == E:
-            behind, over[mine] = _event_ends(window, at[mine])
-        else:
-            behind = layouts[letter].ends(window, at[mine])
-        longest = _LONGEST_EVENT if letter == E else layouts[letter].longest
-        behind[behind - at[mine] > longest] = stop + 1
-        ends[mine] = behind
-    whole = _IS_MARKER.take(raw.take(ends, mode="clip"))
-    whole |= ends == stop
-    whole |= over
-    whole &= ends <= stop
-    found = np.empty_like(ends), np.empty_like(whole), np.empty_like(over)
-    for values, sorted_values in zip(found, (ends, whole, over), strict=True):
-        values[by_letter] = sorted_values
-    return found
-
-
-def _way(first: int, jumps: Mask, leads_to: Array) -> Array:
-    """The rows met on the way from the first one to the end.
-
-    Args:
-        first: row to begin with.
-        jumps: (n,) whether a row leads further than to the next one.
-        leads_to: where those that do lead.
-    """
-    number = np.zeros(len(jumps) + 1, np.int32)  # jumps before each row
-    np.cumsum(jumps, out=number[1:])
-    count = len(leads_to)
-    one = np.append(number.take(leads_to), np.int32(count))
-    taken = _hops(one, int(number[first]), _FEW_JUMPS if count > _FEW_JUMPS else 0)
-    begins = np.append(first, leads_to[taken])
-    lengths = np.append(np.flatnonzero(jumps)[taken] + 1, len(jumps)) - begins
-    rows: Array = np.repeat(begins - np.cumsum(lengths) + lengths, lengths)
-    rows += np.arange(len(rows))
-    return rows
-
-
-def _hops(one: Array, jump: int, few: int) -> Array:
-    """The jumps met from one on, each leading to another, the last of which leads nowhere.
-
-    Args:
-        one: (n + 1,) where each leads; n: nowhere.
-        jump: the first.
-        few: so many are followed one by one, as doubling costs as much as the bytes of a window.
-    """
-    count = len(one) - 1
-    single: list[int] = []
-    eighth: list[int] = []
-    place = one.data  # read in place
-    while jump < count and len(single) < few:
-        single.append(jump)
-        jump = place[jump]
-    taken = np.empty(0, np.intp)
-    if jump < count:  # in garbage there may be as many jumps as bytes: eight at a time
-        two = one.take(one)
-        four = two.take(two)
-        place = four.take(four).data
-        while jump < count:
-            eighth.append(jump)
-            jump = place[jump]
-        taken = np.array(eighth, np.intp)
-        for hop in (four, two, one):
-            taken = np.column_stack([taken, hop[taken]]).ravel()
-        taken = taken[taken < count]
-    return np.append(np.array(single, np.intp), taken)
 
 
 def _events(window: ByteWindow, at: Array, order: Array) -> Array:
@@ -335,19 +184,3 @@ def _events(window: ByteWindow, at: Array, order: Array) -> Array:
     used = np.flatnonzero(_IS_USED[event])
     numbers = [window.numbers(window.nth(at[used] + 2, n)) for n in (0, 1)]
     return np.column_stack([order[used], event[used].astype(np.int64), *numbers])
-
-
-def _event_ends(window: ByteWindow, at: Array) -> tuple[Array, Mask]:
-    """(k,) positions behind events whose types are at (k,) positions, and which end the log."""
-    raw = window.raw
-    event = raw[at]
-    ends = window.nth(at + 1 + _BEFORE.take(event), _NUMBERS.take(event)) + _BEHIND.take(event)
-    changes = np.flatnonzero(event == _ADJUSTMENT)
-    changed = at[changes]
-    whole_number = window.nth(changed + 2, 1)
-    ends[changes] = np.where(raw[changed + 1] < _FLOAT, whole_number, changed + 6)
-    last = event == LOG_END
-    ends[last] = at[last] + 1 + len(_END_MESSAGE)
-    message = raw[at[last, None] + 1 + np.arange(len(_END_MESSAGE))]
-    last[last] = (message == _END_MESSAGE).all(axis=1)
-    return ends, last

@@ -23,10 +23,10 @@ from gcs_sysid.telemetry.blackbox_format import (
     Definition,
     Header,
 )
+from gcs_sysid.telemetry.blackbox_times import MOST_LOOPS, MOST_TIME, WRAP, believed_starts
 
-WRAP = 2**32
-_MOST_TIME, _MOST_LOOPS = 10_000_000, 5_000
-"""us and loops between two frames that belong together; as the reference decoder."""
+_TIMED = ("loopIteration", "time", "motor[0]")
+"""Columns by which frames are believed, and what they may be predicted from."""
 _LONGEST_CHAIN = 4096
 """P frames after an I frame; firmware writes 1024 at most."""
 
@@ -71,32 +71,78 @@ def main_frames(
     key = np.maximum.accumulate(np.where(is_key, rows, -1))
     since = np.searchsorted(breaks, order) - np.searchsorted(breaks, order[key])
     sound = is_key | ((key >= 0) & (since == 0) & (rows - key <= _LONGEST_CHAIN))
-    values = np.empty((len(order), len(keys.names)), np.int64, order="F")  # added up by columns
-    values[is_key], values[~is_key] = keys.values, deltas.values
-    order, is_key, values = order[sound], is_key[sound], _rows(values, sound)
-    if not len(order):
-        return Table(keys.names, order, values), np.zeros(0, np.int64)
-    first = np.flatnonzero(is_key)
-    chains = _Chains(first, np.diff(first, append=len(order)), np.cumsum(is_key) - 1)
-    _predict(header, keys.names, values, chains)
+    merged = _Merged(keys.values, deltas.values, sorting, is_key).only(sound)
+    order = order[sound]
+    time = np.zeros(0, np.int64)
+    if len(order):  # their times first: in garbage few are believed
+        sound, time = _timed(header, keys.names, order, merged, resumed)
+        order, merged = order[sound], merged.only(sound)
+    values = merged.columns(np.arange(len(keys.names)))
+    if len(order):
+        _predict(header, keys.names, values, _chains(merged.is_key))
+    return Table(keys.names, order, values), time
 
-    loop = values[:, keys.names.index("loopIteration")] % WRAP
-    clock = values[:, keys.names.index("time")] % WRAP
+
+class _Merged(NamedTuple):
+    """I and P frames in the order of the log."""
+
+    keys: Array
+    """(i, columns) all I frames as written."""
+    deltas: Array
+    """(p, columns) all P frames as written."""
+    source: Array
+    """(n,) row of each in those of I and then P frames."""
+    is_key: Mask
+    """(n,) whether it is an I frame."""
+
+    def only(self, rows: Mask) -> "_Merged":
+        """Those of an (n,) mask."""
+        if rows.all():
+            return self
+        return self._replace(source=self.source[rows], is_key=self.is_key[rows])
+
+    def columns(self, which: Array) -> Array:
+        """(n, which) values as written, to be added up by columns."""
+        values = np.empty((len(self.is_key), len(which)), np.int64, order="F")
+        for written, mine, first in (
+            (self.keys, self.is_key, 0),
+            (self.deltas, ~self.is_key, len(self.keys)),
+        ):
+            rows = self.source[mine] - first
+            some = written if len(which) == written.shape[1] else written[:, which]
+            values[mine] = some if len(rows) == len(some) else some.take(rows, axis=0)
+        return values
+
+
+def _timed(
+    header: Header, names: tuple[str, ...], order: Array, merged: _Merged, resumed: Array
+) -> tuple[Mask, Array]:
+    """Which of (n,) frames are believed, and us of each that is, without wraps.
+
+    Args:
+        header: of the session.
+        names: of the columns.
+        order: (n,) rising, their places.
+        merged: the frames; the first is an I frame.
+        resumed: as for `main_frames`.
+    """
+    is_key, chains = merged.is_key, _chains(merged.is_key)
+    needed = [name for name in names if name in _TIMED]
+    values = merged.columns(np.array([names.index(name) for name in needed]))
+    _predict(header, tuple(needed), values, chains)
+    loop = values[:, needed.index("loopIteration")] % WRAP
+    clock = values[:, needed.index("time")] % WRAP
     jump, forward = np.diff(loop, prepend=loop[:1]), np.diff(clock, prepend=clock[:1]) % WRAP
-    wrong = ~is_key & ((jump < 0) | (jump >= _MOST_LOOPS) | (forward >= _MOST_TIME))
+    wrong = ~is_key & ((jump < 0) | (jump >= MOST_LOOPS) | (forward >= MOST_TIME))
     sound = chains.since(np.cumsum(wrong)) == 0
     passed = chains.since(np.cumsum(np.where(is_key, 0, forward)))
+    first = chains.first
     last = first + np.bincount(chains.number, sound).astype(np.int64) - 1
     table = np.column_stack([order[first], loop[first], clock[first], loop[last], clock[last]])
-    starts = _believed(table, passed[last], resumed)
+    starts = believed_starts(table, passed[last], resumed)
     sound &= starts[chains.number] >= 0
     time = starts[chains.number] + passed
-    return Table(keys.names, order[sound], _rows(values, sound)), time[sound]
-
-
-def _rows(values: Array, rows: Mask) -> Array:
-    """The rows of a mask; the values themselves where it is true of all."""
-    return values if rows.all() else values[rows]
+    return sound, time[sound]
 
 
 class _Chains(NamedTuple):
@@ -117,6 +163,12 @@ class _Chains(NamedTuple):
         """What (n,) sums have grown by since the I frame."""
         grown: Array = sums - self.held(sums[self.first])
         return grown
+
+
+def _chains(is_key: Mask) -> _Chains:
+    """Of (n,) rows, the first of which is an I frame."""
+    first = np.flatnonzero(is_key)
+    return _Chains(first, np.diff(first, append=len(is_key)), np.cumsum(is_key) - 1)
 
 
 def _predict(header: Header, names: tuple[str, ...], values: Array, chains: _Chains) -> None:
@@ -239,50 +291,6 @@ def _wrap(values: Array, definition: Definition) -> None:
     outside = _outside(values, low)
     if outside.any():
         values[:, outside] = _cut(values[:, outside], low[outside])
-
-
-def _believed(chains: Array, passed: Array, resumed: Array) -> Array:
-    """(k,) us at which the I frames begin, without wraps; -1 for those not believed.
-
-    As in the reference decoder an I frame must come soon after the last main frame, or after an
-    event that marks a pause. The reference decoder loses all that follows a wrong clock; here two
-    chains that agree overrule one that does not.
-
-    Args:
-        chains: (k, 5) place, loop and us of the I frame, loop and us of the last frame that counts.
-        passed: (k,) us between the two.
-        resumed: (k, 3) place, loop and us of events.
-    """
-    pauses = [*map(tuple, resumed.tolist()), (np.inf, 0, 0)]
-    starts = np.full(len(chains), -1)
-    start = -1
-    last: tuple[int, int] | None = None
-    doubted: tuple[int, int, int] | None = None
-    now = next_pause = 0
-    for i, (row, lasted) in enumerate(zip(chains.tolist(), passed.tolist(), strict=True)):
-        place, loop, clock, end_loop, end_clock = row
-        while pauses[next_pause][0] < place:
-            _, paused_loop, paused_clock = pauses[next_pause]
-            now += (paused_clock - last[1]) % WRAP if last else paused_clock
-            last, doubted = (paused_loop, paused_clock), None
-            next_pause += 1
-        if last is None or _follows(last, loop, clock):
-            start = now + (clock - last[1]) % WRAP if last else clock
-        elif doubted is not None and _follows(doubted[1:], loop, clock):
-            before = (clock - int(chains[doubted[0], 2])) % WRAP
-            start = now + (clock - last[1] + WRAP // 2) % WRAP - WRAP // 2
-            start += WRAP if start < before else 0
-            starts[doubted[0]] = max(start - before, 0)
-        else:
-            doubted = (i, end_loop, end_clock)
-            continue
-        starts[i], now = start, start + lasted
-        last, doubted = (end_loop, end_clock), None
-    return starts
-
-
-def _follows(last: tuple[int, int], loop: int, clock: int) -> bool:
-    return 0 <= loop - last[0] < _MOST_LOOPS and (clock - last[1]) % WRAP < _MOST_TIME
 
 
 def fixed_frames(

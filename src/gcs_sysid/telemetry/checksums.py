@@ -80,8 +80,7 @@ def checksums(data: Array, at: Array, length: Array, extra: Array) -> Array:
         size = int(length[order[start]])
         for first in range(start, end, ROWS_AT_ONCE):
             rows = order[first : min(first + ROWS_AT_ONCE, end)]
-            state = _equal_lengths(data, at[rows], size)
-            result[rows] = (state >> 8) ^ _BYTE[(state ^ extra[rows]) & 0xFF]
+            result[rows] = _equal_lengths(data, at.take(rows), size, extra.take(rows))
         start = end
     return result
 
@@ -101,17 +100,20 @@ def rows_of(data: Array, at: Array, size: int) -> Array:
     return items[at].view(np.uint8).reshape(len(at), size)
 
 
-def _equal_lengths(data: Array, at: Array, size: int) -> Array:
-    """(n,) uint16 state after `size` bytes from each position."""
+def _equal_lengths(data: Array, at: Array, size: int, extra: Array) -> Array:
+    """(n,) uint16 state after `size` bytes from each position, and the extra ones."""
     state = np.full(len(at), 0xFFFF, np.uint16)
+    if size % 2 and int(at.max()) + size == len(data):
+        data = np.append(data, np.uint8(0))
+    words = rows_of(data, at, size + size % 2).view("<u2")
+    columns = np.ascontiguousarray(words.T, np.uint16)
     if size % 2:
-        state = (state >> 8) ^ _BYTE[(state ^ data[at]) & 0xFF]
-        at = at + 1
-    if size > 1:
-        words = rows_of(data, at, size - size % 2).view("<u2")
-        for column in np.ascontiguousarray(words.T, np.uint16):
-            state = _WORD.take(state ^ column)
-    return state
+        columns[-1] &= 0xFF
+        columns[-1] |= extra.astype(np.uint16) << 8
+    for column in columns:
+        column ^= state
+        state = _WORD.take(column)
+    return state if size % 2 else _after(state, extra)
 
 
 class RunningChecksum:

@@ -175,13 +175,13 @@ def message_arrays(
 
 def _gather(frames: FrameBlock, rows: Array, kind: np.dtype[np.void], size: int) -> Array:
     messages = np.empty(len(rows), kind)
-    messages["_time_us"] = frames.time_us[rows]
+    messages["_time_us"] = frames.time_us.take(rows)
     messages["_frame"] = frames.number + rows
-    messages["_sequence"] = frames.sequence[rows]
-    messages["_system"] = frames.system[rows]
-    messages["_component"] = frames.component[rows]
-    payloads = rows_of(frames.data, frames.payload_at[rows], size)
-    came = frames.payload_size[rows]
+    messages["_sequence"] = frames.sequence.take(rows)
+    messages["_system"] = frames.system.take(rows)
+    messages["_component"] = frames.component.take(rows)
+    payloads = rows_of(frames.data, frames.payload_at.take(rows), size)
+    came = frames.payload_size.take(rows)
     # Zeros at the end are not sent; what lies there is the checksum and the next record.
     for missing in np.flatnonzero(np.bincount(came)[:size]).tolist():
         payloads[came == missing, missing:] = 0

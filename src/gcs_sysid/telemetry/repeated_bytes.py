@@ -18,7 +18,7 @@ class Repeats:
 
     Args:
         raw: the bytes.
-        places: (n,) rising, of all that begins in the same way.
+        places: (n,) rising, of all that begins in the same way; or n: the first n bytes.
         stop: where the bytes end, or what is behind them is of another kind.
         reach: bytes from a place on that decide what becomes of it.
 
@@ -26,35 +26,41 @@ class Repeats:
         others: (n,) the places to be looked at.
     """
 
-    def __init__(self, raw: Array, places: Array, stop: int, reach: int) -> None:
-        changes = np.flatnonzero(raw[PERIOD:] != raw[:-PERIOD]) + PERIOD
+    def __init__(self, raw: Array, places: Array | int, stop: int, reach: int) -> None:
+        count = places if isinstance(places, int) else len(places)
+        self.others = np.ones(count, bool)
+        self._runs: list[tuple[int, int, int]] = []
+        changed = raw[PERIOD:] != raw[:-PERIOD]
+        half = (reach + 1) // 2  # a run of so many holds one that begins at a multiple of half
+        halves = changed[: len(changed) // half * half].reshape(-1, half)
+        if halves.any(axis=1).all():
+            return
+        changes = np.flatnonzero(changed) + PERIOD
         changes = np.concatenate([[PERIOD - 1], changes, [len(raw)]])
         long = np.flatnonzero(np.diff(changes) > reach)
         first = changes[long] + 1
         last = np.minimum(changes[long + 1], stop) - reach
         bounds = np.stack([first - PERIOD, first, last], axis=1)[first < last]
-        runs = np.searchsorted(places, bounds.astype(places.dtype)).tolist()
+        if isinstance(places, int):
+            runs = np.minimum(bounds, places).tolist()
+        else:
+            runs = np.searchsorted(places, bounds.astype(places.dtype)).tolist()
         self._runs = [(before, start, end) for before, start, end in runs if start < end]
-        self.others = np.ones(len(places), bool)
         for _, start, end in self._runs:
             self.others[start:end] = False
 
     def __bool__(self) -> bool:
         return bool(self._runs)
 
-    def fill(self, values: Array, step: int = 0) -> Array:
-        """(n,) values of all places, by (k,) of the others.
-
-        Args:
-            values: of the others.
-            step: by how much a value is larger than that of a period before.
-        """
+    def fill(self, values: Array) -> Array:
+        """(n,) values of all places, by (k,) of the others."""
         filled = np.zeros(len(self.others), values.dtype)
         filled[self.others] = values
+        self.repeat(filled)
+        return filled
+
+    def repeat(self, values: Array) -> None:
+        """Set those of (n,) values that are not of the others, in place."""
         for before, start, end in self._runs:
             times = -(-(end - start) // (start - before))
-            repeated = np.tile(filled[before:start], (times, 1))
-            if step:
-                repeated += step * np.arange(1, times + 1, dtype=values.dtype)[:, None]
-            filled[start:end] = repeated.ravel()[: end - start]
-        return filled
+            values[start:end] = np.tile(values[before:start], times)[: end - start]

@@ -77,13 +77,14 @@ class TlogReader:
         self.bytes_read = 0
         try:
             with open(self.path, "rb") as file:
-                content, final = b"", False
+                rest, final = b"", False
                 while not final:
                     more = file.read(self._window)
                     self.bytes_read += len(more)
                     final = len(more) < self._window
-                    block, done = scanner.scan(content + more, final=final)
-                    content = (content + more)[done:]
+                    content = rest + more
+                    block, done = scanner.scan(content, final=final)
+                    rest = content[done:]
                     if len(block):
                         yield block
         except OSError as error:

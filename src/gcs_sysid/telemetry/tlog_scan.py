@@ -20,10 +20,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.checksums import RunningChecksum, checksums_agree, rows_of
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, FrameBlock
+from gcs_sysid.telemetry.frame_block import BAD_CRC, UNKNOWN, FrameBlock
 from gcs_sysid.telemetry.frames import (
     CHECKSUM,
-    CRC_EXTRA,
     FLAG_SIGNED,
     HEADER_1,
     HEADER_2,
@@ -37,6 +36,7 @@ from gcs_sysid.telemetry.frames import (
     read_frame,
 )
 from gcs_sysid.telemetry.repeated_bytes import Repeats
+from gcs_sysid.telemetry.tlog_headers import Headers, are_right, bytes_behind
 
 STAMP = 8
 MARGIN = 3 * (STAMP + LONGEST_FRAME)
@@ -52,18 +52,16 @@ _TRIED = 4096
 _CROWD = 8
 """Bytes for each candidate, at most, from which on their checksums are taken from those of the
 whole piece."""
+_FEW_RUNS = 4
+"""Candidates for each run, at least, where runs are few."""
 _NOWHERE = 2**30
 """Behind every piece."""
+_SEARCHED = 2**16
+"""Bytes searched together for magic bytes."""
 _CACHED = 2**14
 """Candidates looked at together: their arrays stay in the cache."""
 ALONE = 2**20
 """Bytes of garbage after which no neighbor is waited for, however long it goes on."""
-
-_IDS = max(CRC_EXTRA) + 2
-_EXTRA = np.full(_IDS, -1, np.int16)
-"""Message id -> CRC_EXTRA, -1 where none is known; the last entry is for all larger ids."""
-for _message_id, _extra in CRC_EXTRA.items():
-    _EXTRA[_message_id] = _extra[0]
 
 
 @dataclass
@@ -180,6 +178,11 @@ class Scanner:
         time_us[stamped] = rows_of(data, at[stamped] - STAMP, STAMP).view(">u8")[:, 0]
         if not kept:
             return time_us[:0], 0
+        steps = abs(np.diff(time_us.astype(float), prepend=self._behind_us))
+        steps[0] = 0.0 if np.isnan(steps[0]) else steps[0]
+        if stamped.all() and steps.max() <= CLOCK_STEP:  # as nearly always
+            self._behind_us, self._time_us = float(time_us[kept - 1]), int(time_us[kept - 1])
+            return time_us[:kept], 0
         around = np.full(len(at) + 2, np.nan)
         around[0] = self._behind_us
         around[1:-1] = np.where(stamped, time_us, np.nan)
@@ -203,72 +206,15 @@ class Scanner:
         return time_us, int(np.count_nonzero(damaged))
 
 
-class _Headers:
-    """Headers of the frames at given positions, and whether they are valid."""
-
-    def __init__(self, data: Array, at: Array) -> None:
-        head = rows_of(data, at, HEADER_2)
-        second = head[:, 0] == MAGIC_2
-        self.version = second + np.uint8(1)
-        self.payload_size = head[:, 1].copy()
-        self.payload_at = at + np.where(second, HEADER_2, HEADER_1)
-        payload_end = self.payload_at + self.payload_size
-        signed = second & (head[:, 2] == FLAG_SIGNED)
-        self.size = payload_end + CHECKSUM + SIGNATURE * signed - at
-        self.sequence = np.where(second, head[:, 4], head[:, 2])
-        self.system = np.where(second, head[:, 5], head[:, 3])
-        self.component = np.where(second, head[:, 6], head[:, 4])
-        low, middle, high = (head[:, i].astype(np.int32) for i in (7, 8, 9))
-        self.message_id = np.where(second, low | middle << 8 | high << 16, head[:, 5])
-        extra = _EXTRA[np.minimum(self.message_id, _IDS - 1)]
-        length = payload_end - at - 1
-        right = checksums_agree(data, at + 1, length, extra.astype(np.uint8))
-        self.validity = np.where(extra < 0, UNKNOWN, np.where(right, OK, BAD_CRC)).astype(np.uint8)
-
-    def first(self, count: int) -> "_Headers":
-        """The same of the first few."""
-        part = _Headers.__new__(_Headers)
-        part.__dict__ = {name: column[:count] for name, column in self.__dict__.items()}
-        return part
-
-
-def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
-    """Gives the bytes so many behind (n,) rising positions; where those are all bytes, in place."""
-    n, first = len(at), int(at[0]) if len(at) else 0
-    if n and int(at[-1]) - first == n - 1:
-        return lambda offset: data[first + offset : first + offset + n]
-    return lambda offset: data[at + offset]
-
-
-def _are_right(data: Array, at: Array, agree: Callable[[Array, Array, Array], Mask]) -> Mask:
-    """(n,) whether frames at given positions are of known types, with the right checksum.
-
-    Args:
-        data: in which they lie.
-        at: (n,) their magic bytes.
-        agree: `checksums_agree` of positions, lengths and extra bytes.
-    """
-    behind = _bytes_behind(data, at)
-    length = behind(1) + np.intp(HEADER_1 - 1)  # without the magic byte
-    extra = _EXTRA.take(behind(5))
-    newer = np.flatnonzero(behind(0) == MAGIC_2)
-    if len(newer):
-        length[newer] += HEADER_2 - HEADER_1
-        low, middle, high = (data[at[newer] + i].astype(np.int32) for i in (7, 8, 9))
-        extra[newer] = _EXTRA[np.minimum(low | middle << 8 | high << 16, _IDS - 1)]
-    right = extra >= 0
-    if right.all():
-        return agree(at + np.intp(1), length, extra.astype(np.uint8))
-    known = np.flatnonzero(right)
-    extra = extra[known].astype(np.uint8)
-    right[known] = agree(at[known] + np.intp(1), length[known], extra)
-    return right
-
-
 def _around(places: Array, at: Array, size: Array) -> tuple[Array, Array]:
     """(n,) indices of the first of some places inside of frames, and of the first behind them."""
     starts, stops = (some.astype(places.dtype) for some in (at, at + size))  # else all the places
     return np.searchsorted(places, starts, side="right"), np.searchsorted(places, stops)
+
+
+def _is_magic(data: Array) -> Mask:
+    is_magic: Mask = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
+    return is_magic
 
 
 class _Chain:
@@ -284,8 +230,12 @@ class _Chain:
         self._content = content
         self._data = data
         self._limit = limit
-        self._magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
-        at = np.flatnonzero(self._magic[: len(content)]).astype(np.int32)
+        at = np.concatenate(
+            [
+                np.flatnonzero(_is_magic(data[i : min(i + _SEARCHED, len(content))])) + i
+                for i in range(0, max(len(content), 1), _SEARCHED)
+            ]
+        ).astype(np.int32)
         parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
         # Where whole frames could begin, by their headers alone, and where the record after each
         # has its magic byte.
@@ -295,14 +245,15 @@ class _Chain:
 
     def _led_to(self, at: Array) -> tuple[Array, Array]:
         """Which of some magic bytes may begin a whole frame, and where the next one's would be."""
-        behind = _bytes_behind(self._data, at)
+        behind = bytes_behind(self._data, at)
         second = behind(0) == MAGIC_2
         follows = at + behind(1)
         follows += HEADER_1 + CHECKSUM + STAMP
-        newer = np.flatnonzero(second)
-        flags = behind(2)[newer]
-        follows[newer] += (HEADER_2 - HEADER_1) + SIGNATURE * (flags == FLAG_SIGNED)
-        follows[newer[flags > FLAG_SIGNED]] = _NOWHERE
+        follows += second * np.uint8(HEADER_2 - HEADER_1)
+        flags = behind(2) * second
+        if flags.any():
+            follows += (flags == FLAG_SIGNED) * np.uint8(SIGNATURE)
+            follows[flags > FLAG_SIGNED] = _NOWHERE
         fits = follows <= len(self._content) + STAMP
         return (at, follows) if fits.all() else (at[fits], follows[fits])
 
@@ -322,19 +273,19 @@ class _Chain:
         """(n,) whether the checksum of each candidate is right."""
         data = self._data
         if _CROWD * len(at) < len(data):
-            return _are_right(data, at, partial(checksums_agree, data))
+            return are_right(data, at, partial(checksums_agree, data))
         agree = RunningChecksum(data).agree
         pieces = (at[i : i + _CACHED] for i in range(0, len(at), _CACHED))
-        return np.concatenate([_are_right(data, piece, agree) for piece in pieces])
+        return np.concatenate([are_right(data, piece, agree) for piece in pieces])
 
-    def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
+    def frames(self, *, hunting: bool) -> tuple[Array, Headers]:
         """Where the frames begin, and what they say.
 
         Args:
             hunting: whether the piece begins in garbage, not with a record.
         """
         chain = self._wanted(self._by_length(hunting=hunting))
-        head = _Headers(self._data, chain)
+        head = Headers(self._data, chain)
         rejected = self._rejected(chain, head)
         if not len(rejected):
             return chain, head
@@ -346,7 +297,7 @@ class _Chain:
             found, done = self._detour(chain, int(chain[index]) - STAMP)
             pieces.append(np.array(found, chain.dtype))
         chain = self._wanted(np.concatenate([*pieces, chain[done:]]))
-        return chain, _Headers(self._data, chain)
+        return chain, Headers(self._data, chain)
 
     def _wanted(self, chain: Array) -> Array:
         return chain[: np.searchsorted(chain, self._limit, side="right")]
@@ -360,29 +311,23 @@ class _Chain:
             if record is None:
                 return np.empty(0, np.intp)
             begins.append(~position)
-        leading = self._magic.take(self._follows)  # to another record's magic byte
+        leading = _is_magic(self._data.take(self._follows))  # to another record's
         linked, follows = self._whole, self._follows
         if not leading.all():
             linked, follows = linked[leading], follows[leading]
         # Runs of candidates that lead to each other, and where the last of each leads.
         last = np.flatnonzero(np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1)))
         has_runs = len(last) < len(linked)
-        if has_runs:
-            follows = np.repeat(follows[last], np.diff(last, prepend=-1))
-        room = np.zeros(len(self._data), np.int32)
-        for first in range(0, len(linked), _CACHED):
-            some = slice(first, first + _CACHED)
-            room[linked[some].astype(np.intp)] = follows[some]
-        # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
-        leads_to, take = room.data, begins.append
+        enter, go_on = self._ways(linked, follows, last)
+        take = begins.append
         while record is not None and record <= self._limit:
             at = record + STAMP
-            following = leads_to[at]
+            following = enter(at)
             if following:
                 while following:
                     take(at)
                     at = following
-                    following = leads_to[at]
+                    following = go_on(at)
                 record = at - STAMP
             else:
                 position, record = self._next(record, hunting=False)
@@ -400,9 +345,44 @@ class _Chain:
         chain[index >= 0] = linked[index[index >= 0]]
         return chain
 
+    def _ways(
+        self, linked: Array, follows: Array, last: Array
+    ) -> tuple[Callable[[int], int | None], Callable[[int], int | None]]:
+        """Give where the run leads in which a candidate is, of any, and of one that a run leads to.
+
+        Args:
+            linked: (n,) the candidates.
+            follows: (n,) where each leads.
+            last: which of them are the last of a run.
+        """
+        leads = follows[last]
+        if _FEW_RUNS * len(last) < len(linked):
+            index = np.searchsorted(linked, leads)
+            met = np.flatnonzero(linked.take(index, mode="clip") == leads)
+            run = np.searchsorted(last, index[met])
+            ways = dict(zip(leads[met].tolist(), leads[run].tolist(), strict=True))
+
+            def enter(at: int) -> int | None:
+                index = int(np.searchsorted(linked, linked.dtype.type(at)))
+                if index == len(linked) or linked[index] != at:
+                    return None
+                return int(leads[np.searchsorted(last, index)])
+
+            return enter, ways.get
+        if len(last) < len(linked):
+            follows = np.repeat(leads, np.diff(last, prepend=-1))
+        room = np.zeros(len(self._data), np.int32)
+        for first in range(0, len(linked), _CACHED):
+            some = slice(first, first + _CACHED)
+            room[linked[some].astype(np.intp)] = follows[some]
+        # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
+        return room.data.__getitem__, room.data.__getitem__
+
     def _next(self, record: int, *, hunting: bool) -> tuple[int, int | None]:
         """Where the next frame begins, and the record after it; None when there is none."""
         content = self._content
+        if record >= len(content):
+            return len(content), None
         if not hunting:
             frame = read_frame(content, record + STAMP)
             if frame is not None and (
@@ -440,7 +420,7 @@ class _Chain:
             found.append(position)
         return found, len(chain)
 
-    def _rejected(self, chain: Array, head: _Headers) -> Array:
+    def _rejected(self, chain: Array, head: Headers) -> Array:
         """Which frames of the chain have a wrong checksum and a good frame inside.
 
         A damaged length can lead to another magic byte by chance.
