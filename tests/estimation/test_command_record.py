@@ -1,6 +1,7 @@
 """Rows of commands are made again no more often, and with no more whiteners, than it takes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, step_of
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.priors import CURVE
+from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
 from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.search import COORDINATE_STD
-from gcs_sysid.estimation.tuned_motors import TunedRows
+from gcs_sysid.estimation.tuned_motors import FirstPlace, TunedRows
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
 from gcs_sysid.estimation.whitening import bank_for_commands
@@ -262,3 +263,55 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
     after = predicted_information(fit, known, noise, estimator.free).after()
     assert (after.rotation.std < before.rotation.std).all()
+
+
+def test_cost_does_not_fall_with_the_rows_that_slow_motors_wait_for(monkeypatch):
+    monkeypatch.setattr(
+        TunedRows, "_power", property(lambda self: np.full((2, 3), 0.3 * self.white.rows))
+    )
+    maker = SimpleNamespace(samples_a_row=3)
+    fast, slow = (
+        TunedRows(None, maker, SimpleNamespace(rows=rows), None, np.zeros(0), 3000)
+        for rows in (990, 800)
+    )
+    assert fast.cost == pytest.approx(0.5 * 1000 * 3 * np.log(0.3))
+    assert slow.cost == pytest.approx(fast.cost)
+
+
+@pytest.mark.parametrize(
+    ("worse", "tried", "enough"),
+    [(-100.0, True, False), (10.0, True, False), (30.0, True, True), (30.0, False, False)],
+)
+def test_a_place_of_the_lag_is_left_when_it_is_no_rival(worse, tried, enough):
+    """One 160 nats likelier was dropped, as it was still on its way after two rounds."""
+    other = SimpleNamespace(
+        cost=worse, is_within=lambda steps: True, white=SimpleNamespace(rows=4000)
+    )
+    assert FirstPlace((), 0.0).is_enough(other, tried=tried) is enough
+
+
+@pytest.mark.parametrize("lag", [0.02, 0.15])
+def test_motors_are_found_however_far_the_search_starts(truth, samples, lag):
+    record = flown(truth, samples)._record.commands
+    found = record._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
+    assert found.is_within(0.3)
+    np.testing.assert_allclose(found.fit.rotation.coordinates[1:3], [LAG, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(("detected", "doubted"), [(-1.0, True), (1e9, False)])
+def test_what_disturbs_may_be_commands_that_are_not_sent(
+    truth, samples, monkeypatch, detected, doubted
+):
+    """Of a loop of 250 Hz, sampled at 200 Hz: the curve was 0.88 for 0."""
+    estimator = flown(truth, samples)
+    record = estimator._record.commands
+    apart = np.zeros(N_UNKNOWNS)
+    apart[CURVE] = 0.4
+    monkeypatch.setattr(CommandRecord, "_apart_from_window", lambda self: apart)
+    monkeypatch.setattr(command_record, "RULES", replace(command_record.RULES, detected=detected))
+    start = record._now.basis.at, "speed"
+    tuned, doubt = record._found([start], record._now.maker.hover, ("speed",))
+    full = tuned.fit.rotation.full_covariance
+    along = 0.4 * full[:, CURVE] / full[CURVE, CURVE]  # all goes with the curve
+    assert (np.diag(doubt) >= 0.99 * along**2).all() == doubted
+    assert (doubt[CURVE, CURVE] >= 0.16) == doubted

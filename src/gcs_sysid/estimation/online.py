@@ -16,6 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
+from gcs_sysid.estimation.axis_damping import with_axis_damping
 from gcs_sysid.estimation.disturbance import curve_doubt
 from gcs_sysid.estimation.input_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
@@ -426,7 +427,7 @@ class OnlineEstimator:
         if place is None:
             return [self._read(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
         commands = self._record.commands
-        return [
+        doubted = [
             with_lag_doubt(
                 fit,
                 place,
@@ -434,15 +435,23 @@ class OnlineEstimator:
             )
             for fit in fits
         ]
+        return [self._read(fit, instant) for fit, instant in zip(doubted, instants, strict=True)]
 
     def _read(self, fit: RotationFit, instant: _Instant | None = None) -> RotationFit:
-        """A fit to speeds, with what they miss between readings; at an instant, or now."""
-        if not is_sparse(self._speed_interval) or fit.lag_place is not None:
+        """A fit with what its rows leave out; at an instant, or now.
+
+        Speeds miss what happens between readings. The window has one damping for three axes.
+        """
+        sparse = is_sparse(self._speed_interval) and fit.lag_place is None
+        by_window = self._basis.commands and not fit.whiteners
+        if not (sparse or by_window):
             return fit
         found = self._moments(fit) if instant is None else self._moments_at(fit, instant)
         if found is None:
             return fit
-        return with_sparse_readings(fit, self._speed_interval, found.window)
+        if sparse:
+            fit = with_sparse_readings(fit, self._speed_interval, found.window)
+        return with_axis_damping(fit, found.rows[0]) if by_window else fit
 
     def _use_place(self, place: LagPlace | None) -> None:
         """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
