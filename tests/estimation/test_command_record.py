@@ -11,9 +11,10 @@ from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
-from gcs_sysid.estimation.motor_linearization import LocalDynamics, step_of
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, step_of
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.priors import DELAY as DELAY_PLACE
 from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.search import COORDINATE_STD
@@ -315,3 +316,31 @@ def test_what_disturbs_may_be_commands_that_are_not_sent(
     along = 0.4 * full[:, CURVE] / full[CURVE, CURVE]  # all goes with the curve
     assert (np.diag(doubt) >= 0.99 * along**2).all() == doubted
     assert (doubt[CURVE, CURVE] >= 0.16) == doubted
+
+
+def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples):
+    """Its lag came out twice too large, with an interval of 2 %."""
+    estimator = flown(truth, samples)
+    rigid = estimator.fit().rotation
+    other = estimator._fit_without_products()
+    assert other.lag_place is not None
+    for place in (LAG_PLACE, DELAY_PLACE):
+        assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0
+
+
+def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(
+    truth, samples, monkeypatch
+):
+    """Commands that swing from stop to stop, faster than they are sent: T_max was 11 sigma off."""
+    estimator = flown(truth, samples)
+    fit = estimator.fit().rotation
+    monkeypatch.setattr(
+        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
+    )
+    calm, disturbed = (
+        estimator.fit_translation(replace(fit, disturbance=np.full(3, nats)))[0]
+        for nats in (0.0, 5.0)
+    )
+    assert calm.kappa == pytest.approx(disturbed.kappa)
+    added = disturbed.kappa_std**2 - calm.kappa_std**2
+    assert np.sqrt(added) == pytest.approx(0.25 * 1.25 * calm.kappa / 1.25, rel=1e-6)

@@ -81,8 +81,8 @@ class Evidence:
     """Whether rotors explain nothing of what was flown on an axis: their order may be wrong, and
     with it the CG. The order of four shows on roll and pitch, that of more on yaw too."""
     motors: bool = False
-    """Whether lag and thrust curve, found from roll and pitch, are capped with these, and T_max,
-    which is gravity over the share of full thrust that the curve makes of the hover's command."""
+    """Whether lag and thrust curve are capped, as roll or pitch, which they are found from, is not
+    predicted; and T_max, gravity over the share of full thrust that the curve makes of hover."""
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""
@@ -156,14 +156,15 @@ def evidence_of(
     flown = ~still & (np.arange(3) < (3 if rotors > 4 else 2))
     misplaced = bool((explained[flown] < RULES.unexplained).any())
     axes = tuple(map(bool, unmoved))
-    motors = _motors(fit, capped[:2])
+    untold = ~(found.r_squared >= least) | still
+    motors = _motors(fit, tuple(untold[:2].tolist()))
     return Evidence(capped, tuple(reasons), axes, hovered, misplaced, motors)  # type: ignore[arg-type]
 
 
-def _motors(fit: Fit, capped: tuple[bool, ...]) -> bool:
-    """Whether motors that were found from commands are capped with (2,) roll and pitch."""
+def _motors(fit: Fit, untold: tuple[bool, ...]) -> bool:
+    """Whether motors are in doubt that were found from commands and (2,) roll and pitch."""
     assert fit.rotation is not None
-    return any(capped) and bool(fit.rotation.full_covariance[CURVE, CURVE] > 0.0)
+    return any(untold) and bool(fit.rotation.full_covariance[CURVE, CURVE] > 0.0)
 
 
 def _still(fit: Fit) -> tuple[Mask, tuple[str, ...]]:

@@ -17,7 +17,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
 from gcs_sysid.estimation.axis_damping import with_axis_damping
-from gcs_sysid.estimation.disturbance import curve_doubt
+from gcs_sysid.estimation.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.input_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
 from gcs_sysid.estimation.motor_linearization import MeanThrust
@@ -563,12 +563,7 @@ class OnlineEstimator:
             if found is None:
                 return None
             fitted, self._left_out = found
-            if record.commands is None:
-                return fitted
-            place = record.places(self._whitened.basis.lag_place.of)[0]
-            commands = record.commands
-            off = commands.doubt + curve_doubt(fitted) + commands.distance_doubt(fitted)
-            return with_lag_doubt(fitted, place, off)
+            return self._with_motor_doubt(fitted)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:
@@ -578,6 +573,17 @@ class OnlineEstimator:
             if fit is not None and fit.converged:
                 return fit
         return rotation.fit_rotation(*data, prior=self.prior, doubt=record.noise_doubt)
+
+    def _with_motor_doubt(self, fit: RotationFit) -> RotationFit:
+        """A fit to whitened rows; of commands, with what is not known of the motors."""
+        record = self._record
+        if record.commands is None:
+            return fit
+        assert self._whitened is not None
+        place = record.places(self._whitened.basis.lag_place.of)[0]
+        commands = record.commands
+        off = commands.doubt + curve_doubt(fit) + commands.distance_doubt(fit)
+        return with_lag_doubt(fit, place, off)
 
     def _fit_lag_places(self, start: RotationFit | None) -> RotationFit | None:
         """Of commands, with what lags as a hypothesis."""
@@ -644,6 +650,9 @@ class OnlineEstimator:
                 share, slope = mean.rectified(at.coordinates)
                 motors = slice(rigid_body.N_THETA, rigid_body.N_THETA + len(slope))
                 variance = float(slope @ at.full_covariance[motors, motors] @ slope)
+                if at.disturbance.max() > RULES.detected:
+                    # Asymmetry is then what disturbs, too.
+                    variance += share * share
                 spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
                 fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
         if CURVE not in self._basis.free:
@@ -713,7 +722,7 @@ class OnlineEstimator:
     def _fitted_without_products(self) -> RotationFit | None:
         if self._whitened is not None:
             found = self._whitened.fit(prior=self.prior, rigid=False)
-            return None if found is None else found[0]
+            return None if found is None else self._with_motor_doubt(found[0])
         fit = rotation.fit_rotation(
             self._without_products(),
             self._record.rotation.counts,
