@@ -22,6 +22,7 @@ from gcs_sysid.estimation.tuned_motors import FirstPlace, TunedRows
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
 from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
@@ -344,3 +345,17 @@ def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(
     assert calm.kappa == pytest.approx(disturbed.kappa)
     added = disturbed.kappa_std**2 - calm.kappa_std**2
     assert np.sqrt(added) == pytest.approx(0.25 * 1.25 * calm.kappa / 1.25, rel=1e-6)
+
+
+def test_the_cg_of_uneven_motors_is_in_doubt_too(truth, samples, monkeypatch):
+    estimator = flown(truth, samples)
+    fit = estimator.fit().rotation
+    monkeypatch.setattr(
+        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
+    )
+    calm, disturbed = (
+        estimator._with_motor_doubt(replace(fit, disturbance=np.array([0.0, 0.0, nats])))
+        for nats in (0.0, 5.0)
+    )
+    added = np.diag(disturbed.covariance - calm.covariance)[[rb.CG_X, rb.CG_Y]]
+    np.testing.assert_allclose(np.sqrt(added), 0.25 * 0.25 / 2.0, rtol=1e-6)

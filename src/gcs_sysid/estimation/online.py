@@ -33,6 +33,7 @@ from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.estimation.whitened_estimator import LEAST_OWN, Followed, LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.model import rigid_body
+from gcs_sysid.model.rigid_body import CG_X, CG_Y
 from gcs_sysid.signals.samples import Samples
 
 _SETTLE_GROWTH = 1.5
@@ -164,6 +165,7 @@ class OnlineEstimator:
         self._basis = self._record.basis
         self._speed_interval = tuning.speed_interval
         self._whitening = WhitenedEstimator(self._record, geometry)
+        self._arms = geometry[:2]
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
@@ -583,6 +585,12 @@ class OnlineEstimator:
         place = record.places(self._whitened.basis.lag_place.of)[0]
         commands = record.commands
         off = commands.doubt + curve_doubt(fit) + commands.distance_doubt(fit)
+        mean = commands.mean_thrust
+        if mean is not None and fit.disturbance.max() > RULES.detected:
+            # Each rotor's mean thrust may be off by what asymmetry makes of it.
+            share, _ = mean.rectified(fit.coordinates)
+            for place_of, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
+                off[place_of, place_of] += share**2 * float((arms**2).mean()) / len(arms)
         return with_lag_doubt(fit, place, off)
 
     def _fit_lag_places(self, start: RotationFit | None) -> RotationFit | None:
