@@ -82,7 +82,7 @@ class Evidence:
     with it the CG. The order of four shows on roll and pitch, that of more on yaw too."""
     motors: bool = False
     """Whether lag and thrust curve are capped, as roll or pitch, which they are found from, is not
-    predicted; and T_max, gravity over the share of full thrust that the curve makes of hover."""
+    predicted; and T_max, gravity over the share of full thrust at hover, which the curve gives."""
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""

@@ -587,7 +587,7 @@ class OnlineEstimator:
         off = commands.doubt + curve_doubt(fit) + commands.distance_doubt(fit)
         mean = commands.mean_thrust
         if mean is not None and fit.disturbance.max() > RULES.detected:
-            # Each rotor's mean thrust may be off by what asymmetry makes of it.
+            # Each rotor's mean thrust may be off by what asymmetry adds to it.
             share, _ = mean.rectified(fit.coordinates)
             for place_of, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
                 off[place_of, place_of] += share**2 * float((arms**2).mean()) / len(arms)
