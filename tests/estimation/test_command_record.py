@@ -1,6 +1,7 @@
 """Rows of commands are made again no more often, and with no more whiteners, than it takes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,16 +12,18 @@ from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
 from gcs_sysid.estimation.command_record import CommandRecord
 from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.motor_linearization import LocalDynamics, step_of
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, step_of
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import CURVE
+from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.priors import DELAY as DELAY_PLACE
 from gcs_sysid.estimation.priors import LAG as LAG_PLACE
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.search import COORDINATE_STD
-from gcs_sysid.estimation.tuned_motors import TunedRows
+from gcs_sysid.estimation.tuned_motors import FirstPlace, TunedRows
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.estimation.whitened_fit import fit_whitened
 from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
@@ -263,3 +266,97 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
     after = predicted_information(fit, known, noise, estimator.free).after()
     assert (after.rotation.std < before.rotation.std).all()
+
+
+def test_cost_does_not_fall_with_the_rows_that_slow_motors_wait_for(monkeypatch):
+    monkeypatch.setattr(
+        TunedRows, "_power", property(lambda self: np.full((2, 3), 0.3 * self.white.rows))
+    )
+    maker = SimpleNamespace(samples_a_row=3)
+    fast, slow = (
+        TunedRows(None, maker, SimpleNamespace(rows=rows), None, np.zeros(0), 3000)
+        for rows in (990, 800)
+    )
+    assert fast.cost == pytest.approx(0.5 * 1000 * 3 * np.log(0.3))
+    assert slow.cost == pytest.approx(fast.cost)
+
+
+@pytest.mark.parametrize(
+    ("worse", "tried", "enough"),
+    [(-100.0, True, False), (10.0, True, False), (30.0, True, True), (30.0, False, False)],
+)
+def test_a_place_of_the_lag_is_left_when_it_is_no_rival(worse, tried, enough):
+    """One 160 nats likelier was dropped, as it was still on its way after two rounds."""
+    other = SimpleNamespace(
+        cost=worse, is_within=lambda steps: True, white=SimpleNamespace(rows=4000)
+    )
+    assert FirstPlace((), 0.0).is_enough(other, tried=tried) is enough
+
+
+@pytest.mark.parametrize("lag", [0.02, 0.15])
+def test_motors_are_found_however_far_the_search_starts(truth, samples, lag):
+    record = flown(truth, samples)._record.commands
+    found = record._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
+    assert found.is_within(0.3)
+    np.testing.assert_allclose(found.fit.rotation.coordinates[1:3], [LAG, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(("detected", "doubted"), [(-1.0, True), (1e9, False)])
+def test_what_disturbs_may_be_commands_that_are_not_sent(
+    truth, samples, monkeypatch, detected, doubted
+):
+    """Of a loop of 250 Hz, sampled at 200 Hz: the curve was 0.88 for 0."""
+    estimator = flown(truth, samples)
+    record = estimator._record.commands
+    apart = np.zeros(N_UNKNOWNS)
+    apart[CURVE] = 0.4
+    monkeypatch.setattr(CommandRecord, "_apart_from_window", lambda self: apart)
+    monkeypatch.setattr(command_record, "RULES", replace(command_record.RULES, detected=detected))
+    start = record._now.basis.at, "speed"
+    tuned, doubt = record._found([start], record._now.maker.hover, ("speed",))
+    full = tuned.fit.rotation.full_covariance
+    along = 0.4 * full[:, CURVE] / full[CURVE, CURVE]  # all goes with the curve
+    assert (np.diag(doubt) >= 0.99 * along**2).all() == doubted
+    assert (doubt[CURVE, CURVE] >= 0.16) == doubted
+
+
+def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples):
+    """Its lag came out twice too large, with an interval of 2 %."""
+    estimator = flown(truth, samples)
+    rigid = estimator.fit().rotation
+    other = estimator._rotation.without_products(estimator.prior)
+    assert other.lag_place is not None
+    for place in (LAG_PLACE, DELAY_PLACE):
+        assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0
+
+
+def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(
+    truth, samples, monkeypatch
+):
+    """Commands that swing from stop to stop, faster than they are sent: T_max was 11 sigma off."""
+    estimator = flown(truth, samples)
+    fit = estimator.fit().rotation
+    monkeypatch.setattr(
+        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
+    )
+    calm, disturbed = (
+        estimator.fit_translation(replace(fit, disturbance=np.full(3, nats)))[0]
+        for nats in (0.0, 5.0)
+    )
+    assert calm.kappa == pytest.approx(disturbed.kappa)
+    added = disturbed.kappa_std**2 - calm.kappa_std**2
+    assert np.sqrt(added) == pytest.approx(0.25 * 1.25 * calm.kappa / 1.25, rel=1e-6)
+
+
+def test_the_cg_of_uneven_motors_is_in_doubt_too(truth, samples, monkeypatch):
+    estimator = flown(truth, samples)
+    fit = estimator.fit().rotation
+    monkeypatch.setattr(
+        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
+    )
+    calm, disturbed = (
+        estimator._rotation._with_motor_doubt(replace(fit, disturbance=np.array([0.0, 0.0, nats])))
+        for nats in (0.0, 5.0)
+    )
+    added = np.diag(disturbed.covariance - calm.covariance)[[rb.CG_X, rb.CG_Y]]
+    np.testing.assert_allclose(np.sqrt(added), 0.25 * 0.25 / 2.0, rtol=1e-6)

@@ -7,6 +7,7 @@ import pytest
 
 from gcs_sysid.estimation.evidence import RULES, Evidence, evidence_of
 from gcs_sysid.estimation.fit import Fit, FitMoments
+from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.validation import Validation
@@ -217,3 +218,32 @@ def test_a_hover_is_told_what_to_fly_and_nothing_else():
     assert short.still
     running = hover(None, running=True)
     assert (running.reasons, running.capped) == ((reason,), (False, False, False))
+
+
+def commanded(validation, curve_std):
+    """Whether T_max, curve and lag are `identified`, of a fit with a thrust curve known so well."""
+    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    full[CURVE, CURVE] = curve_std**2
+    fit = Fit(replace(ROTATION, full_covariance=full), None, 30.0, validation)
+    evidence = evidence_of(fit, "command", 0.004)
+    sure = Value(1.0, 1e-6, "identified")
+    names = ("T_max", "thrust_curve", "motor_lag")
+    return {evidence.cap(sure, REGISTRY[name]).status == "identified" for name in names}
+
+
+def test_motors_are_capped_with_roll_and_pitch_that_they_are_found_from():
+    assert commanded(GOOD, 0.02) == {True}
+    assert commanded(None, 0.02) == {False}
+    for axis in (0, 1):
+        assert commanded(replace(GOOD, r_squared=on(axis, 0.95, 0.2)), 0.02) == {False}
+    assert commanded(replace(GOOD, r_squared=on(2, 0.95, 0.2)), 0.02) == {True}
+
+
+def test_where_the_curve_is_given_t_max_is_gravity_over_a_known_share():
+    assert commanded(None, 0.0) == {True}
+    assert commanded(replace(GOOD, r_squared=on(0, 0.95, 0.2)), 0.0) == {True}
+
+
+def test_k_t_rests_on_no_fit_of_motors():
+    evidence = found(None)
+    assert evidence.cap(Value(1.0, 1e-6, "identified"), REGISTRY["k_T"]).status == "identified"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation import search as module
 from gcs_sysid.estimation.actuator_dynamics import (
     BODY,
     N_COORDINATES,
@@ -15,6 +16,7 @@ from gcs_sysid.estimation.search import (
     COORDINATE_MEAN,
     COORDINATE_STD,
     MAX_ITERATIONS,
+    Point,
     Problem,
     first_guess,
     minimize,
@@ -381,3 +383,38 @@ def test_the_ordinary_weighs_as_five_numbers_known_beforehand():
     assert COORDINATE_STD.tolist() == [0.03, 0.05, 0.5, 0.4, 0.5]
     problem, _, unknowns = problem_at(COMMANDS, [0.03, 0.0, 1.5])
     assert problem.weak_cost(unknowns) == pytest.approx(1.0 + 1.0 + 4.0)
+
+
+class Bent:
+    """A problem whose gradient without noise falls three times as fast as the curvature says."""
+
+    def __init__(self, bank, rows, basis, prior, noise=None):
+        self.bank, self.rows, self.basis, self.prior, self.noise = bank, rows, basis, prior, noise
+        self.p, self.visited = 1, []
+
+    def moved(self, unknowns, step):
+        out = unknowns.copy()
+        out[:, DELAY] += step[:, 0]
+        return out
+
+    def with_prior(self, gradient, hessian, unknowns):
+        del unknowns
+        return gradient, hessian
+
+    def evaluate(self, unknowns):
+        away = unknowns[:, DELAY] if self.noise is None else unknowns[:, DELAY] - 0.01
+        steep = 1.0 if self.noise is None else 3.0
+        K = len(unknowns)
+        nothing = [np.zeros((K, *shape)) for shape in ((), (3, 3), (3, 4), (3, 3), (2, 2))]
+        gradient, hessian = -steep * 1e6 * away[:, None], np.full((K, 1, 1), 1e6)
+        return Point(unknowns, nothing[0], gradient, hessian, *nothing[1:])
+
+
+def test_noise_is_undone_where_a_whole_step_is_too_long(monkeypatch):
+    """Such steps went from one edge of the thrust curve's range to the other, and back."""
+    monkeypatch.setattr(module, "Problem", Bent)
+    problem = Bent(np.zeros((2, 1, 1)), N, None, None)
+    unknowns = np.append(THETA, np.zeros(N_COORDINATES))[None].repeat(2, axis=0)
+    unknowns[1, DELAY] = 0.02
+    _, found, _ = without_noise(problem, problem.evaluate(unknowns), np.ones((2, 1, 1)))
+    np.testing.assert_allclose(found.unknowns[:, DELAY], 0.01, atol=1e-7)

@@ -137,11 +137,19 @@ def curve_doubt(fit: RotationFit) -> Array:
 
     Were the curve another, all unknowns would go with it.
     """
-    full = fit.full_covariance
-    if not fit.disturbance[:2].max() > RULES.detected or full[CURVE, CURVE] <= 0.0:
-        return np.zeros_like(full)
-    along = full[:, CURVE] / full[CURVE, CURVE] * RULES.curve
+    if not fit.disturbance[:2].max() > RULES.detected:
+        return np.zeros_like(fit.full_covariance)
+    along = along_curve(fit, RULES.curve)
     return np.outer(along, along)
+
+
+def along_curve(fit: RotationFit, off: float) -> Array:
+    """(N_UNKNOWNS,) what all unknowns err by where a fit's thrust curve is off by so much."""
+    full = fit.full_covariance
+    if full[CURVE, CURVE] <= 0.0:
+        return np.zeros(len(full))
+    along: Array = full[:, CURVE] / full[CURVE, CURVE] * off
+    return along
 
 
 def axis_floor(fit: RotationFit, axis: int) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from gcs_sysid.arrays import Mask
 from gcs_sysid.estimation.fit import Fit
 from gcs_sysid.estimation.layout_test import LEAST_RATE
+from gcs_sysid.estimation.priors import CURVE
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.parameters import Parameter, RotorInput
 
@@ -79,6 +80,9 @@ class Evidence:
     misplaced: bool = False
     """Whether rotors explain nothing of what was flown on an axis: their order may be wrong, and
     with it the CG. The order of four shows on roll and pitch, that of more on yaw too."""
+    motors: bool = False
+    """Whether lag and thrust curve are capped, as roll or pitch, which they are found from, is not
+    predicted; and T_max, gravity over the share of full thrust at hover, which the curve gives."""
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""
@@ -87,7 +91,8 @@ class Evidence:
             capped = list(parameter.axes)
         elif parameter.mean_torque:
             capped = [axis for axis in capped if not self.unmoved[axis]]
-        return replace(value, status="weak") if capped and value.status == "identified" else value
+        doubted = capped or (self.motors and parameter.inputs == ("command",))
+        return replace(value, status="weak") if doubted and value.status == "identified" else value
 
 
 def evidence_of(
@@ -112,7 +117,9 @@ def evidence_of(
         if fit.running:
             return Evidence(reasons=rest, still=True) if hovered else Evidence()
         why = "the flight is too short to hold out a part of it: nothing checks the fit"
-        return Evidence((True, True, True), (why, *(rest if hovered else ())), still=hovered)
+        motors = _motors(fit, (True, True))
+        every = (True, True, True)
+        return Evidence(every, (why, *(rest if hovered else ())), still=hovered, motors=motors)
     whitened = bool(fit.rotation.whiteners)
     fine = whitened or rotor_input == "speed"
     limit = RULES.whiteness if fine else RULES.whiteness_commands
@@ -149,7 +156,15 @@ def evidence_of(
     flown = ~still & (np.arange(3) < (3 if rotors > 4 else 2))
     misplaced = bool((explained[flown] < RULES.unexplained).any())
     axes = tuple(map(bool, unmoved))
-    return Evidence(capped, tuple(reasons), axes, hovered, misplaced)  # type: ignore[arg-type]
+    untold = ~(found.r_squared >= least) | still
+    motors = _motors(fit, tuple(untold[:2].tolist()))
+    return Evidence(capped, tuple(reasons), axes, hovered, misplaced, motors)  # type: ignore[arg-type]
+
+
+def _motors(fit: Fit, untold: tuple[bool, ...]) -> bool:
+    """Whether motors are in doubt that were found from commands and (2,) roll and pitch."""
+    assert fit.rotation is not None
+    return any(untold) and bool(fit.rotation.full_covariance[CURVE, CURVE] > 0.0)
 
 
 def _still(fit: Fit) -> tuple[Mask, tuple[str, ...]]:

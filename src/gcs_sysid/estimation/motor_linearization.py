@@ -201,7 +201,9 @@ class MotorRows:
         self._settling = int(np.ceil(_SETTLED * slowest / dt))
         self._step = step_of(dt)
         before, after = basis.late_by - basis.spacing, basis.late_by + basis.spacing
-        self._past, self._ahead = max(-before, 0), max(after, 0)
+        # Whole steps: rows about any motors are of the same samples, and so of the same noise.
+        self._past, self._ahead = -min(before, 0), max(after, 0)
+        self._past += -self._past % self._step.step
         self._shifts = (basis.late_by, before, after)
         self.restart()
 
@@ -209,6 +211,11 @@ class MotorRows:
     def mean_thrust(self) -> "MeanThrust":
         """Of the samples so far; it does not change with those that come."""
         return MeanThrust(self._basis, self._thrusts)
+
+    @property
+    def samples_a_row(self) -> int:
+        """How far rows are apart."""
+        return self._step.step
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""

@@ -81,7 +81,7 @@ class OnlineEstimator:
         whitening = WhitenedEstimator(self._record, geometry)
         self._thrust = ThrustEstimator(self._record, whitening)
         self._rotation = RotationEstimator(
-            self._record, whitening, self._thrust, tuning.speed_interval
+            self._record, whitening, self._thrust, geometry, tuning.speed_interval
         )
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}

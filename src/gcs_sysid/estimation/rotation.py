@@ -249,6 +249,10 @@ def fit_rotation(
         problem, point, pull = without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
     outcome = Outcome(problem, point, noise)
+    if pull is not None:
+        # Where the noise has shifted the minimum far, the way there may not be found.
+        stuck = stuck | (outcome.left >= _NEAR)
+        converged = converged & ~stuck
     inverse_roots = outcome.roots[1]
     scatter = []
     for i in range(len(bank)):

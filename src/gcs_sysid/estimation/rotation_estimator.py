@@ -11,7 +11,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.disturbance import curve_doubt
+from gcs_sysid.estimation.axis_damping import with_axis_damping
+from gcs_sysid.estimation.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit import FitMoments
 from gcs_sysid.estimation.input_noise import is_sparse, with_sparse_readings
 from gcs_sysid.estimation.instant import Instant
@@ -24,6 +25,7 @@ from gcs_sysid.estimation.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.estimation.whitened_estimator import LEAST_OWN, LeftOut, WhitenedEstimator
 from gcs_sysid.model import rigid_body
+from gcs_sysid.model.rigid_body import CG_X, CG_Y
 
 _MIN_BATCHES = 10
 """Batches from which their scatter gives a standard deviation."""
@@ -36,6 +38,7 @@ class RotationEstimator:
         record: of the flight.
         whitening: of its whitened rows, where there are any.
         thrust: of the same record.
+        geometry: (3, rotors) of the airframe.
         speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
     """
 
@@ -44,12 +47,14 @@ class RotationEstimator:
         record: FlightRecord,
         whitening: WhitenedEstimator,
         thrust: ThrustEstimator,
+        geometry: Array,
         speed_interval: float,
     ) -> None:
         self.left_out: LeftOut | None = None
         """Shocks that the latest fit to whitened rows left out."""
         self._record, self._basis = record, record.basis
         self._whitening, self._thrust = whitening, thrust
+        self._arms = geometry[:2]
         self._speed_interval = speed_interval
 
     @property
@@ -68,7 +73,7 @@ class RotationEstimator:
             The fit; None while the data cannot even start one.
         """
         fit = self._fitted(start, prior)
-        return None if fit is None else self._with_readings(fit)
+        return None if fit is None else self._completed(fit)
 
     def follow(
         self, instants: Sequence[Instant], start: RotationFit, prior: Prior | None
@@ -88,18 +93,17 @@ class RotationEstimator:
                 start,
                 prior,
             )
-        if place is None:
-            pairs = zip(fits, instants, strict=True)
-            return [self._with_readings(fit, instant) for fit, instant in pairs]
-        commands = self._record.commands
-        return [
-            with_lag_doubt(
-                fit,
-                place,
-                start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit)),
-            )
-            for fit in fits
-        ]
+        if place is not None:
+            commands = self._record.commands
+            fits = [
+                with_lag_doubt(
+                    fit,
+                    place,
+                    start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit)),
+                )
+                for fit in fits
+            ]
+        return [self._completed(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
 
     def instant(self, fit: RotationFit, left_out: LeftOut | None) -> Instant:
         """The moments of now.
@@ -123,7 +127,7 @@ class RotationEstimator:
     def without_products(self, prior: Prior | None) -> RotationFit | None:
         """The fit of a body without gyroscopic torque."""
         fit = self._fitted_without_products(prior)
-        return None if fit is None else self._with_readings(fit)
+        return None if fit is None else self._completed(fit)
 
     @property
     def can_test_rigid_body(self) -> bool:
@@ -192,17 +196,25 @@ class RotationEstimator:
     def _fitted_to_whitened(
         self, whitened: WhitenedEstimator, start: RotationFit | None, prior: Prior | None
     ) -> RotationFit | None:
-        record = self._record
         found = whitened.fit(start, prior, calm=self._thrust.is_calm(prior))
         if found is None:
             return None
         fit, self.left_out = found
-        if record.commands is None:
+        return self._with_motor_doubt(fit)
+
+    def _with_motor_doubt(self, fit: RotationFit) -> RotationFit:
+        """A fit to whitened rows; of commands, with what is not known of the motors."""
+        record, commands = self._record, self._record.commands
+        if commands is None:
             return fit
-        place = record.places(whitened.basis.lag_place.of)[0]
-        commands = record.commands
         off = commands.doubt + curve_doubt(fit) + commands.distance_doubt(fit)
-        return with_lag_doubt(fit, place, off)
+        mean = commands.mean_thrust
+        if mean is not None and fit.disturbance.max() > RULES.detected:
+            # Each rotor's mean thrust may be off by what asymmetry adds to it.
+            share, _ = mean.rectified(fit.coordinates)
+            for i, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
+                off[i, i] += share**2 * float((arms**2).mean()) / len(arms)
+        return with_lag_doubt(fit, record.places(self._whitening.basis.lag_place.of)[0], off)
 
     def _fit_lag_places(self, start: RotationFit | None, prior: Prior | None) -> RotationFit | None:
         """Of commands, with what lags as a hypothesis."""
@@ -222,7 +234,7 @@ class RotationEstimator:
     def _fitted_without_products(self, prior: Prior | None) -> RotationFit | None:
         if self.whitened is not None:
             found = self.whitened.fit(prior=prior, rigid=False)
-            return None if found is None else found[0]
+            return None if found is None else self._with_motor_doubt(found[0])
         moments: Array = self._record.rotation.batches.copy()
         places = self._basis.body_places(PRODUCTS)
         moments[..., places, :] = 0.0
@@ -239,14 +251,21 @@ class RotationEstimator:
             return fit
         return replace(fit, lag_place=self._basis.lag_place)
 
-    def _with_readings(self, fit: RotationFit, instant: Instant | None = None) -> RotationFit:
-        """A fit to speeds, with what they miss between readings; at an instant, or now."""
-        if not is_sparse(self._speed_interval) or fit.lag_place is not None:
+    def _completed(self, fit: RotationFit, instant: Instant | None = None) -> RotationFit:
+        """A fit with what its rows leave out; at an instant, or now.
+
+        Speeds miss what happens between readings. The window has one damping for three axes.
+        """
+        sparse = is_sparse(self._speed_interval) and fit.lag_place is None
+        by_window = self._basis.commands and not fit.whiteners
+        if not (sparse or by_window):
             return fit
         found = self.moments(fit) if instant is None else instant.at(fit, self._record)
         if found is None:
             return fit
-        return with_sparse_readings(fit, self._speed_interval, found.window)
+        if sparse:
+            fit = with_sparse_readings(fit, self._speed_interval, found.window)
+        return with_axis_damping(fit, found.rows[0]) if by_window else fit
 
     def _noise(self) -> Array:
         return np.stack([self._record.noise(i) for i in range(len(self._record.memories))])

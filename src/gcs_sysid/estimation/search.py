@@ -34,8 +34,11 @@ _UNSEEN = 1e-2
 _DAMPING = 1e-4
 _SHORTENED = 1.0
 """Damping that makes a step much shorter than it would be without."""
-_NOISE_STEPS = 10
-"""Each leaves of the way that share by which noise adds to the moments, a third at most."""
+_NOISE_STEPS, _NOISE_LEFT = 100, 1e-10
+"""Steps at most, and squared standard deviations to go at which they end. Each leaves of the way
+that share by which noise adds to the moments: a third at most, but for curve and lag."""
+_LONGER, _SHORTER = 2.0, 0.25
+"""Times the share of a step that is taken, after one that came nearer, and one that did not."""
 _ALIKE = 3e-13
 """Share of all residual power that every axis has at least: weights stay finite."""
 _EPSILON = 4e-15
@@ -352,21 +355,34 @@ def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem
     """
     corrected = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
     unknowns, d = point.unknowns, scales(point.hessian)
-    # The curvature with noise is the larger: steps with it are short, and sure to come nearer.
+    # The curvature with noise is the larger: steps with it are short.
     hessian = point.hessian
     if problem.prior is not None:
         hessian = hessian + problem.prior_information()
     H = hessian / (d[:, :, None] * d[:, None, :]) + _DAMPING * np.eye(problem.p)
-    for _ in range(_NOISE_STEPS):
-        gradient = corrected.evaluate(unknowns).gradient
-        if problem.prior is not None:
-            gradient = gradient + problem.prior_pull(unknowns)
+
+    def to_go(at: Point) -> tuple[Array, Array]:
+        """Step to where the gradient vanishes, in units of d, and (K,) how far that is."""
+        gradient, _ = corrected.with_prior(at.gradient, at.hessian, at.unknowns)
         step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
-        moved = problem.moved(unknowns, step / d)
-        physical = rb.are_physical(moved)
-        unknowns = np.where(physical[:, None], moved, unknowns)
+        return step, (step * gradient / d).sum(axis=1)
+
     found = corrected.evaluate(unknowns)
-    return corrected, found, problem.evaluate(unknowns).gradient - found.gradient
+    step, left = to_go(found)
+    share = np.ones(len(unknowns))
+    for _ in range(_NOISE_STEPS):
+        if left.max() < _NOISE_LEFT:
+            break
+        moved = problem.moved(found.unknowns, share[:, None] * step / d)
+        physical = rb.are_physical(moved)
+        tried = corrected.evaluate(np.where(physical[:, None], moved, found.unknowns))
+        further, less = to_go(tried)
+        # There is no cost to fall: a step that leaves more to go was too long.
+        nearer = less <= left
+        found = found.where(nearer, tried)
+        step, left = np.where(nearer[:, None], further, step), np.where(nearer, less, left)
+        share = np.where(nearer, np.minimum(_LONGER * share, 1.0), _SHORTER * share)
+    return corrected, found, problem.evaluate(found.unknowns).gradient - found.gradient
 
 
 def residual_maker(Q: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE
+from gcs_sysid.estimation.disturbance import RULES
 from gcs_sysid.estimation.instant import Instant
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
@@ -134,6 +135,9 @@ class ThrustEstimator:
                 share, slope = mean.rectified(at.coordinates)
                 motors = slice(rigid_body.N_THETA, rigid_body.N_THETA + len(slope))
                 variance = float(slope @ at.full_covariance[motors, motors] @ slope)
+                if at.disturbance.max() > RULES.detected:
+                    # Asymmetry is then what disturbs, too.
+                    variance += share * share
                 spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
                 fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
         if CURVE not in self._basis.free:

@@ -26,6 +26,10 @@ which its motors must be, for its rows not to be made again: on recorded flights
 most half as much."""
 
 
+_RIVAL = 20.0
+"""Nats by which a place of the lag must be less likely to count no more: its weight is 2e-9."""
+
+
 @dataclass(frozen=True)
 class TunedRows:
     """Rows about one set of motors.
@@ -88,8 +92,12 @@ class TunedRows:
 
     @property
     def cost(self) -> float:
-        """Nats of all rows, shocks included: what is left out differs from one to another."""
-        return 0.5 * self.white.rows * float(np.log(self._power.min(axis=0)).sum())
+        """Nats of all samples, shocks included: what is left out differs from one to another.
+
+        So does the number of rows, as slower motors take longer until their past is forgotten.
+        """
+        rows = self.samples / self.maker.samples_a_row
+        return 0.5 * rows * float(np.log(self._power.min(axis=0) / self.white.rows).sum())
 
     @property
     def near(self) -> list[Whitener]:
@@ -122,6 +130,14 @@ class FirstPlace:
     whiteners: Sequence[Whitener]
     cost: float
 
-    def is_far_likelier_than(self, other: TunedRows) -> bool:
-        """Whether rows about the motors found would not change which is likelier, nor how far."""
-        return other.is_within(_CLOSE) and other.cost - self.cost > _NO_RIVAL * other.white.rows
+    def is_enough(self, other: TunedRows, *, tried: bool) -> bool:
+        """Whether rows about the motors found would not change which is likelier, nor how far.
+
+        Args:
+            other: place of the lag, on its way.
+            tried: whether its rows have been made again as often as those of one that is no rival.
+        """
+        worse = other.cost - self.cost
+        if tried:
+            return worse > _RIVAL
+        return other.is_within(_CLOSE) and worse > _NO_RIVAL * other.white.rows

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimize_axes
+from gcs_sysid.estimation.curve_scatter import curve_scatter
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -194,7 +195,10 @@ def fit_whitened(
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
-    if len(errors):
+    if disturbed and basis.commands and only is None:
+        along = curve_scatter(solved.problem, improved, batches, counts) / widening[0]
+        spread = spread + outcome.spread_of(along[None] @ solved.point.hessian[0])
+    if len(errors) or (disturbed and basis.commands):
         improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
         improved,
