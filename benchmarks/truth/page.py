@@ -116,11 +116,9 @@ def lines(rows: Rows) -> list[str]:
 
 def page(rows: Rows) -> str:
     """The whole page."""
-    found = [worst(name, case["outcomes"]) for name, case in rows.items()]
-    misses = table(
-        ["scenario", "vehicle", "parameter", "error", "z", "verdict", "held-out R²", "whiteness"],
-        [w for w in found if w is not None],
-    )
+    found = [w for n, case in rows.items() if (w := worst(n, case["outcomes"])) is not None]
+    head = ["scenario", "vehicle", "parameter", "error", "z", "verdict", "held-out R²", "whiteness"]
+    misses = table(head, found) if found else ["No claim is."]
     says = table(["scenario", "what is flown"], [[n, c["says"]] for n, c in rows.items()])
     wrong = [
         f"- {name}, {o['vehicle']}: {o['error']}"
