@@ -8,7 +8,6 @@ import select
 import stat
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +168,9 @@ def parse_toml(text: str, where: str, what: str) -> dict[str, Any]:
         raise InputError(f"{where}: not {what}: a line with more than {_MOST_DOTS} dots")
     if sum(n * n for n in dots) > _MOST_SQUARES:
         raise InputError(f"{where}: not {what}: too many lines with hundreds of dots")
+    # Loaded here: every command would pay for it at its start.
+    import tomllib
+
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
