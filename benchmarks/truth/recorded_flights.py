@@ -22,7 +22,6 @@ _SPELLINGS = {
     "kT": "k_T", "kT_N_per_rad2": "k_T", "kM": "k_M", "t_max": "T_max", "kdv": "linear_drag",
     "kdw": "rotational_damping", "t_tau": "motor_lag",
 }  # fmt: skip
-_FORMAT = {".ulg": "ULog", ".bin": "dataflash"}
 
 
 def truth_file(log: Path) -> Path | None:

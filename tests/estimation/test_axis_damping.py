@@ -64,6 +64,18 @@ def test_yaw_that_is_hardly_damped_is_no_longer_a_false_inertia(seed):
     assert (wider.std[:2] < 2.0 * fit.std[:2]).all()
 
 
+def with_covariance(fit: RotationFit, times: float) -> RotationFit:
+    """A fit that is as much less certain."""
+    return RotationFit(
+        fit.theta,
+        times * fit.covariance,
+        fit.residual_covariance,
+        fit.r_squared,
+        N,
+        converged=True,
+    )
+
+
 def test_gyroscopic_torque_needs_no_common_damping():
     fit, moments = flown(1.0, 1.0)
     doubt = axis_damping_doubt(fit, moments)
@@ -72,26 +84,12 @@ def test_gyroscopic_torque_needs_no_common_damping():
 
 def test_colored_residuals_tell_less():
     fit, moments = flown(1.0, 0.3)
-    colored = RotationFit(
-        fit.theta,
-        25.0 * fit.covariance,
-        fit.residual_covariance,
-        fit.r_squared,
-        N,
-        converged=True,
-    )
+    colored = with_covariance(fit, 25.0)
     few, many = (axis_damping_doubt(f, moments)[IZZ, IZZ] for f in (fit, colored))
     assert many > 2.0 * few
 
 
 def test_where_no_inertia_is_known_nothing_is_added():
     fit, moments = flown(1.0, 1.0)
-    lost = RotationFit(
-        fit.theta,
-        1e6 * fit.covariance,
-        fit.residual_covariance,
-        fit.r_squared,
-        N,
-        converged=True,
-    )
+    lost = with_covariance(fit, 1e6)
     assert not axis_damping_doubt(lost, moments).any()

@@ -195,10 +195,11 @@ def fit_whitened(
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
-    if disturbed and basis.commands and only is None:
+    scatters = disturbed and basis.commands and only is None
+    if scatters:
         along = curve_scatter(solved.problem, improved, batches, counts) / widening[0]
         spread = spread + outcome.spread_of(along[None] @ solved.point.hessian[0])
-    if len(errors) or (disturbed and basis.commands):
+    if len(errors) or scatters:
         improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
         improved,

@@ -179,10 +179,9 @@ class Chain:
         # However records were taken, what came before is forgotten, and nothing else.
         for block in self.sampler.catch_up():
             self.learn(block)
-        self.tracker = None
+        self._forget_estimate()
         self.anchors = self.anchors[:1]
         self._events_reported = 0
-        self._forget_fit()
         self.note("estimate reset")
 
     def check_anchor(self, kind: ScaleKind) -> None:
@@ -417,7 +416,8 @@ class Chain:
         scale = resolve_scale(self.anchors[0], translation, known)
         return relative_prior(known, scale, self.airframe.cant)
 
-    def _forget_fit(self) -> None:
+    def _forget_estimate(self) -> None:
+        self.tracker = None
         self.fit = Fit(None, None, 0.0)
         self._history.clear()
 
@@ -433,8 +433,7 @@ class Chain:
             return
         else:
             self.log.note_rotors(t, f"{text}: estimate restarts")
-        self.tracker = None
-        self._forget_fit()
+        self._forget_estimate()
 
     def _report_loss(self, name: str, t: float) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""
@@ -442,8 +441,7 @@ class Chain:
         text = f"{self.input_lost}, and no other input is usable: the estimate"
         if self.rotor_selector.never_moved:
             self.log.note_rotors(t, f"{text} so far, of the same reading, is discarded")
-            self.tracker = None
-            self._forget_fit()
+            self._forget_estimate()
         else:
             self.log.note_rotors(t, f"{text} is that of earlier data")
 

@@ -266,7 +266,7 @@ class RotorSourceSelector:
         One that was found dead stays so while it reads the same, whether the others move or not.
         """
         values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
-        standing = self._standing_in(stretch)
+        standing = _standing(values)
         still = [i for i, _ in sorted(standing) if not _saturates(i, values)]
         known = self._found_dead.pop(name, set()) & standing
         if not still:
@@ -285,7 +285,7 @@ class RotorSourceSelector:
     def _standing_in(self, stretch: Stretch | None) -> set[tuple[int, float]]:
         """Rotors of constant reading in a stretch, with that reading."""
         rotors = [] if stretch is None else stretch.rotors(len(self._airframe.rotors))
-        return {(i, float(v[0])) for i, (_, v) in enumerate(rotors) if np.ptp(v) == 0.0}
+        return _standing([v for _, v in rotors])
 
     def _choose(
         self, stretches: Mapping[str, Stretch], refused: dict[str, str]
@@ -393,6 +393,11 @@ def _readings(values: Array) -> float:
     if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
         return math.inf
     return float(len(jumps))
+
+
+def _standing(values: Sequence[Array]) -> set[tuple[int, float]]:
+    """Rotors of constant reading among the (n,) readings of each, with that reading."""
+    return {(i, float(v[0])) for i, v in enumerate(values) if np.ptp(v) == 0.0}
 
 
 def _saturates(rotor: int, values: Sequence[Array]) -> bool:
