@@ -28,11 +28,11 @@ import numpy as np
 from benchmarks.recorded_changes import logs
 from gcs_sysid.argument_types import positive
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.actuator_dynamics import CURVE
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning, tuning_for_commands
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.tuning import Tuning, tuning_for_commands
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector

@@ -20,8 +20,8 @@ from benchmarks.accuracy.flights import measure
 from benchmarks.linked import linked
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.parameters import CORE_OF

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
 from benchmarks.linked import linked
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain

@@ -18,10 +18,10 @@ import numpy as np
 
 from benchmarks.changes import DT, GEOMETRY, PAPER, RATE, samples_of, vehicles, whole
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import tuning_for_commands
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.record.tuning import tuning_for_commands
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.complementary import ComplementaryFilter, complementary
 from gcs_sysid.signals.differentiator import (

@@ -32,8 +32,13 @@ PACKAGE = ROOT / "src" / "gcs_sysid"
 SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
 CORE = {
-    "estimation": "actuator_dynamics command_noise flight_comparison input_noise normal_equations "
-    "priors rigid_body_test rotation scale search sequential_tests translation uncertainty",
+    "estimation/rows": "actuator_dynamics normal_equations",
+    "estimation/noise": "uncertainty",
+    "estimation/fit": "priors rotation search translation",
+    "estimation/checks": "rigid_body_test",
+    "estimation/record": "command_noise input_noise",
+    "estimation/changes": "flight_comparison sequential_tests",
+    "estimation/parameters": "scale",
     "signals": "complementary differentiator flight_detection inertial_stream interpolation "
     "recursions smoothers stream_buffer",
     "telemetry": "clock decode messages",
@@ -182,7 +187,7 @@ def _changes(node: ast.AST, place: Place) -> Iterator[tuple[Any, Place]]:
 
 def nearest(module: str) -> list[str]:
     """The test files of a module."""
-    room, stem = module.removesuffix(".py").split("/")
+    room, *_, stem = module.removesuffix(".py").split("/")
     files = [f"tests/{room}/test_{name}.py" for name in (stem, *ELSEWHERE.get(stem, ()))]
     return [file for file in files if (ROOT / file).exists()]
 

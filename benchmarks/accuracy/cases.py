@@ -29,9 +29,9 @@ from benchmarks.accuracy.flights import (
 )
 from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.signals.complementary import ComplementaryFilter
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model.parameters import INERTIA
 from sim_bridge.ensemble import Flight
 from sim_bridge.simulated_vehicle import Vehicle

@@ -7,14 +7,14 @@ import numpy as np
 from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.innovations import AxisNoise, Noise
-from gcs_sysid.estimation.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximize_likelihood
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.offline.innovations import AxisNoise, Noise
+from gcs_sysid.estimation.offline.likelihood import cramer_rao_bound, maximize_likelihood
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of

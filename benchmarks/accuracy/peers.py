@@ -21,9 +21,9 @@ from statsmodels.regression.recursive_ls import RecursiveLS
 from benchmarks.accuracy.estimators import Outcome, in_percent, online, outcome
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.article_estimator import Method
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.article_estimator import Method
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 

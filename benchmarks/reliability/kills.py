@@ -263,7 +263,9 @@ def run(kills: int, seed: int, at_once: int, longest: float) -> list[Kill]:
     rng = random.Random(seed)
     moments = [rng.uniform(0.0, longest) for _ in range(kills)]
     done: list[Kill] = []
-    _CONTEXT.set_forkserver_preload(["gcs_sysid.cli.live_command", "gcs_sysid.estimation.offline"])
+    _CONTEXT.set_forkserver_preload(
+        ["gcs_sysid.cli.live_command", "gcs_sysid.estimation.offline.offline"]
+    )
     relay = Relay()
     with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
         emulator = subprocess.Popen(

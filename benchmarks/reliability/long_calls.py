@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.estimation.change_watch import ChangeWatch
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.rotation_estimator import RotationEstimator
+from gcs_sysid.estimation.changes.change_watch import ChangeWatch
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
 from gcs_sysid.live.flight_coach import Coach
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_estimate import LiveEstimate

@@ -26,12 +26,12 @@ from functools import partial
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.offline import fit_offline
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.status import RULES
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.offline.offline import fit_offline
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.parameters.status import RULES
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, INERTIA

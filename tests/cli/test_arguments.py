@@ -11,7 +11,7 @@ import pytest
 
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.program import build_parser, run
-from gcs_sysid.estimation import article_estimator as article
+from gcs_sysid.estimation.record import article_estimator as article
 
 ERROR = "gcs-sysid: error: "
 

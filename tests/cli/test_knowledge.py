@@ -5,8 +5,8 @@ import json
 import pytest
 
 from gcs_sysid.cli.program import run
-from gcs_sysid.estimation.scale import Scale, relative_prior, resolve_scale
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.parameters.scale import Scale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 

@@ -7,9 +7,9 @@ from benchmarks.accuracy.flights import measure
 from gcs_sysid.coach.information import information, within_reach
 from gcs_sysid.coach.manoeuvre_library import Limits, library
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import N_UNKNOWNS
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.ensemble import fly_ensemble

@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.coach.choice import Choice
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre, damped_words, sentence
-from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.estimation.parameters.status import NOTHING, Value
 from gcs_sysid.model.parameters import CORE_OF
 
 D20, D45 = math.radians(20.0), math.radians(45.0)

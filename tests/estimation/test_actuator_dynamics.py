@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.actuator_dynamics import (
+from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import (
     BODY,
     PLAIN,
     ROTOR_COLUMNS,
@@ -16,7 +17,6 @@ from gcs_sysid.estimation.actuator_dynamics import (
     motor_filter,
     response,
 )
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import cosine_window
 

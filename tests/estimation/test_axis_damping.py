@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import PLAIN
-from gcs_sysid.estimation.axis_damping import axis_damping_doubt, with_axis_damping
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.search import Problem, minimize
+from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt, with_axis_damping
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.search import Problem, minimize
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

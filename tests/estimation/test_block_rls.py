@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.article_estimator import BlockRls
+from gcs_sysid.estimation.record.article_estimator import BlockRls
 
 
 @pytest.fixture

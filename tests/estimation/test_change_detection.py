@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.change_detection import ChangeDetector
-from gcs_sysid.estimation.change_hypotheses import judge
-from gcs_sysid.estimation.change_kinds import Cause, describe
-from gcs_sysid.estimation.change_window import TUNING, Frames
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.sequential_tests import Cusum, Level
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.changes.change_detection import ChangeDetector
+from gcs_sysid.estimation.changes.change_hypotheses import judge
+from gcs_sysid.estimation.changes.change_kinds import Cause, describe
+from gcs_sysid.estimation.changes.change_window import TUNING, Frames
+from gcs_sysid.estimation.changes.sequential_tests import Cusum, Level
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.change_hypotheses import judge
-from gcs_sysid.estimation.change_reference import N_X, TOTAL, Actuator, Reference
-from gcs_sysid.estimation.change_window import (
+from gcs_sysid.estimation.changes.change_hypotheses import judge
+from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
+from gcs_sysid.estimation.changes.change_window import (
     TUNING,
     Frames,
     History,

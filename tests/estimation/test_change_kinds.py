@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_sysid.estimation.change_kinds import describe
+from gcs_sysid.estimation.changes.change_kinds import describe
 
 
 @pytest.mark.parametrize(("sigmas", "kind"), [(2.9, "change"), (3.1, "mass_change")])

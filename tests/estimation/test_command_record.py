@@ -9,20 +9,21 @@ import pytest
 from benchmarks import early
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
-from gcs_sysid.estimation import actuator_dynamics, command_record, tuned_motors
-from gcs_sysid.estimation.command_record import CommandRecord
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, step_of
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
-from gcs_sysid.estimation.priors import DELAY as DELAY_PLACE
-from gcs_sysid.estimation.priors import LAG as LAG_PLACE
-from gcs_sysid.estimation.record import FlightRecord
-from gcs_sysid.estimation.search import COORDINATE_STD
-from gcs_sysid.estimation.tuned_motors import FirstPlace, TunedRows
-from gcs_sysid.estimation.tuning import COMMANDS
-from gcs_sysid.estimation.whitened_fit import fit_whitened
-from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import DELAY as DELAY_PLACE
+from gcs_sysid.estimation.fit.priors import LAG as LAG_PLACE
+from gcs_sysid.estimation.fit.search import COORDINATE_STD
+from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
+from gcs_sysid.estimation.noise.whitening import bank_for_commands
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record import command_record, tuned_motors
+from gcs_sysid.estimation.record.command_record import CommandRecord
+from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.record.tuned_motors import FirstPlace, TunedRows
+from gcs_sysid.estimation.record.tuning import COMMANDS
+from gcs_sysid.estimation.rows import actuator_dynamics
+from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MeanThrust, step_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.doublets import ALL_MISSIONS

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, lfilter_zi, sosfilt
 
-from gcs_sysid.estimation import command_record
-from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
-from gcs_sysid.estimation.change_reference import reference_of
-from gcs_sysid.estimation.command_noise import CommandNoise
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.record import FlightRecord
-from gcs_sysid.estimation.rotation import fit_rotation
-from gcs_sysid.estimation.rotor_signals import low_pass_for
-from gcs_sysid.estimation.tuning import COMMANDS
+from gcs_sysid.estimation.changes.change_reference import reference_of
+from gcs_sysid.estimation.fit.rotation import fit_rotation
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record import command_record
+from gcs_sysid.estimation.record.command_noise import CommandNoise
+from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.record.tuning import COMMANDS
+from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
+from gcs_sysid.estimation.rows.rotor_signals import low_pass_for
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.samples import Samples

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import curve_scatter as module
-from gcs_sysid.estimation.axis_problem import AxisProblem
-from gcs_sysid.estimation.curve_scatter import curve_scatter
-from gcs_sysid.estimation.motor_linearization import LocalDynamics
-from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.fit import curve_scatter as module
+from gcs_sysid.estimation.fit.axis_problem import AxisProblem
+from gcs_sysid.estimation.fit.curve_scatter import curve_scatter
+from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 
 BASIS = LocalDynamics(np.array([0.0, 0.05, 0.5, 0.0, 0.0]), "speed", 0.004)
 COUNTS = np.full(30, 80)

@@ -8,11 +8,11 @@ from scipy.stats import multivariate_normal
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle
 from benchmarks.truth.closed_loop import fly as fly_cell
-from gcs_sysid.estimation.deviations import NO_DEVIATIONS, SIZES, SURE, DeviationChoice
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import N_UNKNOWNS
-from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.whitened_fit import fit_whitened
+from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, SIZES, SURE, DeviationChoice
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.disturbance import RULES, Trial
-from gcs_sysid.estimation.priors import N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.whitening import gauss_markov, leak
+from gcs_sysid.estimation.fit.disturbance import RULES, Trial
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.noise.whitening import gauss_markov, leak
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

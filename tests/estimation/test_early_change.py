@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.flights import exact
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.early_change import LEAST_BEFORE, actuator_of, early_change
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import tuning_for_commands
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.changes.early_change import LEAST_BEFORE, actuator_of, early_change
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.record.tuning import tuning_for_commands
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor
 from sim_bridge.doublets import ALL_MISSIONS

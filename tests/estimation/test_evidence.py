@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.evidence import RULES, Evidence, evidence_of
-from gcs_sysid.estimation.fit import Fit, FitMoments
-from gcs_sysid.estimation.priors import CURVE, N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.online.fit import Fit, FitMoments
+from gcs_sysid.estimation.parameters.evidence import RULES, Evidence, evidence_of
+from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import REGISTRY
 

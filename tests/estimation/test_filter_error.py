@@ -8,21 +8,25 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
-from gcs_sysid.estimation import instrumental_variables, likelihood, offline
-from gcs_sysid.estimation.filter_error import (
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.noise.whitening import averaged, gauss_markov, torque_noise
+from gcs_sysid.estimation.offline import instrumental_variables, likelihood, offline
+from gcs_sysid.estimation.offline.filter_error import (
     ResidualRun,
     innovations,
     likeliest_noise,
     offline_bank,
 )
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.instrumental_variables import InstrumentFit, combined, fit_by_instruments
-from gcs_sysid.estimation.likelihood import most_passes
-from gcs_sysid.estimation.offline import fit_offline
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.whitening import averaged, gauss_markov, torque_noise
+from gcs_sysid.estimation.offline.instrumental_variables import (
+    InstrumentFit,
+    combined,
+    fit_by_instruments,
+)
+from gcs_sysid.estimation.offline.likelihood import most_passes
+from gcs_sysid.estimation.offline.offline import fit_offline
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.tuning import Tuning
 
 T = 0.004
 GIVEN = gauss_markov(T, 4.0)

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import CURVE
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.flight_comparison import ENOUGH, Trial, is_another
-from gcs_sysid.estimation.priors import N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.changes.flight_comparison import ENOUGH, Trial, is_another
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
 from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005

@@ -8,19 +8,19 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
-from gcs_sysid.estimation.fit import Fit, FitMoments
-from gcs_sysid.estimation.given_errors import (
+from gcs_sysid.estimation.fit.rotation import fit_rotation
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.online.fit import Fit, FitMoments
+from gcs_sysid.estimation.parameters.given_errors import (
     Given,
     aligned,
     alignment_of,
     given_stds,
     with_given,
 )
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.rotation import fit_rotation
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.given_uncertainty import UNCERTAIN

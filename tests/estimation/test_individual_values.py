@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import CURVE
-from gcs_sysid.estimation.deviations import DeviationChoice
-from gcs_sysid.estimation.individual_values import axis_dampings, mean_damping, rotor_coefficients
-from gcs_sysid.estimation.parameter_covariance import parameter_covariance
-from gcs_sysid.estimation.priors import N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.scale import Scale
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.parameters.individual_values import (
+    axis_dampings,
+    mean_damping,
+    rotor_coefficients,
+)
+from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
+from gcs_sysid.estimation.parameters.scale import Scale
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from tests.known_theta import theta_from

@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.innovations import AxisNoise, fit_noise, initial_std, make_whitener
+from gcs_sysid.estimation.offline.innovations import (
+    AxisNoise,
+    fit_noise,
+    initial_std,
+    make_whitener,
+)
 
 DT, N = 0.004, 10_000
 TRUE = AxisNoise(2e-3, None, 0.0, 0.05, moment_std=3.0, moment_tau=0.5)

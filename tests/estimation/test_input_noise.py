@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics, motor_filter
-from gcs_sysid.estimation.command_noise import CommandNoise, missed_and_seen
-from gcs_sysid.estimation.input_noise import (
+from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.record.command_noise import CommandNoise, missed_and_seen
+from gcs_sysid.estimation.record.input_noise import (
     ROUNDING_STD,
     SpeedNoise,
     is_sparse,
     with_sparse_readings,
 )
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, motor_filter
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import WindowSmoother, leaky
 

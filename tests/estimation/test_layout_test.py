@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import layout_test
-from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
-from gcs_sysid.estimation.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.checks import layout_test
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model.airframe import load_airframe
 
 BASIS = ActuatorDynamics((0.0,))

@@ -8,17 +8,17 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
-from gcs_sysid.estimation.likelihood import (
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.offline.innovations import BIAS_STD, AxisNoise
+from gcs_sysid.estimation.offline.likelihood import (
     NoInformationError,
     cramer_rao_bound,
     maximize_likelihood,
 )
-from gcs_sysid.estimation.offline import fit_offline
-from gcs_sysid.estimation.propagation import SPLINE_END
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.offline.offline import fit_offline
+from gcs_sysid.estimation.offline.propagation import SPLINE_END
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.actuator_dynamics import (
+from gcs_sysid.estimation.rows.actuator_dynamics import (
     ASYMMETRY,
     CURVE,
     DELAY,
@@ -15,7 +15,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
     LAGS_OF,
     ROTOR_COLUMNS,
 )
-from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows
+from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MotorRows
 from gcs_sysid.model import rigid_body as rb
 
 DT, HOVER = 0.004, 0.4

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.arrays import complete_rows, runs
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.regression import LeakySums
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import LeakySums
 
 
 def rows(n, width=4, seed=1):

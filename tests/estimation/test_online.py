@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.rotor_signals import cutoff_of
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.physical_parameters import (
+from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.parameters.physical_parameters import (
     ERRORS,
     physical_parameters,
     rotor_values,
     timing_values,
     verdict,
 )
-from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.scale import relative_prior, resolve_scale
-from gcs_sysid.estimation.status import NOTHING, Value
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
+from gcs_sysid.estimation.parameters.status import NOTHING, Value
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.model.scale_reference import ScaleReference

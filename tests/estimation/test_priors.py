@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import CURVE, DELAY, LAG, N_UNKNOWNS, Prior, prior_of
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit.priors import CURVE, DELAY, LAG, N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import THETA
 

@@ -7,15 +7,15 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
-from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.article_estimator import METHODS, ArticleEstimator
-from gcs_sysid.estimation.input_noise import SpeedNoise
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.regression import LeakySums, RowMaker
-from gcs_sysid.estimation.rotor_signals import RotorPath
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.fit import rotation, translation
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
+from gcs_sysid.estimation.record.input_noise import SpeedNoise
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker
+from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior, prior_of
-from gcs_sysid.estimation.rotation import Outcome, RotationFit, fit_rotation, follow_rotation
-from gcs_sysid.estimation.search import Problem
+from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.fit.rotation import Outcome, RotationFit, fit_rotation, follow_rotation
+from gcs_sysid.estimation.fit.search import Problem
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.priors import CURVE, DELAY, LAG, prior_of
-from gcs_sysid.estimation.rotation import Outcome, fit_rotation
-from gcs_sysid.estimation.search import MAX_ITERATIONS, Problem, minimize
+from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit.priors import CURVE, DELAY, LAG, prior_of
+from gcs_sysid.estimation.fit.rotation import Outcome, fit_rotation
+from gcs_sysid.estimation.fit.search import MAX_ITERATIONS, Problem, minimize
+from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
-from gcs_sysid.estimation.scale import Scale, relative_prior, resolve_scale
-from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.parameters.scale import Scale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 

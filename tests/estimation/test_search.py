@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation import search as module
-from gcs_sysid.estimation.actuator_dynamics import (
-    BODY,
-    N_COORDINATES,
-    PLAIN,
-    WIDTH,
-    ActuatorDynamics,
-)
-from gcs_sysid.estimation.priors import COORDINATES, DELAY, N_UNKNOWNS, prior_of
-from gcs_sysid.estimation.search import (
+from gcs_sysid.estimation.fit import search as module
+from gcs_sysid.estimation.fit.priors import COORDINATES, DELAY, N_UNKNOWNS, prior_of
+from gcs_sysid.estimation.fit.search import (
     COORDINATE_MEAN,
     COORDINATE_STD,
     MAX_ITERATIONS,
@@ -25,6 +18,13 @@ from gcs_sysid.estimation.search import (
     scan,
     search,
     without_noise,
+)
+from gcs_sysid.estimation.rows.actuator_dynamics import (
+    BODY,
+    N_COORDINATES,
+    PLAIN,
+    WIDTH,
+    ActuatorDynamics,
 )
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.sequential_tests import Baseline, Cusum, Level
+from gcs_sysid.estimation.changes.sequential_tests import Baseline, Cusum, Level
 
 
 def column(*values):

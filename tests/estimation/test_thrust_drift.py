@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.thrust_drift import Drift, ThrustDrift, hindsight
+from gcs_sysid.estimation.rows.thrust_drift import Drift, ThrustDrift, hindsight
 from gcs_sysid.model.parameters import GRAVITY
 
 DT, SECONDS = 0.01, 60.0

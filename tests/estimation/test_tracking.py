@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.change_kinds import Cause
-from gcs_sysid.estimation.tracking import Tracker
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.changes.change_kinds import Cause
+from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble

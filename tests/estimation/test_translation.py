@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.translation import (
+from gcs_sysid.estimation.fit.translation import (
     ACCELEROMETER_BIAS_STD,
     GAIN_DRIFT,
     TILT_ERROR_SHARE,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.uncertainty import (
+from gcs_sysid.estimation.noise.uncertainty import (
     bartlett,
     inflation,
     meat,

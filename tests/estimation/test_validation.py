@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.search import N_X
-from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.validation import validate
+from gcs_sysid.estimation.checks.validation import validate
+from gcs_sysid.estimation.fit.search import N_X
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.model import rigid_body as rb
 
 THETA = rb.theta_of(

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
-from gcs_sysid.estimation import whitened_record
-from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
-from gcs_sysid.estimation.whitened_fit import shocks_in
-from gcs_sysid.estimation.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.whitening import (
+from gcs_sysid.estimation.fit.whitened_fit import shocks_in
+from gcs_sysid.estimation.noise.whitening import (
     AVERAGED,
     WhitenerBank,
     averaged,
@@ -24,6 +19,11 @@ from gcs_sysid.estimation.whitening import (
     spectral_factor,
     torque_noise,
 )
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record import whitened_record
+from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import OneStep, step_for
 

@@ -13,7 +13,7 @@ import pytest
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation import tracking
+from gcs_sysid.estimation.changes import tracking
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.live_estimate import Duty
 from gcs_sysid.live.live_options import LiveOptions

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.physical_parameters import verdict
-from gcs_sysid.estimation.status import Status, Value, judged
+from gcs_sysid.estimation.parameters.physical_parameters import verdict
+from gcs_sysid.estimation.parameters.status import Status, Value, judged
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.physical_parameters import Value
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.tracking import Event
-from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.uncertainty import watched_factor
+from gcs_sysid.estimation.changes.tracking import Event
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.noise.uncertainty import watched_factor
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.parameters.physical_parameters import Value
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import event_of, next_anchor, values_of
 from tests.known_theta import THETA

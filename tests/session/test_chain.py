@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results import snapshot as course_module

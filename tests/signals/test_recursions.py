@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gcs_sysid.estimation.rotor_signals import _butterworth
+from gcs_sysid.estimation.rows.rotor_signals import _butterworth
 from gcs_sysid.signals.recursions import lfilter, recursion
 
 FILTERS = {

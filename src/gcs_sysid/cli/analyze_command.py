@@ -13,7 +13,7 @@ from gcs_sysid.cli import arguments, output, reported_airframe
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import Tuning
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given, Health

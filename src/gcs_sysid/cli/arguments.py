@@ -21,7 +21,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import with_mapping
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
-"""Names of `estimation.article_estimator.METHODS` (a test compares); not imported:
+"""Names of `estimation.record.article_estimator.METHODS` (a test compares); not imported:
 that would start slowly."""
 
 EXPORT_TARGETS = (

@@ -21,8 +21,8 @@ from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.rows.rotor_signals import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of

@@ -9,8 +9,8 @@ from gcs_sysid.coach.information import Motion, information, motion_of, within_r
 from gcs_sysid.coach.interval_targets import excess, is_enough
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.predicted_information import PredictedInformation
-from gcs_sysid.estimation.actuator_dynamics import LAG
-from gcs_sysid.estimation.fit import Fit
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.rows.actuator_dynamics import LAG
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `interval_targets.shares`."""

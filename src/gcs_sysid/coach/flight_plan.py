@@ -9,8 +9,8 @@ from gcs_sysid.coach.interval_targets import is_enough
 from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library, motion_words
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import RATE, SPEED_STD, PriorVehicle, prior_noise
-from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG
-from gcs_sysid.estimation.fit import Fit
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, DELAY, LAG
 
 HOVER = 5.0
 """s of quiet hover at the start."""

@@ -16,8 +16,14 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG, N_COORDINATES, ROTOR_COLUMNS
-from gcs_sysid.estimation.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.rows.actuator_dynamics import (
+    CURVE,
+    DELAY,
+    LAG,
+    N_COORDINATES,
+    ROTOR_COLUMNS,
+)
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -49,7 +55,7 @@ class Craft:
         thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
         commands: whether the rotors' inputs are commands.
         most: greatest thrust of a rotor over its mean hover share; None: not known.
-        curve: thrust curve with commands, see `estimation.actuator_dynamics`.
+        curve: thrust curve with commands, see `estimation.rows.actuator_dynamics`.
     """
 
     geometry: Array

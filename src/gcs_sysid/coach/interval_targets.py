@@ -8,7 +8,7 @@ to: a twentieth of the moments that a product couples, a twentieth of the arm.
 import math
 from collections.abc import Mapping
 
-from gcs_sysid.estimation.status import Value
+from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import ARM, CORE_OF, REGISTRY, RotorInput
 

@@ -12,15 +12,15 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
-from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.search import COORDINATE_MEAN
-from gcs_sysid.estimation.status import RULES
-from gcs_sysid.estimation.thrust_estimator import MIN_MOMENTUM_SECONDS
-from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.uncertainty import bartlett
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.search import COORDINATE_MEAN
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.noise.uncertainty import bartlett
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.online.thrust_estimator import MIN_MOMENTUM_SECONDS
+from gcs_sysid.estimation.parameters.status import RULES
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAG
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
@@ -143,7 +143,7 @@ def predicted_information(
         fit: so far; `Fit(None, None, 0.0)` before a flight.
         prior_vehicle: of the airframe.
         noise: that maneuvers are flown in.
-        free_coordinates: of `estimation.actuator_dynamics`, those that are estimated.
+        free_coordinates: of `estimation.rows.actuator_dynamics`, those that are estimated.
     """
     kappa = prior_vehicle.kappa
     if fit.translation is not None and fit.translation.kappa > 0.0:

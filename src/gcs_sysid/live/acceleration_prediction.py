@@ -12,9 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG, ActuatorDynamics
-from gcs_sysid.estimation.rotor_signals import RotorInput, RotorPath
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, DELAY, LAG, ActuatorDynamics
+from gcs_sysid.estimation.rows.rotor_signals import RotorInput, RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.chain import Chain

@@ -24,7 +24,7 @@ from gcs_sysid.coach.manoeuvre_library import (
 )
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
-from gcs_sysid.estimation.fit import Fit
+from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock

@@ -2,7 +2,7 @@
 
 No flight shows such an error: with arms given 3 % too long everything fits as well, at inertias 3 %
 too large. Its standard deviation is therefore given too, in an airframe file's `[uncertainty]` or
-behind the value (`--arm 0.25+-0.003`), and enters every interval (`estimation.given_errors`).
+behind the value (`--arm 0.25+-0.003`), and enters every interval (`given_errors`).
 """
 
 import math

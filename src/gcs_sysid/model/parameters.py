@@ -87,7 +87,7 @@ class Parameter:
         group: words shared with the parameters that are reported together.
         fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
             "translation": of the equations of force; "actuator": a coordinate between a rotor's
-            telemetry and its thrust (`estimation.actuator_dynamics`).
+            telemetry and its thrust (`estimation.rows.actuator_dynamics`).
         theta: entry of theta that it is read off; its own name makes it one.
         scale: what its relative value is multiplied by: "thrust" (k_T, T_max), "mass" or "none".
         inputs: kinds of rotor input with which it is observable.

@@ -165,7 +165,7 @@ def forward_matrix(theta: Array, torque: Array | float = 0.0) -> Array:
 
     Args:
         theta: (..., N_THETA).
-        torque: (..., 3, N_SIGNALS) that is added to B, see `estimation.deviations`.
+        torque: (..., 3, N_SIGNALS) that is added to B, see `estimation.fit.deviations`.
 
     Raises:
         numpy.linalg.LinAlgError: an inertia matrix is singular.

@@ -16,7 +16,7 @@ import scipy
 
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.files import log_file
 from gcs_sysid.live.acceleration_prediction import Model, Motion
 from gcs_sysid.model.airframe import Airframe

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.estimation.status import Status
+from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.report import wording

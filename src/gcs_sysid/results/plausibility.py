@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from gcs_sysid.estimation.status import KNOWN, Value
+from gcs_sysid.estimation.parameters.status import KNOWN, Value
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, THRUST_OF, RotorInput
 from gcs_sysid.model.rigid_body import inertia_matrix

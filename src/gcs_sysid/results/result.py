@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.status import Status
+from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.files import write_whole
 from gcs_sysid.intervals import Z95, interval95
 

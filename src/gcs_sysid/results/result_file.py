@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn, cast, get_args
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.status import Status
+from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.files import read_text
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.model.parameters import PARAMETERS, TIMING

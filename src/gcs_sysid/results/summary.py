@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.change_kinds import describe
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.physical_parameters import physical_parameters, rests_on_prior
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tracking import Event
-from gcs_sysid.estimation.uncertainty import watched_factor
+from gcs_sysid.estimation.changes.change_kinds import describe
+from gcs_sysid.estimation.changes.tracking import Event
+from gcs_sysid.estimation.noise.uncertainty import watched_factor
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
+from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference

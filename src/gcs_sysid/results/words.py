@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from gcs_sysid.estimation.status import RULES, Status
+from gcs_sysid.estimation.parameters.status import RULES, Status
 from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import (

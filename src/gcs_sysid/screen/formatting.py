@@ -8,7 +8,7 @@ them and is held while it reads well, so that numbers do not jump as they conver
 import math
 from collections.abc import Iterable, Mapping
 
-from gcs_sysid.estimation.status import Status
+from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import decimals_for, engineering_exponent
 from gcs_sysid.results.result import Estimate, Result

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.status import KNOWN, NOTHING, Status, Value
+from gcs_sysid.estimation.parameters.status import KNOWN, NOTHING, Status, Value
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison

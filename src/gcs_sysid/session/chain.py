@@ -14,17 +14,17 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.evidence import Evidence, evidence_of
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.given_errors import aligned, alignment_of
-from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
-from gcs_sysid.estimation.scale import relative_prior, resolve_scale
-from gcs_sysid.estimation.status import Value
-from gcs_sysid.estimation.tracking import TRACKING, Segment, Tracker
-from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
+from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
+from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.parameters.evidence import Evidence, evidence_of
+from gcs_sysid.estimation.parameters.given_errors import aligned, alignment_of
+from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.record.tuning import COMMANDS, tuning_for_commands
+from gcs_sysid.estimation.rows.rotor_signals import RotorInput, low_pass_delay
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
@@ -40,7 +40,7 @@ from gcs_sysid.signals.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 
 if TYPE_CHECKING:
-    from gcs_sysid.estimation.offline import OfflineFit
+    from gcs_sysid.estimation.offline.offline import OfflineFit
     from gcs_sysid.session.origin import Origin
 
 WINDOW = 8192
@@ -170,7 +170,7 @@ class Chain:
         if self.rotor_input != "speed":
             return "--offline needs measured rotor speeds, this flight has commands"
         # Splines and likelihoods take a while to load, and few ask for them.
-        from gcs_sysid.estimation.offline import fit_offline
+        from gcs_sysid.estimation.offline.offline import fit_offline
 
         return fit_offline(self.tracker, self.fit, self.options.progress)
 

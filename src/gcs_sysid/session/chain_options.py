@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from gcs_sysid.estimation.change_detection import ChangeTuning
-from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
+from gcs_sysid.estimation.record.tuning import Tuning
 
 
 @dataclass(frozen=True)

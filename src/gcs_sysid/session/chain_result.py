@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gcs_sysid.estimation.evidence import AXES
-from gcs_sysid.estimation.fit import Fit
-from gcs_sysid.estimation.given_errors import (
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.parameters.evidence import AXES
+from gcs_sysid.estimation.parameters.given_errors import (
     CAUSES,
     Alignment,
     Given,
@@ -18,17 +19,16 @@ from gcs_sysid.estimation.given_errors import (
     given_stds,
     with_given,
 )
-from gcs_sysid.estimation.parameter_covariance import parameter_covariance
-from gcs_sysid.estimation.physical_parameters import (
+from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
+from gcs_sysid.estimation.parameters.physical_parameters import (
     rotor_values,
     timing_values,
     verdict,
     with_clock_error,
 )
-from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.rotor_signals import cutoff_of
-from gcs_sysid.estimation.scale import Scale, resolve_scale
-from gcs_sysid.estimation.status import Value
+from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
+from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import plausibility, summary

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from gcs_sysid.estimation.status import RULES, Value
+from gcs_sysid.estimation.parameters.status import RULES, Value
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector

@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
-from gcs_sysid.estimation.validation import FITTED_SHARE
+from gcs_sysid.estimation.checks.validation import FITTED_SHARE
 from gcs_sysid.model.airframe import (
     ANCHORS,
     Airframe,

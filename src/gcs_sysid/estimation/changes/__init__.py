@@ -1,0 +1,1 @@
+"""Has the vehicle changed in flight, or between flights?"""

@@ -1,0 +1,242 @@
+"""From samples to what changed: alarms, and the decision on each, up to six seconds later."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.changes.change_detection import Change, ChangeDetector, ChangeTuning
+from gcs_sysid.estimation.changes.change_hypotheses import Judgement, judge
+from gcs_sysid.estimation.changes.change_reference import Reference
+from gcs_sysid.estimation.changes.change_window import TUNING, Frames
+from gcs_sysid.estimation.changes.early_change import actuator_of, early_change
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.rotor_signals import RotorInput
+from gcs_sysid.signals.samples import Samples
+
+_REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
+"""s of samples that are kept to look at alarms."""
+_MOST_ALARMS = 8
+"""Looked at together."""
+_BLURRED = 0.1
+"""s after a change's onset that are left out where the onset is known to no more."""
+_EARLY, _EARLY_GROWTH, _EARLY_END = 8.0, 1.45, 40.0
+"""s of flight at which its unwatched beginning is first looked at, growth until it is again, and
+from when on it is not: by then every flight with input on all axes has a reference."""
+_ARM: dict[RotorInput, tuple[float, float]] = {"speed": (1.0, 1.2), "command": (5.0, 1.5)}
+"""s between new references of the detector, and growth of the record, whichever is later."""
+
+
+@dataclass
+class Alarm:
+    """Something that may be a change. Times are session times in s.
+
+    Attributes:
+        change: as detected.
+        onset: estimated.
+        detected: of the newest sample used.
+        reference: in force then.
+        looks: how often it was looked at.
+    """
+
+    change: Change
+    onset: float
+    detected: float
+    reference: Reference
+    looks: int = 0
+
+    def step_of(self, found: Judgement) -> tuple[float, float]:
+        """When the vehicle changed, and from when on samples are of the vehicle it is now."""
+        if found.settled is not None:
+            return found.onset, found.settled
+        if self.change.scale == "fast" and abs(found.onset - self.onset) <= TUNING.frame:
+            return self.onset, self.detected
+        return found.onset, found.onset + _BLURRED
+
+
+class ChangeWatch:
+    """Watches one vehicle; a changed one needs another.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        changes: settings of the detector.
+        tuning: of the estimator whose fits are the reference.
+    """
+
+    def __init__(self, geometry: Array, dt: float, changes: ChangeTuning, tuning: Tuning) -> None:
+        self._dt, self._changes, self._tuning = dt, changes, tuning
+        self._geometry = geometry
+        self._detector = ChangeDetector(
+            geometry,
+            dt,
+            changes,
+            commands=tuning.rotor_input == "command",
+            moments=tuning.gyro_cutoff is None,
+        )
+        self._alarms: list[Alarm] = []
+        self._recent: deque[tuple[Array, Samples]] = deque()
+        self._frames = Frames()
+        self._early_at = _EARLY
+        self._watched: float | None = None
+        """s, session time from which the detector tests thrust; None: not yet."""
+        self.arm_at = 0.0
+        """s of flight from which a better reference is wanted."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether alarms are still to be decided on."""
+        return bool(self._alarms)
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._detector.restart()
+        if self._recent and np.isfinite(self._recent[-1][1].gyro).any():
+            t, samples = self._recent[-1]
+            self._recent.append((t[-1:] + self._dt, gap(samples)))
+
+    def land(self) -> None:
+        """Flight has ended; levels of the next one are others."""
+        self._alarms = []
+        self._recent.clear()
+        self._detector.disarm()
+        self.arm_at = 0.0
+        self._early_at, self._watched = _EARLY, None
+
+    def take(self, t: Array, samples: Samples, *, tentative: bool = False) -> bool:
+        """Take n samples at (n,) session times.
+
+        Args:
+            t: s.
+            samples: n of them.
+            tentative: take none if there is an alarm in them.
+
+        Returns:
+            Whether they were taken.
+        """
+        known = deepcopy(self._detector) if tentative else self._detector
+        found = self._detector.update(samples)
+        if found and tentative:
+            self._detector = known
+            return False
+        self._frames.add(self._detector.frames)
+        self._detector.frames = []
+        most = len(t) if self._is_early else round(_REMEMBERED / self._dt)
+        # Longer blocks come without an alarm: their end is enough.
+        self._recent.append((t[-most:], samples.part(slice(-most, None))))
+        while not self._is_early and self._recent[0][0][-1] < t[-1] - _REMEMBERED:
+            self._recent.popleft()
+        for change in found:
+            self._suspect(change, float(t[-1]))
+        return True
+
+    def _suspect(self, change: Change, now: float) -> None:
+        """Record an alarm; it is classified later."""
+        start = now - self._detector.seconds
+        onset, detected = start + change.onset, start + change.detected
+        if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):
+            return
+        self._alarms.append(Alarm(change, onset, detected, self._detector.reference))
+        del self._alarms[:-_MOST_ALARMS]
+
+    def arm(self, fit: Fit, seconds: float) -> None:
+        """Watch with a better reference, of so many s of flight."""
+        pause, growth = _ARM[self._tuning.rotor_input]
+        self.arm_at = max(seconds + pause, growth * seconds)
+        self._detector.arm(fit)
+        if self._watched is None and self._detector.reference.watched[0] and self._recent:
+            self._watched = float(self._recent[-1][0][-1]) + self._changes.warm_up
+
+    @property
+    def _is_early(self) -> bool:
+        """Whether the beginning of the flight is still to be looked at."""
+        return self._early_at < _EARLY_END
+
+    def early(self, fit: Fit) -> tuple[Alarm, Judgement] | None:
+        """A change before the detector could see it, looked for now and then in the beginning.
+
+        Args:
+            fit: of the flight so far.
+        """
+        if not self._is_early or not self._recent or self._alarms:
+            return None
+        start, now = float(self._recent[0][0][0]), float(self._recent[-1][0][-1])
+        if now - start < self._early_at:
+            return None
+        self._early_at = _EARLY_GROWTH * (now - start)
+        commands = self._tuning.rotor_input == "command"
+        actuator = actuator_of(fit.rotation, self._tuning.curves) if commands else None
+        t, samples = self._remembered()
+        until = now if self._watched is None else self._watched
+        found = early_change(t, samples, self._dt, self._geometry, actuator, until)
+        if found is None or found[1].verdict != "changed":
+            return None
+        change, judgement = found
+        change = replace(
+            change,
+            onset=change.onset + start,
+            detected=change.detected + start,
+        )
+        return Alarm(change, change.onset, change.detected, self._detector.reference), judgement
+
+    def decided(self, now: float) -> Iterator[tuple[Alarm, Judgement]]:
+        """The alarms on which it is decided by now."""
+        for alarm in list(self._alarms):
+            if now - alarm.onset >= TUNING.ages[alarm.looks] - 0.5 * self._dt:
+                found = self._judged(alarm, alarm.looks, now)
+                alarm.looks += 1
+                if found.verdict != "undecided":
+                    self._alarms.remove(alarm)
+                    yield alarm, found
+
+    def undecided(self) -> tuple[Alarm, Judgement] | None:
+        """The first alarm that may have been a change of mass, when nothing more will come."""
+        alarms, self._alarms = self._alarms, []
+        if self._recent:
+            now = float(self._recent[-1][0][-1])
+            for alarm in alarms:
+                found = self._judged(alarm, len(TUNING.ages) - 1, now, decide=False)
+                if found.doubtful:
+                    return alarm, found
+        return None
+
+    def since(self, time: float) -> list[Samples]:
+        """The samples after a session time."""
+        time += 0.5 * self._dt  # of a sample at that very time, rounding must not decide
+        return [part.part(t > time) for t, part in self._recent if t[-1] > time]
+
+    def _remembered(self) -> tuple[Array, Samples]:
+        parts = self._recent
+        return np.concatenate([t for t, _ in parts]), _joined([samples for _, samples in parts])
+
+    def _judged(self, alarm: Alarm, look: int, now: float, *, decide: bool = True) -> Judgement:
+        history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
+        t, samples = self._remembered()
+        first = alarm.onset - TUNING.before - 2.0 * TUNING.frame - 0.5 * self._dt
+        start = int(np.searchsorted(t, first))
+        return judge(
+            t[start:],
+            samples.part(slice(start, None)),
+            self._dt,
+            alarm.reference,
+            history,
+            alarm.onset,
+            look,
+            force=alarm.change.channel == "thrust",
+            decide=decide,
+        )
+
+
+def _joined(parts: Sequence[Samples]) -> Samples:
+    """One block of many."""
+    signals = zip(*(part.signals for part in parts), strict=True)
+    return Samples(*(np.concatenate(signal) for signal in signals))
+
+
+def gap(samples: Samples) -> Samples:
+    """One missing sample."""
+    return Samples(*(np.full_like(signal[:1], np.nan) for signal in samples.signals))

@@ -1,0 +1,1 @@
+"""From sums of rows to relative parameters: cost, search, covariance."""

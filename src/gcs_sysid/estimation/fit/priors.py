@@ -1,0 +1,74 @@
+"""What is known about the rotational parameters before a flight, or from before a change.
+
+A prior is Gaussian and may cover some parameters, or combinations of them, and leave the rest
+open. It is kept as information, the inverse of a covariance, so that nothing known is zero.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES
+from gcs_sysid.model import rigid_body as rb
+
+N_UNKNOWNS = rb.N_THETA + N_COORDINATES
+"""theta, then the coordinates: rotor delay, motor lag, thrust curve, and the lag's nuisances."""
+COORDINATES = slice(rb.N_THETA, N_UNKNOWNS)
+DELAY, LAG, CURVE, ASYMMETRY, EXPONENT = range(rb.N_THETA, N_UNKNOWNS)
+"""Their indices among the unknowns."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Knowledge about theta (relative to k_T) and the basis' coordinates.
+
+    Attributes:
+        mean: (N_UNKNOWNS,) in theta's units, s, s and 1; any number where nothing is known.
+        information: (N_UNKNOWNS, N_UNKNOWNS) inverse covariance, zeros where nothing is known.
+    """
+
+    mean: Array
+    information: Array
+
+    def pull(self, unknowns: Array) -> Array:
+        """(..., N_UNKNOWNS) downhill gradient of half the cost at (..., N_UNKNOWNS) unknowns."""
+        pull: Array = (self.mean - unknowns) @ self.information
+        return pull
+
+    def cost(self, unknowns: Array) -> Array:
+        """(...) squared distance from the mean, in standard deviations."""
+        cost: Array = np.sum((self.mean - unknowns) * self.pull(unknowns), axis=-1)
+        return cost
+
+    @property
+    def thrust_curve(self) -> tuple[float, float]:
+        """Mean and standard deviation; NaN and infinity where nothing is known."""
+        known = np.flatnonzero(self.known)
+        place = np.flatnonzero(known == CURVE)
+        if not len(place):
+            return np.nan, np.inf
+        d = np.sqrt(np.diag(self.information)[known])
+        covariance = np.linalg.inv(self.information[np.ix_(known, known)] / np.outer(d, d))
+        i = int(place[0])
+        return float(self.mean[known[i]]), float(np.sqrt(covariance[i, i])) / float(d[i])
+
+    @property
+    def known(self) -> Mask:
+        """(N_UNKNOWNS,) which unknowns it covers."""
+        known: Mask = np.diag(self.information) > 0.0
+        return known
+
+
+def prior_of(known: Mapping[int, tuple[float, float]]) -> Prior:
+    """Independent knowledge about single unknowns.
+
+    Args:
+        known: index among the unknowns -> mean and standard deviation.
+    """
+    mean, information = np.zeros(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    for index, (value, std) in known.items():
+        mean[index] = value
+        information[index, index] = std**-2.0
+    return Prior(mean, information)

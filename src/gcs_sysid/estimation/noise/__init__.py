@@ -1,0 +1,1 @@
+"""What rows are noisy with: whiteners, colored residuals."""

@@ -1,0 +1,1 @@
+"""The estimators that see a whole flight at once."""

@@ -1,0 +1,1 @@
+"""The online estimator: when to fit, and what a fit is made of."""

@@ -1,0 +1,347 @@
+"""The online estimator: samples in, relative estimates out, in bounded memory and time.
+
+A running flight is followed by quick fits: a step from an earlier fit of the same record, its
+warm start, with the moments of that instant. The warm start is renewed whenever a batch of
+moments has begun, about once a second; now and then a full fit chooses leak and delay again. Quick
+fits of one warm start are independent of one another, so that a block with many of them is one
+call.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import Gain, TranslationFit
+from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.online.instant import Instant
+from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
+from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
+from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
+from gcs_sysid.signals.samples import Samples
+
+_SETTLE_GROWTH = 1.5
+_WELL_KNOWN = 10.0
+"""s of flight from which the search for a warm start starts from the one before."""
+
+PriorSource = Callable[[TranslationFit | None], Prior | None]
+"""Prior knowledge, given k_T / m as far as it is known."""
+
+
+@dataclass(frozen=True)
+class _WarmStart:
+    """Starting point of a series of quick fits.
+
+    Attributes:
+        rotation: fit that is followed.
+        thrust: fit of the momentum balance that is followed; None while it is too early for one.
+        batches: that had begun then.
+        settle: s, flight time of the next full fit.
+        left_out: shocks in the rows that were whitened; None where none are.
+    """
+
+    rotation: RotationFit
+    thrust: TranslationFit | None
+    batches: tuple[int, int]
+    settle: float
+    left_out: LeftOut | None
+
+
+class OnlineEstimator:
+    """Recursive estimator on samples of one uniform step.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        tuning: settings.
+        offline: as of `FlightRecord`.
+    """
+
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        offline: OfflineBank | None = None,
+    ) -> None:
+        self.dt = dt
+        self.prior: Prior | None = None
+        """What else is known about the rotation; may be set at any time."""
+        self.prior_source: PriorSource | None = None
+        """Renews the prior with each warm start and full fit."""
+        self._record = FlightRecord(geometry, dt, tuning, offline)
+        whitening = WhitenedEstimator(self._record, geometry)
+        self._thrust = ThrustEstimator(self._record, whitening)
+        self._rotation = RotationEstimator(
+            self._record, whitening, self._thrust, geometry, tuning.speed_interval
+        )
+        self._settle_interval = tuning.settle_interval
+        self._warm_starts: dict[str, _WarmStart] = {}
+        self._rigid_body_test: RigidBodyTest | None = None
+        self._validation: Validation | None = None
+        """The latest of a running flight."""
+        self._rigid_body_test_at = 0.0
+
+    @property
+    def accelerometer_gain(self) -> Gain | None:
+        """How the accelerometer reads against gravity, from an earlier segment; may be set."""
+        return self._thrust.accelerometer_gain
+
+    @accelerometer_gain.setter
+    def accelerometer_gain(self, gain: Gain | None) -> None:
+        self._thrust.accelerometer_gain = gain
+
+    @property
+    def seconds(self) -> float:
+        """Flight time used by the rotational estimate."""
+        return self._record.seconds
+
+    @property
+    def drift(self) -> ThrustDrift | None:
+        """Of thrust at a given command; None: rotor speeds need none."""
+        return self._record.drift
+
+    @property
+    def low_passed(self) -> bool:
+        """Whether the gyro was found to come through an undeclared low-pass."""
+        return self._record.low_passed
+
+    @property
+    def speed_std(self) -> Array:
+        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
+        return self._record.speed_std
+
+    @property
+    def bound(self) -> Array:
+        """(N_THETA,) Cramer-Rao standard deviations of the latest full fit to whitened rows."""
+        assert self._rotation.whitened is not None
+        return self._rotation.whitened.bound
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The coordinates that are estimated, see `estimation.rows.actuator_dynamics`."""
+        return self._record.basis.free
+
+    def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
+        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's residual.
+
+        Noise of the rotors' inputs apart, as far as that is known.
+
+        Args:
+            fit: of this record.
+            theta: (N_THETA,) what the rotors' noise acts with.
+        """
+        return self._rotation.gyro_density(fit, theta)
+
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need; many estimators live but shortly."""
+        return self._record.reserve()
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._record.restart()
+
+    def update(self, samples: Samples) -> None:
+        """Take a block of samples; the outcome does not depend on how they are grouped."""
+        for _ in self._record.take(samples):
+            pass
+
+    def follow(self, samples: Samples, stops: Sequence[int], series: str = "") -> list[Fit]:
+        """Take a block of samples, with quick fits on the way.
+
+        Args:
+            samples: n of them.
+            stops: rising, 0 to n: a fit after so many of them.
+            series: see `fit`.
+
+        Returns:
+            A fit for each stop, as `update` and `fit` would give them one by one.
+        """
+        return self._follow(self._record.take(samples, stops), series)
+
+    def fit(self, *, quick: bool = False, series: str = "") -> Fit:
+        """The estimate from everything so far.
+
+        Args:
+            quick: go on from the last quick estimate, for a running flight; of
+                the latest samples, up to 0.1 s may be left out. Otherwise the outcome is a
+                function of the data alone.
+            series: name of the series of quick estimates to go on with. One that decides
+                something must not depend on how often others look.
+        """
+        if quick:
+            return self._follow((None,), series)[0]
+        self._record.flush()
+        with self._record.settled():
+            return self._full_fit()
+
+    def _full_fit(self) -> Fit:
+        self._renew_prior()
+        rot = self._rotation.fit(None, self.prior)
+        trans, accelerometer = self.fit_translation(rot)
+        validation = self._rotation.validate(self.prior)
+        rigid_body_test = self._rigid_body_test_of(rot)
+        if rigid_body_test is not None and rigid_body_test.contradicted:
+            # Inertia in roll and pitch is left to determine.
+            rot = self._rotation.without_products(self.prior)
+        return Fit(
+            rot,
+            trans,
+            self.seconds,
+            validation,
+            accelerometer,
+            rigid_body_test,
+            moments=self._rotation.moments(rot),
+        )
+
+    def other_layout(self, fit: RotationFit | None) -> str | None:
+        """What is wrong with the airframe's layout, if another explains the motion far better."""
+        return self._rotation.other_layout(fit)
+
+    def fit_translation(
+        self, at: RotationFit | None = None
+    ) -> tuple[TranslationFit | None, TranslationFit | None]:
+        """Thrust and drag over mass from the better source, and from the accelerometer.
+
+        Args:
+            at: gives the coordinates of the basis; None: its middle.
+        """
+        return self._thrust.fit(at, self.prior)
+
+    def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
+        """A fit with thrust over mass by the actuator dynamics of another one.
+
+        Args:
+            rotors: of them; None: the fit as it is.
+            fit: of the whole record.
+        """
+        if rotors is None or CURVE not in self.free:
+            return fit
+        thrust, accelerometer = self.fit_translation(rotors)
+        return replace(fit, translation=thrust, accelerometer=accelerometer)
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of the record (whole batches)."""
+        self._record.forget_last(seconds)
+        self._warm_starts.clear()
+
+    def _follow(self, stops: Iterable[None], series: str) -> list[Fit]:
+        """Quick fits at stops of what is coming in."""
+        fits: list[Fit] = []
+        waiting: list[Instant] = []
+        for _ in stops:
+            if self._record.was_renewed():
+                if waiting:
+                    fits += self._followed(self._warm_starts[series], waiting)
+                    waiting = []
+                self._warm_starts.clear()
+            warm_start = self._warm_starts.get(series)
+            if warm_start is None or self.seconds >= warm_start.settle:
+                if warm_start is not None:
+                    fits += self._followed(warm_start, waiting)
+                waiting = []
+                fits.append(self._settle(series, warm_start))
+                continue
+            waiting.append(self._rotation.instant(warm_start.rotation, warm_start.left_out))
+            if self._is_outdated(warm_start):
+                fits += self._followed(warm_start, waiting)
+                waiting = []
+                fits[-1] = self._renewed(series, warm_start, fits[-1])
+        if waiting:
+            fits += self._followed(self._warm_starts[series], waiting)
+        return fits
+
+    def _is_outdated(self, warm_start: _WarmStart) -> bool:
+        return (
+            warm_start.thrust is None
+            or warm_start.batches != self._record.batches
+            or self._is_rigid_body_test_due()
+        )
+
+    def _followed(self, warm_start: _WarmStart, instants: Sequence[Instant]) -> list[Fit]:
+        """Quick fits at several instants, from one warm start."""
+        if not instants:
+            return []
+        rotations = self._rotation.follow(instants, warm_start.rotation, self.prior)
+        thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
+        if warm_start.thrust is not None:
+            thrusts = self._thrust.follow(instants, rotations, warm_start.thrust)
+        return [
+            Fit(
+                rot,
+                self._thrust.with_slope(thrust, rot, self.prior, i),
+                i.seconds,
+                self._validation,
+                rigid_body_test=self._rigid_body_test,
+                running=True,
+                moments=i.at(rot, self._record),
+            )
+            for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
+        ]
+
+    def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
+        """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
+        record, rot = self._record, fit.rotation
+        assert rot is not None
+        thrust, trans = self._thrust.quick(rot, self.prior)
+        followed = rot if warm_start.batches != record.batches else warm_start.rotation
+        self._warm_starts[series] = replace(
+            warm_start, rotation=followed, thrust=thrust, batches=record.batches
+        )
+        self._renew_prior()
+        record.use_place(rot.lag_place)
+        rigid_body_test = self._latest_rigid_body_test(rot)
+        trans = self._thrust.with_slope(trans, rot, self.prior)
+        return replace(fit, translation=trans, rigid_body_test=rigid_body_test)
+
+    def _settle(self, series: str, before: _WarmStart | None) -> Fit:
+        """A fit that chooses leak and delay, as a warm start for those to come."""
+        self._renew_prior()
+        known = before if self.seconds > _WELL_KNOWN else None
+        rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
+        thrust, trans = self._thrust.quick(rot, self.prior)
+        if rot is not None and self._record.article is None:
+            settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
+            self._warm_starts[series] = _WarmStart(
+                rot, thrust, self._record.batches, settle, self._rotation.left_out
+            )
+        rigid_body_test = self._latest_rigid_body_test(rot)
+        trans = self._thrust.with_slope(trans, rot, self.prior)
+        if self._rotation.whitened is not None and not series:
+            self._validation = self._rotation.validate(self.prior)
+        return Fit(
+            rot,
+            trans,
+            self.seconds,
+            self._validation,
+            rigid_body_test=rigid_body_test,
+            running=True,
+            moments=self._rotation.moments(rot),
+        )
+
+    def _renew_prior(self) -> None:
+        if self.prior_source is not None:
+            self.prior = self.prior_source(self.fit_translation()[0])
+
+    def _is_rigid_body_test_due(self) -> bool:
+        return self._rotation.can_test_rigid_body and self.seconds >= self._rigid_body_test_at
+
+    def _latest_rigid_body_test(self, fit: RotationFit | None) -> RigidBodyTest | None:
+        due = self._is_rigid_body_test_due()
+        return self._rigid_body_test_of(fit) if due else self._rigid_body_test
+
+    def _rigid_body_test_of(self, fit: RotationFit | None) -> RigidBodyTest | None:
+        """Whether the body is rigid; None while undecided."""
+        if fit is None or not self._rotation.can_test_rigid_body:
+            return None
+        self._rigid_body_test_at = _SETTLE_GROWTH * self.seconds
+        self._rigid_body_test = self._rotation.test_rigid_body(fit)
+        return self._rigid_body_test

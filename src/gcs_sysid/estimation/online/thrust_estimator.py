@@ -1,0 +1,172 @@
+"""Thrust and drag over mass of a record: from the momentum balance, or the accelerometer."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit import translation
+from gcs_sysid.estimation.fit.disturbance import RULES
+from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.search import COORDINATE_STD
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.online.instant import Instant
+from gcs_sysid.estimation.online.whitened_estimator import WhitenedEstimator
+from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.model import rigid_body
+
+MIN_MOMENTUM_SECONDS = 5.0
+"""Flight time from which momentum balance beats the accelerometer's bias."""
+_CURVE_STEP = 0.05
+"""Of the thrust curve, for the derivative of thrust over mass."""
+
+
+class ThrustEstimator:
+    """Fits to the translational moments of a record.
+
+    Args:
+        record: of the flight.
+        whitening: of its whitened rows, where there are any.
+    """
+
+    def __init__(self, record: FlightRecord, whitening: WhitenedEstimator) -> None:
+        self.accelerometer_gain: translation.Gain | None = None
+        """How the accelerometer reads against gravity, from an earlier segment."""
+        self._record, self._basis, self._whitening = record, record.basis, whitening
+
+    def fit(
+        self, at: RotationFit | None, prior: Prior | None
+    ) -> tuple[TranslationFit | None, TranslationFit | None]:
+        """Thrust and drag over mass from the better source, and from the accelerometer.
+
+        Args:
+            at: gives the coordinates of the basis; None: its middle.
+            prior: what else is known.
+        """
+        where = self.coordinates(at, prior)
+        momentum = self.by_momentum(where)
+        accelerometer = self.by_accelerometer(where)
+        return self.with_slope(momentum or accelerometer, at, prior), accelerometer
+
+    def quick(
+        self, at: RotationFit | None, prior: Prior | None
+    ) -> tuple[TranslationFit | None, TranslationFit | None]:
+        """Of the momentum balance, and of the better source; both without `with_slope`.
+
+        Args:
+            at: as of `fit`.
+            prior: likewise.
+        """
+        where = self.coordinates(at, prior)
+        momentum = self.by_momentum(where)
+        return momentum, momentum or self.by_accelerometer(where)
+
+    def by_momentum(self, where: Array) -> TranslationFit | None:
+        """Of the momentum balance, at (3,) coordinates; None while it is too early."""
+        record, weights = self._record, self._basis.thrust_weights(where)
+        if record.momentum_seconds <= MIN_MOMENTUM_SECONDS:
+            return None
+        batches, total = (
+            _mixed(weights, m) for m in (record.momentum.batches, record.momentum.total)
+        )
+        return translation.fit_momentum(batches, record.momentum.counts, total)
+
+    def by_accelerometer(self, where: Array) -> TranslationFit | None:
+        """Of the accelerometer's z axis, at (3,) coordinates."""
+        moments = self._record.accelerometer
+        mixed = _mixed(self._basis.thrust_weights(where), moments.batches)
+        return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
+
+    def follow(
+        self, instants: Sequence[Instant], at: Sequence[RotationFit], start: TranslationFit
+    ) -> list[TranslationFit]:
+        """Quick fits of the momentum balance at some instants, from an earlier one."""
+        weights = [self._basis.thrust_weights(fit.coordinates) for fit in at]
+        pairs = zip(weights, instants, strict=True)
+        return translation.follow_momentum(
+            np.stack([_mixed(w, i.momentum) for w, i in pairs]),
+            np.array([i.momentum_rows for i in instants]),
+            start,
+        )
+
+    def is_calm(self, prior: Prior | None) -> bool:
+        """Whether it is known that no steady wind blows; without velocity nothing is."""
+        momentum = self.by_momentum(self.coordinates(None, prior))
+        return momentum is not None and momentum.wind < translation.CALM
+
+    def coordinates(self, fit: RotationFit | None, prior: Prior | None) -> Array:
+        """(3,) of a fit, or the basis' middle with the thrust curve that is known beforehand."""
+        self._record.use_place(None if fit is None else fit.lag_place)
+        where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
+        if fit is None and prior is not None and CURVE in self._basis.free:
+            curve, _ = prior.thrust_curve
+            where = where.copy()
+            if np.isfinite(curve):
+                where[CURVE] = np.clip(curve, self._basis.low[CURVE], self._basis.high[CURVE])
+        return where
+
+    def with_slope(
+        self,
+        fit: TranslationFit | None,
+        at: RotationFit | None,
+        prior: Prior | None,
+        instant: Instant | None = None,
+    ) -> TranslationFit | None:
+        """The fit with how kappa changes with the thrust curve, where that is unknown.
+
+        It is gravity over the mean share of thrust.
+
+        Args:
+            fit: of thrust over mass.
+            at: what is known of the rotation.
+            prior: what else is known.
+            instant: that the fit is of; None: now.
+        """
+        if fit is None or (at is None and CURVE not in self._basis.free):
+            return fit
+        if self._record.whitened is not None and at is not None:
+            fit = self._whitening.judged_thrust(fit, at)
+            mean = instant.mean_thrust if instant is not None else self._record.mean_thrust
+            if mean is not None:
+                # Thrust of the rows that kappa is of has one time constant.
+                share, slope = mean.rectified(at.coordinates)
+                motors = slice(rigid_body.N_THETA, rigid_body.N_THETA + len(slope))
+                variance = float(slope @ at.full_covariance[motors, motors] @ slope)
+                if at.disturbance.max() > RULES.detected:
+                    # Asymmetry is then what disturbs, too.
+                    variance += share * share
+                spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
+                fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
+        if CURVE not in self._basis.free:
+            return fit
+        where = self.coordinates(at, prior)
+        total = self._record.momentum.total if instant is None else instant.momentum
+        if fit.source == "accelerometer":
+            total = self._record.accelerometer.total
+        step = _CURVE_STEP * np.eye(len(where))[CURVE]
+        less, more = (
+            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
+            for c in (where - step, where + step)
+            for mixed in (_mixed(self._basis.thrust_weights(c), total),)
+        )
+        change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        if at is None:
+            # Of the curve nothing is known yet but what was known, or what it ordinarily is.
+            known = np.inf if prior is None else prior.thrust_curve[1]
+            curve_std = min(known, float(COORDINATE_STD[CURVE]))
+            return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
+        return replace(fit, curve_slope=float(change))
+
+
+def _mixed(weights: Array, moments: Array) -> Array:
+    """(..., WIDTH, WIDTH) of rows whose thrusts are mixed by their (thrusts,) weights."""
+    if len(weights) == 1:
+        return moments
+    mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
+    mixer[0, :-3] = weights
+    mixer[1:, -3:] = np.eye(3)
+    mixed: Array = mixer @ moments @ mixer.T
+    return mixed

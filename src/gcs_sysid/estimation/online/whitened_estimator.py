@@ -1,0 +1,355 @@
+"""The rotation of a record from its whitened rows; how it is judged from those of the window.
+
+A single step is mostly noise. How much of the motion a fit explains is therefore computed on the
+rows of the symmetric window, which passes about 5 Hz: the same numbers as of fits to the window, on
+which verdicts are based.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.arrays import Array, Mask, by_parts
+from gcs_sysid.estimation.checks.layout_test import LEAST_RATE, SUSPECTED, find_other_layout
+from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.checks.validation import (
+    Validation,
+    judge_prediction,
+    whiteness_of,
+)
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.search import residual_maker
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened, follow_whitened
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.noise.whitening import slower
+from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
+
+_FREQUENCIES = 4096
+_BELIEVED = 0.5
+"""Share of the motion explained, from which deviations are those of rotors."""
+_SHORTEST_VALIDATED = 4.0
+"""s of flight."""
+_HELD_OUT = 1.0
+"""s: of five such stretches, two are predicted from the others."""
+_THRUST = rb.SIGNALS.index("thrust")
+LEAST_OWN = 0.02
+"""Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Shocks that a fit left out, to be left out by those that follow it.
+
+    Attributes:
+        moments: (3, width, width) as each axis' whitener made them.
+        rows: in them.
+    """
+
+    moments: Array
+    rows: int
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Moments at one instant.
+
+    Attributes:
+        basis: of the elements then.
+        moments: (3, width, width) with the whiteners that are followed, shocks left out.
+        rows: in them.
+        noise: (3, width, width) of the inputs in one row.
+    """
+
+    basis: ActuatorDynamics
+    moments: Array
+    rows: int
+    noise: Array
+
+
+class WhitenedEstimator:
+    """Fits to the whitened rows of a record.
+
+    Args:
+        record: that has such rows.
+        geometry: (3, rotors) of the airframe.
+    """
+
+    def __init__(self, record: FlightRecord, geometry: Array) -> None:
+        self._choice = DeviationChoice(geometry, commands=record.commands is not None)
+        self._geometry = geometry
+        self._record = record
+        self.bound = np.full(rb.N_THETA, np.nan)
+        """(N_THETA,) standard deviations of the latest fit, were its innovations white and the
+        model whole: the Cramer-Rao bound."""
+
+    @property
+    def _white(self) -> WhitenedRecord:
+        assert self._record.whitened is not None
+        return self._record.whitened
+
+    @property
+    def basis(self) -> ActuatorDynamics:
+        """Of the whitened rows' elements."""
+        return self._white.basis
+
+    def fit(
+        self,
+        start: RotationFit | None = None,
+        prior: Prior | None = None,
+        *,
+        rigid: bool = True,
+        calm: bool = False,
+    ) -> tuple[RotationFit, LeftOut] | None:
+        """Fit what the record holds.
+
+        Args:
+            start: an earlier fit of it; None: from the data alone.
+            prior: on the unknowns.
+            rigid: whether the body has gyroscopic torque.
+            calm: whether no steady wind blows.
+
+        Returns:
+            The fit and the shocks that it left out; None while the data cannot even start one.
+        """
+        data = self._data
+        if not rigid:
+            data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
+        doubt = self._record.noise_doubt
+        known = prior, doubt, self._choice, 0.0 if calm else self._hover
+        found = fit_whitened(data, self.basis, start, *known)
+        if start is not None and (found is None or _is_doubtful(found.rotation)):
+            fresh = fit_whitened(data, self.basis, None, *known)
+            if found is None or (fresh is not None and fresh.cost < found.cost):
+                found = fresh
+        if found is None:
+            return None
+        self.bound = found.bound
+        return found.rotation, LeftOut(found.left_out, found.rows_left_out)
+
+    def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
+        """The moments of now, for `follow`."""
+        pick, white = self._white.places(fit.whiteners), self._white
+        return Followed(
+            self.basis,
+            white.total[pick] - left_out.moments,
+            white.rows - left_out.rows,
+            self._record.whitened_noise(pick),
+        )
+
+    def follow(
+        self, instants: Sequence[Followed], start: RotationFit, prior: Prior | None
+    ) -> list[RotationFit]:
+        """Quick fits at some instants, from an earlier one."""
+        return follow_whitened(
+            np.stack([i.moments for i in instants]),
+            np.array([i.rows for i in instants]),
+            instants[0].basis,
+            np.stack([i.noise for i in instants]),
+            start,
+            prior,
+        )
+
+    def validate(self, prior: Prior | None) -> Validation | None:
+        """Fit the first part, predict the rest of the window's rows; whiteness of innovations.
+
+        Where the likeliest whiteners are known, the flight is over, and every fifth of it is
+        predicted from the other four.
+        """
+        data = self._data
+        ends = np.cumsum(data.counts) * self._white.time
+        if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
+            return None
+        # Held out now and then: maneuvers come one after the other, and a part must have its own.
+        stretch = (ends - 1e-9) // _HELD_OUT % 5
+        folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
+        found = [
+            fold
+            for held_out in folds
+            if (fold := self._predicted(data, np.isin(stretch, held_out), prior)) is not None
+        ]
+        if not found:
+            return None
+        whiteness = whiteness_of(
+            *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
+        )
+        if len(found) == 1:
+            return replace(found[0].validation, whiteness=whiteness[0], whiteness_p=whiteness[1])
+        measured = np.stack([fold.measured for fold in found])
+        share = measured / np.maximum(measured.sum(axis=0), 1e-300)
+        return replace(
+            found[-1].validation,
+            r_squared=(share * [fold.validation.r_squared for fold in found]).sum(axis=0),
+            theil=(share * [fold.validation.theil for fold in found]).sum(axis=0),
+            whiteness=whiteness[0],
+            whiteness_p=whiteness[1],
+        )
+
+    def _predicted(
+        self, data: WhitenedMoments, held_out: Mask, prior: Prior | None
+    ) -> "_Fold | None":
+        """A part of the flight, predicted by a fit to the others."""
+        if held_out.all():
+            return None
+        found = fit_whitened(data, self.basis, prior=prior, choice=self._choice, only=~held_out)
+        if found is None:
+            return None
+        fit = found.rotation
+        own = data.of_axes(self._white.places(fit.whiteners))
+        P = self.basis.map_at(fit.coordinates)
+        # Collisions and landings are not predicted by anybody.
+        shocks = find_shocks(residual_maker(fit.Q) @ P, fit, own, data.counts)
+        kept = held_out & ~shocks
+        if not kept.any():
+            return None
+        batches = data.of_axes(data.judges) if data.judges else own
+        rest = P @ batches[kept].sum(axis=0) @ P.T
+        share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
+        nothing = np.full(3, np.nan)
+        axes = np.arange(3)
+        return _Fold(
+            judge_prediction(rest, fit, share, nothing, nothing),
+            rest[axes, axes - 3, axes - 3],
+            self._slow_power(data, kept, fit),
+        )
+
+    def other_layout(self, fit: RotationFit | None) -> str | None:
+        """What is wrong with the given layout, if another one explains the motion far better."""
+        given = 0.0 if fit is None else float(fit.r_squared[:2].min())
+        data = self._data
+        if given >= SUSPECTED or data.counts.sum() * self._white.time < _SHORTEST_VALIDATED:
+            return None
+        if self._rates[:2].min() < LEAST_RATE:
+            return None
+        found = find_other_layout(data, self.basis, self._geometry, max(given, 0.0))
+        return None if found is None else found.says
+
+    def judged_thrust(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
+        """Thrust over mass of the mean rotor, where rotors differ.
+
+        The whole vehicle's thrust weighs those most that carry most of it:
+        sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
+        """
+        if not fit.deviating.thrusts.any() or fit.r_squared.min() < _BELIEVED:
+            return thrust
+        effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
+        factor = 1.0 / (1.0 + float(fit.deviations @ effect))
+        spread = float(np.sqrt(effect @ fit.deviations_covariance @ effect))
+        kappa = factor * thrust.kappa
+        return replace(
+            thrust, kappa=kappa, kappa_std=math.hypot(factor * thrust.kappa_std, spread * kappa)
+        )
+
+    def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
+        """Whether the body is rigid, see `estimation.checks.rigid_body_test`."""
+        data = self._data
+        pick = self._white.places(fit.whiteners)
+        batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)
+        batches -= counts[:, None, None, None] * data.noise[pick]
+        return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.Q)
+
+    def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
+        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
+
+        Args:
+            fit: of this record.
+            theta: (N_THETA,) what the rotors' noise acts with.
+        """
+        T, pick = self._white.time, self._white.places(fit.whiteners)
+        own = np.diag(fit.residual_covariance)
+        input_noise = self._record.whitened_noise(pick)
+        TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
+        rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
+        left = np.maximum(own - rotors, LEAST_OWN * own)
+        # Without a whitener the gyro's part is unknown: half of a change, at most.
+        shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
+        density: Array = np.diag(left * shares) * T**3
+        return density
+
+    @property
+    def _data(self) -> WhitenedMoments:
+        return self._white.moments(self._record.whitened_noise())
+
+    def _within(self, coordinates: Array) -> Array:
+        """(3,) coordinates in the window's range, which is not quite the same."""
+        basis = self._record.basis
+        within: Array = np.clip(coordinates, basis.low, basis.high)
+        return within
+
+    @property
+    def _hover(self) -> float:
+        """rad^2/s^2, thrust signal in hover: its rms."""
+        window = self._record.rotation
+        thrust = self._record.basis.moments_at(
+            window.total[0], self._record.basis.nodes[self._record.basis.middle]
+        )[_THRUST, _THRUST]
+        return math.sqrt(float(thrust) / window.rows) if window.rows else 0.0
+
+    @property
+    def _rates(self) -> Array:
+        """(3,) rms of body rates, rad/s, slower than some 5 Hz."""
+        window, basis = self._record.rotation, self._record.basis
+        sums = basis.moments_at(window.total[0], basis.nodes[basis.middle])
+        return rb.rms_rates(sums, max(window.rows, 1))
+
+    def _slow_power(
+        self, data: WhitenedMoments, kept: Mask, fit: RotationFit
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Of the innovations that were not fitted, as `whiteness_of` takes it.
+
+        Were they white, another whitener would make of them
+
+            sigma_b^2 = sigma_a^2 mean over omega of |W_b / W_a|^2 ,
+
+        with W_b one for which what is slow counts more.
+        """
+        own_places = self._white.places(fit.whiteners)
+        references = [slower(data.whiteners, i) for i in own_places]
+        TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
+
+        def power(some: Array) -> Array:
+            squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
+            return squares
+
+        omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
+        ratio = np.array(
+            [
+                np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
+                for a, b in zip(own_places, references, strict=True)
+            ]
+        )
+        powers = []
+        for pick in (own_places, references):
+            batches, counts = data.of_axes(pick)[kept], data.counts[kept]
+            batches, counts = grouped(batches, counts, data.grouped)
+            powers.append(by_parts(power, batches))
+        own, slow = powers
+        return slow, ratio * own, counts
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """A held-out part of a flight, predicted.
+
+    Attributes:
+        validation: of it, without whiteness.
+        measured: (3,) power of its acceleration.
+        power: for its whiteness, see `whiteness_of`.
+    """
+
+    validation: Validation
+    measured: Array
+    power: tuple[Array, Array, NDArray[np.int64]]
+
+
+def _is_doubtful(fit: RotationFit) -> bool:
+    """Whether it may have started near a wrong solution."""
+    return not fit.converged or float(fit.r_squared.min()) < _BELIEVED

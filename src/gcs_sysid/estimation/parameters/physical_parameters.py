@@ -1,0 +1,445 @@
+"""From relative estimates and one scale anchor to physical parameters, with status."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.parameters.individual_values import (
+    axis_dampings,
+    mean_damping,
+    rotor_coefficients,
+)
+from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
+from gcs_sysid.estimation.parameters.status import NOTHING, RULES, Value, doubted, judged
+from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
+from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, CURVE, LAG
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import (
+    ARM,
+    AXIS_DAMPINGS,
+    CORE_OF,
+    GRAVITY,
+    PARAMETERS,
+    REGISTRY,
+    THRUST_OF,
+    TIMING,
+    RotorInput,
+    grouped,
+)
+from gcs_sysid.model.scale_reference import Known, ScaleReference
+from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
+
+Raw = dict[str, tuple[float, float]]
+"""Values and standard deviations by name, not yet judged."""
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Systematic errors of a model that fits well; scatter within one flight does not show them.
+
+    Relative where no unit is given.
+    """
+
+    cg_floor: float = 6e-6
+    """Of the arm (a micrometer or two), least standard deviation of the CG by commands."""
+    rounded: float = 0.05
+    """Of what speeds rounded to whole rpm would shift the CG by if the rounding stayed the same all
+    flight. Speeds that are steadier than a rotor's would need more; three emulated octocopters
+    moved by 0.01 to 0.04 of it when their speeds were dithered."""
+    gyro_bias: float = 0.01
+    """rad/s, bias that an autopilot's calibration leaves, before the complementary filter finds
+    it."""
+    curve_shape: float = 1e-3
+    """Of the CG's offset, with commands: thrust curves are not quite of the form fitted (measured:
+    0.13 % where the lag is the speed's, not the command's; see `_slowness`)."""
+    command: float = 0.0015
+    """With commands: a motor is not quite of first order, nor its thrust quite a parabola of the
+    command. On flights of the emulator it leaves 0.1 to 0.25 %, in the thrust curve as well."""
+    steps: float = 1.7e-4
+    """With speeds: commands change in steps, and the cubic between two samples rounds the corners
+    that they leave in the speeds. Inertia reads 0.03 % larger where the loop runs once a sample
+    than where it runs four times (emulator, 250 Hz); anything between is as likely, and the
+    standard deviation of that is the whole over the root of three."""
+    quick_motor: float = 0.03
+    """s, lag of the motors that these two were measured with."""
+    lag: float = 0.02
+    """Of a motor's lag: up to 3.5 % at 100 Hz and on recorded flights."""
+    rotor_height: float = 0.15
+    """Of the arm, rotors over the CG: where they are, wind pushes a hovering vehicle, whose CG then
+    seems to be elsewhere."""
+    still_air: float = 0.1
+    """m/s^2, of wind's push: flights of a minute without wind read 0.001 to 0.08, as tilt by the
+    gyro's bias looks like a push. Of 21 s they read 0.09 to 0.14."""
+    tilted: float = 1.5
+    """Times the push that `gyro_bias` on two axes looks like, which is still air in short
+    flights."""
+    not_rigid: float = 0.005
+    """Relative error of the remaining parameters where the rigid-body test contradicts the
+    model."""
+
+
+ERRORS = ModelErrors()
+
+
+def physical_parameters(
+    anchor: ScaleReference,
+    rotation: RotationFit | None,
+    translation: TranslationFit | None,
+    arm: float,
+    known: Mapping[str, Known] | None = None,
+    rotor_input: RotorInput = "speed",
+    rigid_body_test: RigidBodyTest | None = None,
+    lateness: float = 0.0,
+    cant: float = 0.0,
+    seconds: float = math.inf,
+) -> dict[str, Value]:
+    """Physical parameters of the fits, at the anchor's scale.
+
+    With commands T_max and the thrust curve take the places of k_T and k_M, and a rotor's inertia
+    is unobservable.
+
+    Args:
+        anchor: the known value that sets the scale.
+        rotation: relative to k_T or T_max; None while there is none.
+        translation: the same over m, and D / m; None while there is none.
+        arm: m, mean rotor distance, for the reference value of the CG.
+        known: priors on mass and k_T; those on the rotation are in its fit.
+        rotor_input: what the fits are relative to.
+        rigid_body_test: whether the vehicle moves like a rigid body.
+        lateness: s, known delay of the gyro, and so of the attitude.
+        cant: m, what canted rotors add to the moment ratio.
+        seconds: flight time of the fits.
+    """
+    scale = resolve_scale(anchor, translation, known or {})
+    # Relative effect of a wrong thrust curve on thrust over mass.
+    bend = 0.0
+    if translation is not None and translation.kappa > 0.0:
+        bend = translation.curve_slope / translation.kappa
+    doubt = ERRORS.command * _slowness(rotation) if rotor_input == "command" else ERRORS.steps
+    scaled = doubt if rotor_input == "command" else 0.0
+    raw = _scale_values(scale, rotation, rotor_input, bend, scaled)
+    if rotation is not None:
+        # A given T_max does not depend on the curve.
+        own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
+        floor = _cg_floor(translation, arm, rotor_input)
+        raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
+        shift = math.hypot(
+            _wind_shift(translation, arm, seconds), _bias_shift(translation, rotation, seconds)
+        )
+        for name in (n for n, p in PARAMETERS.items() if p.mean_torque):
+            raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
+        raw |= _axis_values(rotation, scale, own_bend, scaled)
+    if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
+        if rotor_input == "speed" and rotation is not None:
+            lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
+        spread = math.hypot(translation.delta_std, lateness * translation.quickness)
+        raw["linear_drag"] = scale.mass * translation.delta, scale.mass * spread
+
+    sizes = {name: value for name, (value, _) in raw.items()} | {ARM: arm}
+    out = {
+        name: judged(*raw[name], p.reference.size(raw[name][0], sizes), p.sign)
+        if name in raw
+        else NOTHING
+        for name, p in PARAMETERS.items()
+        if p.in_result(rotor_input) or (p.optional and name in raw)
+    }
+    if anchor.kind in out and anchor.std == 0.0:
+        out[anchor.kind] = Value(anchor.value, 0.0, "given")
+    if rotation is None:
+        return out
+    for name, p in PARAMETERS.items():
+        if p.fit == "actuator" and name in out:
+            out[name] = _coordinate(rotation, name, doubt)
+    r_squared = tuple(rotation.r_squared.tolist())
+    whitened = bool(rotation.whiteners)
+    out = {
+        name: doubted(value, REGISTRY[name], r_squared, whitened=whitened)
+        for name, value in out.items()
+    }
+    contradicted = rigid_body_test is not None and rigid_body_test.contradicted
+    return _not_rigid(out) if contradicted else out
+
+
+def _scale_values(
+    scale: Scale,
+    rotation: RotationFit | None,
+    rotor_input: RotorInput,
+    bend: float,
+    doubt: float,
+) -> Raw:
+    """Mass and k_T or T_max, as far as they are known."""
+    bent = 0.0 if rotation is None else abs(bend) * float(rotation.coordinates_std[CURVE])
+    found = (
+        ("mass", scale.mass, scale.mass_share),
+        (THRUST_OF[rotor_input], scale.thrust, scale.thrust_share),
+    )
+    return {
+        name: (value, value * math.hypot(share, bent, doubt))
+        for name, value, share in found
+        if value is not None
+    }
+
+
+def _rotation_values(
+    rotation: RotationFit,
+    scale: Scale,
+    cg_floor: float,
+    rotor_input: RotorInput,
+    bend: float,
+    doubt: float,
+    cant: float,
+) -> Raw:
+    """Parameters read off theta: lengths directly, the rest times thrust where that is known.
+
+    Args:
+        rotation: the fit.
+        scale: with thrust, k_T or T_max.
+        cg_floor: m, least standard deviation of the CG.
+        rotor_input: what theta is relative to.
+        bend: relative change of thrust with the thrust curve.
+        doubt: relative error of parameters identified from commands.
+        cant: m, of canted rotors.
+    """
+    out: Raw = {}
+    theta, std = rotation.theta.copy(), rotation.std
+    theta[rb.MOMENT_RATIO] -= cant
+    n, curve = rb.N_THETA, rb.N_THETA + CURVE
+    full = rotation.full_covariance
+    # Errors of the curve move the relative values and the scale together.
+    variance = std**2 + theta * bend * (2.0 * full[:n, curve] + theta * bend * full[curve, curve])
+    bent = np.sqrt(np.maximum(variance, 0.0))
+    slowness = _slowness(rotation) if rotor_input == "command" else 0.0
+    for name, p in PARAMETERS.items():
+        if not p.theta or rotor_input not in p.inputs:
+            continue
+        at = rb.THETA.index(p.theta)
+        value = float(theta[at])
+        if p.mean_torque:
+            shape = ERRORS.curve_shape * slowness * value
+            out[name] = value, math.hypot(std[at], cg_floor, shape)
+        elif p.scale == "none":
+            out[name] = value, math.hypot(std[at], doubt * value)
+        elif scale.thrust is not None:
+            spread = value * math.hypot(scale.thrust_share, doubt)
+            out[name] = value * scale.thrust, scale.thrust * math.hypot(bent[at], spread)
+    return out
+
+
+def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: RotorInput) -> float:
+    """m, least standard deviation of the CG.
+
+    Rotors at Omega in hover that are each off by a constant d shift it by
+    sum x_i 2 Omega d_i / sum Omega^2: sqrt(2) arm std(d) / sqrt(sum Omega^2), where the sum of the
+    squares is g / kappa.
+    """
+    if rotor_input == "command" or translation is None or not translation.kappa > 0.0:
+        return ERRORS.cg_floor * arm
+    hover = math.sqrt(GRAVITY / translation.kappa)
+    return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
+
+
+def _wind_shift(translation: TranslationFit | None, arm: float, seconds: float) -> float:
+    """m, by which a steady wind may shift what rests on the mean torque."""
+    if translation is None:
+        return 0.0
+    tilt = math.sqrt(2.0) * _unsettled_bias(seconds) / DEFAULT_K_P
+    still = max(ERRORS.still_air, ERRORS.tilted * GRAVITY * tilt)
+    return ERRORS.rotor_height * arm * max(translation.wind - still, 0.0) / GRAVITY
+
+
+def _bias_shift(translation: TranslationFit | None, rotation: RotationFit, seconds: float) -> float:
+    """m, by which a gyro's bias that was not known yet shifts what rests on the mean torque.
+
+    A bias b left in the rates makes damping d take d b for torque, against m g of thrust; with d
+    and thrust relative to k_T, that is d b kappa / g. In the attitude b / k_p stands meanwhile,
+    which turns gravity: where there is a velocity, the push g b / k_p on both horizontal axes gives
+    b.
+    """
+    if translation is None or not translation.kappa > 0.0:
+        return 0.0
+    bias = _unsettled_bias(seconds)
+    if translation.source == "momentum":
+        bias = DEFAULT_K_P * translation.wind / GRAVITY / math.sqrt(2.0)
+    return abs(float(rotation.theta[rb.DAMPING])) * bias * translation.kappa / GRAVITY
+
+
+def _unsettled_bias(seconds: float) -> float:
+    """rad/s, mean over a flight of the gyro's bias that the complementary filter has yet to find.
+
+    It finds it with a time constant of k_p / k_i, from the start of the flight at worst.
+    """
+    settling = DEFAULT_K_P / DEFAULT_K_I
+    flown = max(seconds, 1e-3) / settling
+    return ERRORS.gyro_bias * -math.expm1(-flown) / flown
+
+
+def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float) -> Raw:
+    """Damping by axis where the flight shows it to differ, and its mean over roll and pitch."""
+    if scale.thrust is None or not rotation.deviating.dampings.any():
+        return {}
+    values, stds = axis_dampings(rotation, bend)
+    mean, mean_std = mean_damping(rotation, bend)
+    found = [("rotational_damping", mean, mean_std)]
+    if "damping" in rotation.deviating.shown:
+        found += zip(AXIS_DAMPINGS, values, stds, strict=True)
+    return {
+        name: (
+            float(value) * scale.thrust,
+            scale.thrust
+            * math.hypot(float(std), float(value) * math.hypot(scale.thrust_share, doubt)),
+        )
+        for name, value, std in found
+    }
+
+
+def rotor_values(
+    rotation: RotationFit | None, scale: Scale, rotors: int, cant: float = 0.0
+) -> list[dict[str, Value]]:
+    """k_T and k_M of each rotor, in motor order; empty where nothing sets the scale.
+
+    Args:
+        rotation: of measured rotor speeds.
+        scale: with the mean k_T.
+        rotors: how many there are.
+        cant: m, what canted rotors add to the moment ratio.
+    """
+    if rotation is None or scale.thrust is None:
+        return []
+    k_T, k_T_std, ratio, ratio_std = rotor_coefficients(rotation, rotors)
+    ratio = ratio - cant * k_T
+    out = []
+    for i in range(rotors):
+        each = {}
+        for name, value, std in (("k_T", k_T[i], k_T_std[i]), ("k_M", ratio[i], ratio_std[i])):
+            own = float(value) * scale.thrust
+            spread = scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share)
+            each[name] = judged(own, spread, abs(own))
+        out.append(each)
+    return out
+
+
+def _not_rigid(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Values where the vehicle does not move like a rigid body: the rest is doubted, too."""
+    out = dict(values)
+    for name, entry in values.items():
+        p = REGISTRY[name]
+        if p.rigid_body:
+            out[name] = replace(entry, status="unobservable")
+        elif p.theta and p.scale == "thrust" and entry.value is not None and entry.std is not None:
+            out[name] = replace(entry, std=math.hypot(entry.std, ERRORS.not_rigid * entry.value))
+    return out
+
+
+def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Value]:
+    """Values with the error of the vehicle's clock included.
+
+    Args:
+        values: parameters or timing, by name.
+        share: relative error of its rate.
+    """
+
+    def widened(name: str, entry: Value) -> Value:
+        clock = REGISTRY[name].clock
+        size = values.get(clock.of or name, NOTHING).value
+        if size is None or not (clock.power and entry.std) or entry.status == "given":
+            return entry
+        return replace(entry, std=math.hypot(entry.std, share * clock.power * abs(size)))
+
+    return {name: widened(name, entry) if share else entry for name, entry in values.items()}
+
+
+def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
+    """Parameters of whose information more than half does not come from the flight's data."""
+    leaning = rotation.std**2 < 0.5 * rotation.data_std**2
+    names = {name for name, leans in zip(rb.THETA, leaning, strict=True) if leans}
+    return frozenset(name for name, p in PARAMETERS.items() if p.theta in names)
+
+
+def timing_values(rotation: RotationFit | None, rotor_input: RotorInput) -> dict[str, Value]:
+    """How far the rotor stream lags behind the IMU's, and with commands a motor's lag, s."""
+    names = [name for name, p in TIMING.items() if rotor_input in p.inputs]
+    if rotation is None:
+        return dict.fromkeys(names, NOTHING)
+    _, least = RULES.explained(whitened=bool(rotation.whiteners))
+    if rotation.r_squared.min() < least:
+        return dict.fromkeys(names, NOTHING)
+    return {name: _coordinate(rotation, name) for name in names}
+
+
+def _slowness(rotation: RotationFit | None) -> float:
+    """What the errors of a motor's form are multiplied with, at least 1.
+
+    Whether a rotor's speed lags or its command is of no account for small changes; for large ones
+    it is, the more so the longer the lag: 60 ms leave 0.44 %, three times what 30 ms leave.
+    """
+    if rotation is None:
+        return 1.0
+    return max(1.0, float(rotation.coordinates[LAG]) / ERRORS.quick_motor)
+
+
+def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
+    """One of the actuator's coordinates; `given` where it was not estimated.
+
+    Args:
+        rotation: the fit.
+        name: of the coordinate.
+        doubt: what its form may be off by, in its unit.
+    """
+    which = COORDINATE_NAMES.index(name)
+    value = float(rotation.coordinates[which])
+    std = float(rotation.coordinates_std[which])
+    if std == 0.0:
+        return Value(value, 0.0, "given")
+    if which == LAG:
+        doubt = ERRORS.lag * value
+    p = REGISTRY[name]
+    return judged(value, math.hypot(std, doubt), p.reference.size(value, {}), p.sign)
+
+
+def verdict(
+    parameters: Mapping[str, Value],
+    rotor_input: RotorInput = "speed",
+    rigid_body_test: RigidBodyTest | None = None,
+    *,
+    still: bool = False,
+) -> tuple[str, tuple[str, ...]]:
+    """One word for the whole, and why it is not better.
+
+    Args:
+        parameters: values by name.
+        rotor_input: that they were fitted to.
+        rigid_body_test: of the flight, if there was enough rotation for one.
+        still: whether no axis was flown, which says why nothing of rotation is known.
+    """
+    core = CORE_OF[rotor_input]
+    missing = [n for n in core if parameters[n].status == "unobservable"]
+    weak = [n for n in core if parameters[n].status == "weak"]
+    reasons = []
+    if missing:
+        reasons.append(f"not observable from this flight: {', '.join(missing)}")
+    if weak:
+        reasons.append(f"weak: {', '.join(weak)}")
+    torque = next(name for name in grouped("rotor torque") if name in core)
+    if rigid_body_test is not None and rigid_body_test.contradicted:
+        share = ", ".join(f"{value:.2f}" for value in rigid_body_test.share)
+        reasons.append(
+            f"the vehicle does not move like a rigid body (gyroscopic torque on roll, pitch, "
+            f"yaw {share} "
+            "times expected): Izz, products of inertia and rotor torque are not observable"
+        )
+    elif not still and {"Izz", torque} <= set(missing) | set(weak):
+        reasons.append(
+            f"Izz and {torque} share one scale: fly several axes at once, such as roll and "
+            "yaw, to separate them"
+        )
+    ratio = parameters.get("moment_ratio", NOTHING)
+    if ratio.value is not None and ratio.std is not None and ratio.value < -3.0 * ratio.std:
+        reasons.append(f"{torque} is negative: check spin in the airframe file")
+    if not any(parameters[n].status in ("identified", "zero") for n in core):
+        return "refused", tuple(reasons)
+    return ("partial" if reasons else "identified"), tuple(reasons)

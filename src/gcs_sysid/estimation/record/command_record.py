@@ -1,0 +1,412 @@
+"""The record of a flight on commands: rows linearized about motor parameters identified in flight.
+
+The actuator dynamics are known well enough for rows of one step only after a few seconds of flight,
+so the first two minutes of samples are kept. As the flight continues, its rows are formed again
+about the motor parameters found by then, whitened and summed (`whitened_record`). Once the motors
+are known, rows are formed once and the samples are dropped. The samples alone decide when, not when
+estimates are requested.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.disturbance import RULES, along_curve
+from gcs_sysid.estimation.fit.priors import COORDINATES, DELAY, LAG, N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.noise.whitening import Whitener, bank_for_commands
+from gcs_sysid.estimation.record.tuned_motors import TRUSTED, FirstPlace, TunedRows
+from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAGS_OF, LagOf
+from gcs_sysid.estimation.rows.motor_linearization import (
+    LocalDynamics,
+    MeanThrust,
+    MotorRows,
+    step_of,
+)
+from gcs_sysid.estimation.rows.rotor_signals import low_pass_for
+from gcs_sysid.estimation.rows.thrust_drift import Drift, hindsight
+
+FIRST, LAST = 6.0, 120.0
+"""s of flight from which motors are looked for, and from which they are known."""
+_SURE = 20.0
+"""s of flight, until which the search starts from the window too, not only from the fit before."""
+_GROWTH = 2.0
+"""By how much a flight grows until they are looked for again."""
+_CHECKED = 1.25
+"""By how much it grows until it is seen whether they have moved too far for the rows. A search that
+found a lag of 48 ms for one of 119 in 24 s showed Ixx 25 % off, `identified`, up to 48 s."""
+_ROUNDS, _ROUNDS_OF_OTHERS = 16, 2
+"""Times that rows are made again, at most, until the motors stay; and where something else lags and
+is no rival. Curve, asymmetry and exponent make a bent valley: a curve of 0.84 for 0.31 came nearer
+by 0.1 a round."""
+_STAYED = 0.3
+"""Of the steps of the linearization; a smaller move leaves less than 1e-3 of a signal."""
+_BELIEVED = 0.3
+"""Share of roll and pitch that a window must explain before motors are looked for."""
+_GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
+"""s, s, 1, 1, 1, to which motors are rounded: rounding of sums in another order then changes
+nothing of the rows."""
+_AT_ONCE = 1000
+"""Samples made into rows at a time."""
+
+_BETWEEN = 0.006
+"""s between commands, above which what was commanded in between counts: noise of the gyro that no
+sample shows looks like inertia to rows of one step, most of all where it is strong, and the curve
+of thrust to the symmetric window. By what both differ, either may be off. On PX4's simulator at
+125 Hz Ixx was 2 to 6 % too large, with intervals of 3 %."""
+_JUMPS = 1.0 / 16.0
+"""Of the time between these, by which all jumps of commands together may seem late, one standard
+deviation: each falls anywhere between two, and a flight has some twenty. Damping is what such a
+delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
+
+_TIMING = np.array([DELAY, LAG])
+FitWindow = Callable[[], RotationFit | None]
+"""Fits the symmetric window of some instant."""
+_Samples = tuple[Array, Array, Array, Array, Array]
+"""Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
+
+
+class CommandRecord:
+    """Samples in; moments of whitened rows out, once there are motors to make them with.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        batch_time: s, of long batches.
+        curve: thrust curve that is given; None: it is unknown.
+        gyro_cutoff: Hz of the autopilot's second-order low-pass of its gyro; None: there is none.
+    """
+
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        batch_time: float,
+        curve: float | None = None,
+        gyro_cutoff: float | None = None,
+    ) -> None:
+        self._geometry, self._dt, self._batch_time, self._curve = geometry, dt, batch_time, curve
+        # Behind a linear lag the order does not matter, and the curve hardly bends so fast.
+        self._low_pass = low_pass_for(gyro_cutoff, dt)
+        self._kept: list[_Samples | None] | None = []
+        """Samples, None where what follows does not join on; None altogether: kept no more."""
+        self._samples = 0
+        self._now: TunedRows | None = None
+        self._next = self._check = FIRST
+        self._curve_doubt = 0.0
+        self.narrowed = False
+        """Whether rows have been made again, as of `WhitenedRecord`."""
+        self._apart = np.zeros(N_UNKNOWNS)
+        self._to_compare: tuple[FitWindow, Array] | None = None
+        """The window and estimates of the latest look, until it is asked how they differ."""
+        self._settled: tuple[int, TunedRows, Array] | None = None
+        self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+        """Error of an estimate from not knowing what lags."""
+
+    @property
+    def white(self) -> WhitenedRecord | None:
+        """The moments; None as long as there are no motors to make rows with."""
+        return None if self._now is None else self._now.white
+
+    @property
+    def mean_thrust(self) -> MeanThrust | None:
+        """Of the samples so far; None as long as there are no motors."""
+        return None if self._now is None else self._now.maker.mean_thrust
+
+    def doubt_curve(self, std: float) -> None:
+        """One standard deviation of the thrust curve that no scatter shows."""
+        self._curve_doubt = std
+        if self._now is not None:
+            self._now.basis.curve_doubt = std
+
+    def is_due(self) -> bool:
+        """Whether the motors are to be looked for now: it is time, or they are not the rows' any
+        more. Asked after a number of samples, as it notes when it looked.
+        """
+        seconds = self._samples * self._dt
+        if self._kept is None:
+            return False
+        if seconds >= self._next:
+            return True
+        if self._now is None or seconds < self._check:
+            return False
+        self._check = _CHECKED * seconds
+        found = self._fitted(self._now.white, self._now.basis)
+        return found is not None and not replace(self._now, fit=found).trusted
+
+    def distance_doubt(self, fit: RotationFit) -> Array:
+        """(N_UNKNOWNS, N_UNKNOWNS) covariance of a fit's error where its motors are far from those
+        that the rows are made about.
+        """
+        return np.zeros_like(self.doubt) if self._now is None else self._now.distance_doubt(fit)
+
+    def take(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
+        """Take samples.
+
+        Args:
+            inputs: (n, rotors) commands, corrected for the drift.
+            gyro: (n, 3) rad/s.
+            rates: (n, 3) rad/s.
+            drift: for which the commands were corrected.
+        """
+        self._samples += len(inputs)
+        if self._low_pass is not None:
+            inputs = self._low_pass.update(inputs)
+        if self._kept is not None:
+            parts = inputs, gyro, rates, drift.applied, drift.fallen
+            self._kept.append(tuple(part.copy() for part in parts))  # type: ignore[arg-type]
+        if self._now is not None:
+            _add(self._now.maker, self._now.white, inputs, gyro, rates)
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        if self._low_pass is not None:
+            self._low_pass.restart()
+        if self._kept:
+            self._kept.append(None)
+        if self._now is not None:
+            self._now.restart()
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of the record."""
+        self._settled = None
+        if self._kept is None:
+            if self._now is not None:
+                self._now.white.forget_last(seconds)
+                self._now.restart()
+            return
+        left = int(np.ceil(seconds / self._dt))
+        while left > 0 and self._kept:
+            last = self._kept.pop()
+            if last is None:
+                continue
+            n = len(last[0])
+            if n > left:
+                self._kept.append(tuple(part[: n - left] for part in last))  # type: ignore[arg-type]
+            self._samples -= min(n, left)
+            left -= n
+        self._kept.append(None)
+        if self._now is not None:
+            maker, white = self._made(self._now.basis, self._now.maker.hover)
+            self._now = replace(self._now, maker=maker, white=white, samples=self._samples)
+
+    def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
+        """Look for the motors, and make rows about them from the beginning.
+
+        Args:
+            window: gives what fits the symmetric window, from which the first search starts; None:
+                it holds nothing.
+            hover: mean command.
+        """
+        seconds = self._samples * self._dt
+        self._next = min(max(_GROWTH * seconds, self._next), max(LAST, seconds + FIRST))
+        self._check = _CHECKED * seconds
+        starts: list[tuple[Array, LagOf]] = []
+        if self._now is not None:
+            basis = self._now.basis
+            starts.append((basis.at, basis.lag_place.of))
+        sought = self._now is None or seconds < _SURE
+        slow = window()() if sought and window is not None else None
+        if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
+            at = np.rint(slow.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
+            starts.append((at, "speed" if slow.lag_place is None else slow.lag_place.of))
+        last = seconds >= LAST
+        found = self._found(starts, hover, LAGS_OF if sought or last else ())
+        if found is not None:
+            self._now, self.doubt = found
+            rotation = self._now.fit.rotation
+            if float(rotation.r_squared[:2].min()) < _BELIEVED:
+                self._now = None
+            elif slow is not None:
+                self._apart, self._to_compare = rotation.unknowns - slow.unknowns, None
+            elif not (sought or last) and window is not None:
+                self._to_compare = window(), rotation.unknowns
+            self.narrowed = True
+        if last:
+            self._kept = self._to_compare = None
+
+    @contextmanager
+    def settled(self) -> Iterator[None]:
+        """With rows about the best motor parameters so far; a function of the flight alone."""
+        before, doubt = self._now, self.doubt
+        if before is not None and self._kept is not None:
+            if self._settled is None or self._settled[0] != self._samples:
+                basis = before.basis
+                start = basis.at, basis.lag_place.of
+                found = self._found([start], before.maker.hover, LAGS_OF)
+                self._settled = (self._samples, *(found or (before, doubt)))
+            _, self._now, self.doubt = self._settled
+        try:
+            yield
+        finally:
+            self._now, self.doubt = before, doubt
+
+    def _apart_from_window(self) -> Array:
+        """(N_UNKNOWNS,) by which estimates differ from those of the symmetric window."""
+        if self._to_compare is not None:
+            (fit, unknowns), self._to_compare = self._to_compare, None
+            slow = fit()
+            if slow is not None:
+                self._apart = unknowns - slow.unknowns
+        return self._apart
+
+    def _found(
+        self, starts: Sequence[tuple[Array, LagOf]], hover: float, places: Sequence[LagOf]
+    ) -> tuple[TunedRows, Array] | None:
+        """Rows about the likeliest motors, and what the other places of the lag, if any, differ by.
+
+        By that much they may be off with these places' probability (Bayesian model averaging:
+        Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
+        motion see differently are not of first order: by half of that they may be off too.
+        """
+        # Starts that are rounded to the same motors lead to the same.
+        unlike = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
+        every = [self._converged(at, of, hover) for at, of in unlike.values()]
+        first = min(
+            (tuned for tuned in every if tuned is not None),
+            key=lambda tuned: tuned.rank,
+            default=None,
+        )
+        if first is None:
+            return None
+        if not places:
+            return first, self.doubt
+        found, start = [first], first.fit.rotation.coordinates
+        leading = FirstPlace(first.near, first.cost)
+        for other in places:
+            if other != first.basis.lag_place.of:
+                tuned = self._converged(start, other, hover, leading)
+                if tuned is not None:
+                    found.append(tuned)
+        # Far from the motors that rows are linearized about, their residuals carry no information.
+        found = [tuned for tuned in found if tuned.trusted] or found[:1]
+        cost = np.array([tuned.cost for tuned in found])
+        best = int(np.argmin(cost))
+        # By all whiteners it may be another one that is likeliest.
+        while len(found[best].white.whiteners) < len(first.white.whiteners):
+            found[best] = self._with_all_whiteners(found[best], hover)
+            cost[best] = found[best].cost
+            best = int(np.argmin(cost))
+        weight = np.exp(cost.min() - cost)
+        unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
+        away = unknowns - unknowns[best]
+        doubt = (away * (weight / weight.sum())[:, None]).T @ away
+        doubt += np.outer(found[best].away, found[best].away)
+        apart = self._apart_from_window()
+        doubt[_TIMING, _TIMING] += (0.5 * apart[_TIMING]) ** 2
+        if self._dt > _BETWEEN:
+            doubt += np.outer(apart, apart)
+            known = found[best].fit.rotation.full_covariance
+            late = np.linalg.solve(known[np.ix_(_TIMING, _TIMING)], [_JUMPS * self._dt, 0.0])
+            off = known[:, _TIMING] @ late
+            doubt += np.outer(off, off)
+        elif found[best].fit.rotation.disturbance.max() > RULES.detected:
+            # Between commands less far apart there may be others too, of a loop of another rate:
+            # to rows of one step they are a disturbance.
+            along = along_curve(found[best].fit.rotation, float(apart[COORDINATES][CURVE]))
+            doubt += np.outer(along, along)
+        # Delay and lag trade against each other within a sample: on three flights of PX4's
+        # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
+        doubt[np.ix_(_TIMING, _TIMING)] += self._dt**2
+        return found[best], doubt
+
+    def _converged(
+        self, at: Array, of: LagOf, hover: float, leading: FirstPlace | None = None
+    ) -> TunedRows | None:
+        """Rows about the motors of one place of the lag; None while there is no fit.
+
+        Args:
+            at: motors to start from.
+            of: what lags.
+            hover: mean command.
+            leading: place that this one is but compared with.
+        """
+        tuned = None
+        for round_ in range(_ROUNDS):
+            if tuned is not None:
+                far = TRUSTED * tuned.basis.moved
+                at = np.clip(at, tuned.basis.at - far, tuned.basis.at + far)
+            basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
+            now = self._now
+            if leading is not None:
+                maker, white = self._made(basis, hover, leading.whiteners)
+            elif now is not None and self._holds(now, basis, hover):
+                basis, maker, white = now.basis, now.maker, now.white
+            else:
+                maker, white = self._made(basis, hover)
+            found = self._fitted(white, basis)
+            if found is None:
+                return tuned
+            at = found.rotation.coordinates
+            stayed = bool((np.abs(at - basis.at) < _STAYED * basis.moved).all())
+            away = np.zeros(N_UNKNOWNS)
+            if not stayed and tuned is not None:
+                away = found.rotation.unknowns - tuned.fit.rotation.unknowns
+            tuned = TunedRows(basis, maker, white, found, away, self._samples)
+            tried = round_ + 1 >= _ROUNDS_OF_OTHERS
+            if stayed or (leading is not None and leading.is_enough(tuned, tried=tried)):
+                break
+        return tuned
+
+    def _fitted(self, white: WhitenedRecord, basis: LocalDynamics) -> WhitenedFit | None:
+        """The motors; their standard deviations count for slow commands alone."""
+        return fit_whitened(white.moments(white.silence), basis, scatter=self._dt > _BETWEEN)
+
+    def _rounded(self, at: Array) -> Array:
+        rounded: Array = np.rint(at / _GRID) * _GRID
+        if self._curve is not None:
+            rounded[CURVE] = self._curve
+        return rounded
+
+    def _with_all_whiteners(self, tuned: TunedRows, hover: float) -> TunedRows:
+        """The same of rows that can be gone on with; by more whiteners motors may be others."""
+        place = tuned.basis.lag_place.of
+        converged = self._converged(tuned.fit.rotation.coordinates, place, hover)
+        if converged is not None:
+            return converged
+        maker, white = self._made(tuned.basis, hover)
+        return replace(tuned, maker=maker, white=white)
+
+    def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
+        """Whether rows of all samples, were they made now, would be those there are."""
+        same = made.samples == self._samples and made.maker.hover == hover
+        of = made.basis.lag_place.of == basis.lag_place.of
+        return same and of and bool((made.basis.at == basis.at).all())
+
+    def _made(
+        self, basis: LocalDynamics, hover: float, whiteners: Sequence[Whitener] | None = None
+    ) -> tuple[MotorRows, WhitenedRecord]:
+        """All samples kept, as rows."""
+        assert self._kept is not None
+        basis.curve_doubt = self._curve_doubt
+        step = step_of(self._dt)
+        bank = bank_for_commands(step.time) if whiteners is None else whiteners
+        maker = MotorRows(self._geometry, self._dt, basis, hover)
+        white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
+        latest = next((part for part in reversed(self._kept) if part is not None), None)
+        for joined, run in groupby(self._kept, lambda part: part is not None):
+            if not joined:
+                maker.restart()
+                white.restart()
+                continue
+            assert latest is not None
+            some = [part for part in run if part is not None]
+            inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
+            factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
+            _add(maker, white, inputs * factors[:, None], gyro, rates)
+        maker.restart()
+        white.restart()
+        return maker, white
+
+
+def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
+    n = len(samples[0])
+    for start in range(0, n, _AT_ONCE):
+        some = (part[start : start + _AT_ONCE] for part in samples)
+        white.add(maker.update(*some), lambda: white.silence)

@@ -1,0 +1,507 @@
+"""What a flight leaves behind for the fits: moments of rows, in bounded memory."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from copy import copy
+from itertools import pairwise
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.fit.lag_hypotheses import fit_lag_places
+from gcs_sysid.estimation.fit.rotation import fit_rotation
+from gcs_sysid.estimation.fit.whitened_fit import explained_by
+from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
+from gcs_sysid.estimation.noise.whitening import bank_for
+from gcs_sysid.estimation.record import article_estimator as article
+from gcs_sysid.estimation.record.command_noise import CommandNoise
+from gcs_sysid.estimation.record.command_record import CommandRecord, FitWindow
+from gcs_sysid.estimation.record.input_noise import SpeedNoise
+from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import (
+    DELAY,
+    LAGS_OF,
+    ActuatorDynamics,
+    LagOf,
+    LagPlace,
+)
+from gcs_sysid.estimation.rows.motor_linearization import MeanThrust
+from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker, Rows
+from gcs_sysid.estimation.rows.rotor_signals import RotorPath
+from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
+from gcs_sysid.signals.one_step import step_for
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
+from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
+
+_JUDGED, _JUDGED_AGAIN = 6.0, 2.0
+"""s of flight after which it is first asked whether the gyro is filtered; growth until the next."""
+_LATE_GYRO = 0.003
+"""s, by which a filtered gyro lags behind rotor speeds, at least: a second-order low-pass of 75 Hz.
+Without one, speeds are as late as the gyro or later."""
+_BY_WINDOW, _BY_STEPS = 0.95, 0.6
+"""Shares of the motion of an axis that the window explains where a low-pass is behind it, at least,
+and rows of one step, at most. What a low-pass does shows within a step, and the window passes
+little above 5 Hz. Disturbances show in the window too."""
+_SLOW_CURVE = 0.025
+"""Thrust curve from slow commands, one standard deviation: what they miss bends it, by 0.04 to 0.05
+on flights of another simulator at 50 Hz, whose intervals were 0.025."""
+_PIECE_TIME = 0.1
+"""s of samples that are taken at once."""
+_NOTED_TIME = 2.0
+"""s between notes of the inputs' noise, by which batches are judged: the same however blocks are
+cut."""
+_BATCHES, _FEWER_BATCHES = 512, 256
+"""Rows of commands are wide, and their batches large: fewer are kept apart."""
+
+_SignalsNoise = tuple[Array, Array, float, Array]
+"""What noise of the inputs adds to the rotors' signals, as `WhitenedRecord.noise` takes it."""
+
+
+class FlightRecord:
+    """Samples in; moments out.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        tuning: settings.
+        offline: whiteners for a second look at the same record; None: those of every flight.
+
+    Attributes:
+        dt: s between samples.
+        basis: of the rotors' part of the rows.
+        rotation: (leaks, width, width) moments of the rotation.
+        momentum: (3, thrusts + 3, ...) of the momentum balance.
+        accelerometer: (thrusts + 3, ...) of its z axis.
+        article: the article's estimator, where requested.
+        commands: maker of whitened rows of commands; None where not requested.
+        input_noise: of the rotors' stream.
+        half_width: s, of the window.
+    """
+
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        offline: OfflineBank | None = None,
+    ) -> None:
+        smoother: Smoother
+        half_width = tuning.half_width
+        if tuning.smoother == "td":
+            smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
+        else:
+            half = max(tuning.min_half_samples, round(tuning.half_width / dt))
+            half_width = half * dt
+            smoother = WindowSmoother(dt, half, tuning.delays)
+        self.dt = dt
+        self._smoother = smoother
+        self.half_width = half_width
+        commands = tuning.rotor_input == "command"
+        self.input_noise = (
+            CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
+        )
+        # Beside whitened rows those of the window only judge.
+        self.memories = (0.0,) if tuning.whitens(dt) and not commands else tuning.leaks
+        # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
+        piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
+        self._held = _Held(piece, geometry.shape[1])
+        self._noted_every = piece * max(round(_NOTED_TIME / (piece * dt)), 1)
+        self._since_noted = 0
+        self._note: _SignalsNoise | None = None
+        self.basis = basis = ActuatorDynamics(
+            smoother.delays,
+            tuning.lags,
+            tuning.curves,
+            commands=commands,
+            half_width=half_width,
+            dt=dt,
+            coupled=True,
+        )
+        path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
+        self._of_speeds: WhitenedRecord | None = None
+        self.commands: CommandRecord | None = None
+        steps = None
+        if tuning.whitens(dt) and commands:
+            given = tuning.curves[0] if len(tuning.curves) == 1 else None
+            self.commands = CommandRecord(
+                geometry, dt, tuning.batch_time, given, tuning.gyro_cutoff
+            )
+        elif tuning.whitens(dt):
+            step = step_for(dt)
+            elements = ActuatorDynamics(step.delays, half_width=None, dt=dt)
+            steps = step, elements
+            self._of_speeds = WhitenedRecord(
+                elements,
+                step,
+                bank_for(step.time) if offline is None else offline.whiteners,
+                dt,
+                tuning.batch_time,
+                offline=offline,
+            )
+        self.low_passed = False
+        """Whether the gyro comes through an undeclared low-pass."""
+        self._judge_at = _JUDGED
+        self._slow_curve = _SLOW_CURVE if commands and dt >= SLOW_COMMANDS else 0.0
+        self.drift = ThrustDrift(dt) if commands else None
+        """Of thrust at a given command; speeds need none."""
+        self._rows = RowMaker(path, basis, smoother, steps, self.drift)
+        self.row_time = smoother.step * dt
+        per_batch = max(round(tuning.batch_time / self.row_time), 1)
+        self._leaks = LeakySums(self.row_time, self.memories)
+        kept = _FEWER_BATCHES if commands else _BATCHES
+        bank = (len(self.memories), basis.width, basis.width)
+        self.rotation = NormalEquations(bank, per_batch, kept)
+        self.article = (
+            None
+            if tuning.method == "forward"
+            else article.ArticleEstimator(geometry, dt, tuning.method)
+        )
+        width = basis.thrusts + 3
+        self.momentum = NormalEquations((3, width, width), per_batch, kept)
+        self.accelerometer = NormalEquations((width, width), per_batch, kept)
+
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need."""
+        for moments in (self.rotation, self.momentum, self.accelerometer):
+            moments.reserve()
+        if self._of_speeds is not None:
+            self._of_speeds.reserve()
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self.flush()
+        self._rows.restart()
+        self.input_noise.restart()
+        self._leaks.restart()
+        for record in (self._of_speeds, self.commands):
+            if record is not None:
+                record.restart()
+        if self.article:
+            self.article.restart()
+
+    def take(self, samples: Samples, stops: Sequence[int] = ()) -> Iterator[None]:
+        """Take a block of samples; the outcome does not depend on how they are grouped.
+
+        Args:
+            samples: n of them.
+            stops: rising, 0 to n.
+
+        Yields:
+            After each stop, when so many of the samples have been taken; but for less than a
+            piece, 0.1 s, which is held back.
+        """
+        ends = self._held.ends(stops)
+        pieces = self._held.add(samples)
+        if pieces is None:
+            yield from (None for _ in stops)
+        else:
+            yield from self._take(pieces, ends)
+
+    def flush(self) -> None:
+        """Take the samples held back as an incomplete piece."""
+        rest = self._held.rest()
+        if rest is not None:
+            for _ in self._take(rest, ()):
+                pass
+
+    def _take(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
+        """Make rows of all samples at once; add them up from each end to the next."""
+        n, every = len(samples.gyro), self._noted_every
+        noted = self._of_speeds is not None or self.commands is not None
+        notes = range(every - self._since_noted, n + 1, every) if noted else ()
+        edges = sorted([0, *ends, *notes, n])
+        counts = [self._rows.count_after(end) for end in edges]
+        steps = [self._rows.steps_after(end) for end in edges]
+        made = self._rows.update(samples)
+        if self.drift is not None:
+            self.basis.curve_doubt = float(np.hypot(self.drift.curve_doubt, self._slow_curve))
+            if self.commands is not None:
+                self.commands.doubt_curve(self.drift.curve_doubt)
+        sections = _Sections(made, self._leaks)
+        parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
+        ends_left = list(ends)
+        for part, rows, few in parts:
+            piece = slice(*part)
+            if part[0] < part[1]:
+                self.input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
+                if self.article:
+                    self.article.update(samples.part(piece))
+                if self.commands is not None and made.drift is not None:
+                    self.commands.take(
+                        made.inputs[piece],
+                        samples.gyro[piece],
+                        samples.rates[piece],
+                        made.drift.part(piece),
+                    )
+            if rows[0] < rows[1]:
+                self.rotation.add(sections.rotation(*rows))
+                self.momentum.add(sections.momentum(*rows))
+                self.accelerometer.add(sections.accelerometer(*rows))
+            if self._of_speeds is not None and not self.low_passed and few[0] < few[1]:
+                self._of_speeds.add(made.one_step[slice(*few)], self._noted_noise)
+            self._since_noted += part[1] - part[0]
+            if self._since_noted >= every:
+                self._since_noted = 0
+                if self.commands is None:
+                    self._note = self._signals_noise()
+                    white = self._of_speeds
+                    if white is not None and self.seconds >= self._judge_at:
+                        self._judge_gyro(white)
+                elif self.commands.is_due():
+                    self._tune(self.commands)
+            if ends_left and part[1] == ends_left[0]:
+                del ends_left[0]
+                yield
+
+    @property
+    def whitened(self) -> WhitenedRecord | None:
+        """Moments of whitened rows, where they are asked for; with commands, as soon as any are."""
+        if self.low_passed:
+            return None
+        return self._of_speeds if self.commands is None else self.commands.white
+
+    def _judge_gyro(self, white: WhitenedRecord) -> None:
+        """Leave rows of one step where only a filtered gyro explains what they leave."""
+        if self.low_passed:
+            return
+        self._judge_at = _JUDGED_AGAIN * self.seconds
+        noise = np.stack([self.noise(i) for i in range(len(self.memories))])
+        window = fit_rotation(
+            self.rotation.batches, self.rotation.counts, self.basis, noise, doubt=self.noise_doubt
+        )
+        if window is None or window.coordinates[DELAY] > -_LATE_GYRO:
+            return
+        well = window.r_squared >= _BY_WINDOW
+        if not well[:2].all():
+            return
+        by_steps = explained_by(white.moments(self._noted_noise()), white.basis)
+        if by_steps is None or (by_steps[well] < _BY_STEPS).any():
+            self.low_passed = white.narrowed = True
+
+    def was_renewed(self) -> bool:
+        """Whether what whitened rows are made of has changed since this was last asked."""
+        source = self._of_speeds if self.commands is None else self.commands
+        if source is None:
+            return False
+        was, source.narrowed = source.narrowed, False
+        return was
+
+    def settled(self) -> AbstractContextManager[None]:
+        """With whitened rows of commands about the motor parameters identified so far."""
+        return nullcontext() if self.commands is None else self.commands.settled()
+
+    def places(self, first: LagOf = LAGS_OF[0]) -> list[LagPlace]:
+        """What may lag behind the commands, the likeliest first."""
+        noise = self.input_noise
+        assert isinstance(noise, CommandNoise)
+        order = (first, *(of for of in LAGS_OF if of != first))
+        return [LagPlace(of, *noise.level) for of in order]
+
+    def use_place(self, place: LagPlace | None) -> None:
+        """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
+        if self.basis.bends:
+            self.basis.lag_place = place or self.places()[0]
+
+    def _tune(self, commands: CommandRecord) -> None:
+        noise = self.input_noise
+        assert isinstance(noise, CommandNoise)
+        commands.tune(self._window if self.rotation.rows else None, noise.level[0])
+
+    def _window(self) -> FitWindow:
+        """Fits the symmetric window as it is now, whenever that is asked for."""
+        batches, counts = self.rotation.batches.copy(), self.rotation.counts.copy()
+        basis, places = copy(self.basis), self.places()
+        silence = np.stack([self.noise(i) for i in range(len(self.memories))])
+        independent, doubt = self.seconds / self.half_width, self.noise_doubt
+        # A function, which copies of the record share, and not what it holds.
+        return lambda: fit_lag_places(
+            batches, counts, basis, silence, places, independent, doubt=doubt
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Flight time that the moments of the rotation are of."""
+        return self.rotation.rows * self.row_time
+
+    @property
+    def momentum_seconds(self) -> float:
+        """Flight time that those of the momentum balance are of."""
+        return self.momentum.rows * self.row_time
+
+    @property
+    def batches(self) -> tuple[int, int]:
+        """How many batches of rotation and momentum have begun."""
+        return len(self.rotation.batches), len(self.momentum.batches)
+
+    @property
+    def mean_thrust(self) -> MeanThrust | None:
+        """By commands; None without motors for them."""
+        return None if self.commands is None else self.commands.mean_thrust
+
+    @property
+    def speed_std(self) -> Array:
+        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
+        return self.input_noise.std
+
+    @property
+    def noise_doubt(self) -> float:
+        """Relative standard deviation of `noise`."""
+        return self.input_noise.doubt
+
+    def noise(self, leak: int) -> Array:
+        """What known noise of the inputs adds to the moments of one row.
+
+        (WIDTH, WIDTH) of speeds, (width, width) of commands, see `ActuatorDynamics.noise_at`.
+        """
+        noise, memory = self.input_noise, self.memories[leak]
+        if isinstance(noise, CommandNoise):
+            return noise.element_moments(self.basis, self._smoother, memory)
+        return noise.moments(self._smoother, memory)
+
+    def whitened_noise(self, some: Sequence[int] | None = None) -> Array:
+        """(bank, width, width) what known noise of the inputs adds to a whitened row.
+
+        Args:
+            some: whiteners; None: all of the bank.
+        """
+        assert self.whitened is not None
+        if self.commands is not None:
+            # Commands that are whitened are too fast to miss anything.
+            silence = self.whitened.silence
+            return silence if some is None else silence[list(some)]
+        return self.whitened.noise(*self._signals_noise(), some)
+
+    def _noted_noise(self) -> Array:
+        """(bank, width, width) of a whitened row, as known when it was last noted."""
+        assert self.whitened is not None
+        if self._note is None:
+            self._note = self._signals_noise()
+        return self.whitened.noise(*self._note)
+
+    def _signals_noise(self) -> _SignalsNoise:
+        noise = self.input_noise
+        if isinstance(noise, CommandNoise):
+            torques, gains = noise.of_signals
+            return torques, np.zeros(4), 0.0, gains
+        assert isinstance(noise, SpeedNoise)
+        return *noise.of_signals, np.ones(1)
+
+    def noise_gains(self) -> Array:
+        """(leaks,) variance of a row's derivative over that of white noise of the gyro."""
+        return np.array([self._smoother.noise_gains(m)[1] for m in self.memories])
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of the record (whole batches)."""
+        self.flush()
+        rows = int(np.ceil(seconds / self.row_time))
+        for moments in (self.rotation, self.momentum, self.accelerometer):
+            moments.drop_last(rows)
+        for record in (self._of_speeds, self.commands):
+            if record is not None:
+                record.forget_last(seconds)
+
+
+class _Sections:
+    """Complete rows of a block, by index among all of its rows.
+
+    Args:
+        rows: of the block.
+        leaks: to sum up those of the rotation.
+    """
+
+    def __init__(self, rows: Rows, leaks: LeakySums) -> None:
+        self._rotation = leaks.update(rows.rotation)[:, 0]
+        self._of_rotation = _places(rows.rotation)
+        self._momentum, self._of_momentum = _kept(rows.momentum)
+        self._accelerometer, self._of_accelerometer = _kept(rows.accelerometer)
+
+    def rotation(self, start: int, stop: int) -> Array:
+        """(leaks, m, width) of rows start to stop."""
+        return _between(self._rotation, self._of_rotation, start, stop)
+
+    def momentum(self, start: int, stop: int) -> Array:
+        """(3, m, width)"""
+        return _between(self._momentum, self._of_momentum, start, stop)
+
+    def accelerometer(self, start: int, stop: int) -> Array:
+        """(m, width)"""
+        return _between(self._accelerometer, self._of_accelerometer, start, stop)
+
+
+_Places = Array | None
+"""(n + 1,) how many complete rows come before each; None where all are."""
+
+
+def _between(rows: Array, places: _Places, start: int, stop: int) -> Array:
+    if places is not None:
+        start, stop = int(places[start]), int(places[stop])
+    part: Array = rows[..., start:stop, :]
+    return part
+
+
+def _kept(rows: Array) -> tuple[Array, _Places]:
+    """The complete ones of (..., n, width) rows, and their places."""
+    places = _places(rows)
+    if places is None:
+        return rows, None
+    kept: Array = rows[..., np.diff(places) > 0, :]
+    return kept, places
+
+
+def _places(rows: Array) -> _Places:
+    if np.isfinite(rows.sum()):
+        return None
+    sums: Array = rows.sum(axis=-1).reshape(-1, rows.shape[-2]).sum(axis=0)
+    whole: Mask = np.isfinite(sums)
+    return np.concatenate([[0], np.cumsum(whole)])
+
+
+class _Held:
+    """Samples held back until there are enough for a piece.
+
+    Args:
+        size: samples of a piece.
+        rotors: how many there are.
+    """
+
+    def __init__(self, size: int, rotors: int) -> None:
+        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3, 1, 1])
+        self._size = size
+        self._buffer = np.empty((size, edges[-1]))
+        self._columns = [slice(a, b) for a, b in pairwise(edges)]
+        self._count = 0
+
+    def ends(self, stops: Sequence[int]) -> list[int]:
+        """How many samples whole pieces hold, once so many more samples have come."""
+        return [(self._count + stop) // self._size * self._size for stop in stops]
+
+    def add(self, samples: Samples) -> Samples | None:
+        """The whole pieces that these samples complete; valid until the next."""
+        signals, n = samples.signals, len(samples.gyro)
+        whole = (self._count + n) // self._size * self._size
+        taken = 0
+        pieces = None
+        if whole:
+            taken = whole - self._count
+            if self._count:
+                held = (self._buffer[: self._count, columns] for columns in self._columns)
+                signals_of = zip(held, signals, strict=True)
+                pieces = Samples(*(np.concatenate([h, s[:taken]]) for h, s in signals_of))
+            else:
+                pieces = samples.part(slice(0, taken))
+            self._count = 0
+        to = slice(self._count, self._count + n - taken)
+        for signal, columns in zip(signals, self._columns, strict=True):
+            self._buffer[to, columns] = signal[taken:]
+        self._count = to.stop
+        return pieces
+
+    def rest(self) -> Samples | None:
+        """The samples held back, if any."""
+        count, self._count = self._count, 0
+        if not count:
+            return None
+        return Samples(*(self._buffer[:count, columns] for columns in self._columns))

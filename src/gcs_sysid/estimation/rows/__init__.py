@@ -1,0 +1,1 @@
+"""Regression rows: rotor signals through the actuators, windows, and their sums."""
