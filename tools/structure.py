@@ -1,19 +1,49 @@
-"""Counts that tell how easy the source is to carry on.
+"""Counts that show how easy the source is to carry on.
 
-    python tools/structure.py [FOLDER]          # default: src/gcs_sysid
+    python tools/structure.py            # the table, each count beside its bar
+    python tools/structure.py --names    # also what stands behind counts of names and circles
 
-Files, lines, classes, functions, numeric constants of modules, modules that only one other module
-imports, and in how many files one coefficient (`linear_drag`) is named. The generated dialect is
-left out.
+The generated dialect is left out.
 """
 
+import argparse
 import ast
-import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 
-COEFFICIENT = "linear_drag"
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "gcs_sysid"
 GENERATED = ("gcs_sysid_dialect.py", "known_messages.py")
+BARS = {
+    "lines": 58_000,
+    "files": 280,
+    "lines of estimation": 11_500,
+    "lines of benchmarks": 9_000,
+    "lines of tests": 44_000,
+    "numeric constants of modules": 500,
+    "modules with one importer": 50,
+    "import circles": 0,
+    "class names with two meanings": 0,
+    "definitions of take": 8,
+}
+"""What each count may be at most."""
+
+
+def parsed(folder: Path) -> dict[str, ast.Module]:
+    """The modules below a folder, by dotted name."""
+    return {
+        ".".join(file.relative_to(folder.parent).with_suffix("").parts): ast.parse(
+            file.read_text(encoding="utf-8")
+        )
+        for file in sorted(folder.rglob("*.py"))
+        if file.name not in GENERATED
+    }
+
+
+def lines(folder: Path) -> int:
+    """Lines of Python below a folder."""
+    files = (file for file in folder.rglob("*.py") if file.name not in GENERATED)
+    return sum(file.read_text(encoding="utf-8").count("\n") for file in files)
 
 
 def is_number(node: ast.expr | None) -> bool:
@@ -32,48 +62,89 @@ def is_number(node: ast.expr | None) -> bool:
     return False
 
 
-def imported(tree: ast.Module, package: str) -> set[str]:
-    """Modules of a package that a module imports, as dotted names; some are names in them."""
+def imported(tree: ast.Module, modules: set[str]) -> set[str]:
+    """Those of some modules that a module imports, wherever in it."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return {name for name in found if name.startswith(f"{package}.")}
+    return found & modules
 
 
-def counts(folder: Path) -> dict[str, int]:
-    """The counts by what they are of."""
-    files = [f for f in sorted(folder.rglob("*.py")) if f.name not in GENERATED]
-    total: Counter[str] = Counter(files=len(files))
-    users: Counter[str] = Counter()
-    modules = {
-        ".".join(f.relative_to(folder.parent).with_suffix("").parts): f
-        for f in files
-        if f.stem not in ("__init__", "__main__")
+def circles(imports: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other, directly or through others of the group."""
+    reached: dict[str, set[str]] = {}
+    for start in imports:
+        seen: set[str] = set()
+        waiting = list(imports[start])
+        while waiting:
+            if (name := waiting.pop()) not in seen:
+                seen.add(name)
+                waiting += imports[name]
+        reached[start] = seen
+    groups = {
+        frozenset(other for other in reached[name] if name in reached[other])
+        for name in imports
+        if name in reached[name]
     }
-    for file in files:
-        text = file.read_text(encoding="utf-8")
-        tree = ast.parse(text)
-        total["lines"] += text.count("\n")
-        total[f"files that name {COEFFICIENT}"] += COEFFICIENT in text
-        for node in ast.walk(tree):
-            total["classes"] += isinstance(node, ast.ClassDef)
-            total["functions"] += isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        for statement in tree.body:
-            if isinstance(statement, ast.Assign | ast.AnnAssign):
-                total["numeric constants of modules"] += is_number(statement.value)
-        users.update(imported(tree, folder.name) & modules.keys())
-    total["modules with one importer"] = sum(users[name] == 1 for name in modules)
-    return dict(total)
+    return sorted(sorted(group) for group in groups)
 
 
 def main() -> None:
     """Print the counts."""
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "src/gcs_sysid")
-    for what, count in counts(folder).items():
-        print(f"{count:7d}  {what}")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--names", action="store_true", help="what stands behind the counts")
+    names = parser.parse_args().names
+    trees = parsed(SOURCE)
+    imports = {
+        name: imported(tree, trees.keys() - {name})
+        for name, tree in trees.items()
+        if not name.endswith("__init__")
+    }
+    importers: defaultdict[str, list[str]] = defaultdict(list)
+    for name, others in imports.items():
+        for other in others:
+            importers[other].append(name)
+    classes: defaultdict[str, set[str]] = defaultdict(set)
+    functions: Counter[str] = Counter()
+    numbers = 0
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                classes[node.name.strip("_")].add(name)
+            elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                functions[node.name] += 1
+        assigned = (s for s in tree.body if isinstance(s, ast.Assign | ast.AnnAssign))
+        numbers += sum(is_number(statement.value) for statement in assigned)
+    loops = circles({name: others & imports.keys() for name, others in imports.items()})
+    twice = {name: sorted(where) for name, where in classes.items() if len(where) > 1}
+    single = {
+        name: importers[name][0]
+        for name in imports
+        if len(importers[name]) == 1 and not name.endswith("__main__")
+    }
+    counts = {
+        "lines": lines(SOURCE),
+        "files": len(trees),
+        "lines of estimation": lines(SOURCE / "estimation"),
+        "lines of benchmarks": lines(ROOT / "benchmarks"),
+        "lines of tests": lines(ROOT / "tests"),
+        "numeric constants of modules": numbers,
+        "modules with one importer": len(single),
+        "import circles": len(loops),
+        "class names with two meanings": len(twice),
+        "definitions of take": functions["take"],
+    }
+    for what, count in counts.items():
+        print(f"{count:7d}  {what:32s} at most {BARS[what]}")
+    if names:
+        print("", *(" <-> ".join(loop) for loop in loops), sep="\n")
+        print(
+            "", *(f"{name}: {', '.join(where)}" for name, where in sorted(twice.items())), sep="\n"
+        )
+        print("", *(f"{name} <- {by}" for name, by in sorted(single.items())), sep="\n")
 
 
 if __name__ == "__main__":
