@@ -31,8 +31,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.tuning import Tuning, tuning_for_commands
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.record.tuning import EstimatorTuning, tuning_for_commands
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector
@@ -160,7 +160,7 @@ def samples_of(flight: Flight, i: int, *, commands: bool, told: bool = False) ->
 
 def follow(samples: Samples, t: np.ndarray, *, commands: bool) -> Tracker:
     """The estimate of a flight."""
-    tuning = tuning_for_commands(DT) if commands else Tuning()
+    tuning = tuning_for_commands(DT) if commands else EstimatorTuning()
     tracker = Tracker(GEOMETRY, DT, tuning, ChangeTuning())
     unknown = np.full(len(t), np.nan)
     flying = FlightDetector().update(
@@ -344,7 +344,11 @@ def _thrust_of(fit: Fit) -> tuple[float, float]:
     """T_max / m and its relative standard deviation, with that of the thrust curve."""
     thrust, rotation = fit.translation, fit.rotation
     assert thrust is not None
-    curve = 0.0 if rotation is None else thrust.curve_slope * float(rotation.coordinates_std[CURVE])
+    curve = (
+        0.0
+        if rotation is None
+        else thrust.curve_slope * float(rotation.coordinates_std[Coordinate.CURVE])
+    )
     return thrust.kappa, float(np.hypot(thrust.kappa_std, curve)) / thrust.kappa
 
 

@@ -21,7 +21,7 @@ from benchmarks.linked import linked
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.parameters import CORE_OF
@@ -126,7 +126,7 @@ def modes(seed: int, airframe: str) -> Flown:
     """The article's modes, until every interval meets the target."""
     flight, known, vehicle = article(airframe), load_airframe(airframe), load_vehicle(airframe)
     samples = measure(flight, "mems", 0.0, seed)
-    estimator = OnlineEstimator(known.geometry, 1.0 / RATE, Tuning())
+    estimator = OnlineEstimator(known.geometry, 1.0 / RATE, EstimatorTuning())
     each = round(LOOK * RATE)
     for start in range(0, len(samples.gyro), each):
         (fit,) = estimator.follow(samples.part(slice(start, start + each)), [each])

@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
 from benchmarks.linked import linked
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
@@ -112,7 +112,7 @@ def step_rate(block: int) -> float:
     seen = measure(fly("paper", RATE), "mems", 0.0, seed=1)
     complementary, estimator = (
         ComplementaryFilter(1.0 / RATE),
-        OnlineEstimator(GEOMETRY, 1.0 / RATE, Tuning()),
+        OnlineEstimator(GEOMETRY, 1.0 / RATE, EstimatorTuning()),
     )
     n, refit = len(seen.gyro), RATE // 10
     began = time.process_time()

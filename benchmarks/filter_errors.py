@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.complementary import ComplementaryFilter, complementary
 from gcs_sysid.signals.differentiator import (
@@ -260,7 +260,7 @@ def best_speed(case: Case) -> float:
 
 def window(v: Array, dt: float) -> Array:
     """The estimator's symmetric window at every sample; zeros where it does not fit."""
-    tuning = Tuning()
+    tuning = EstimatorTuning()
     half = max(tuning.min_half_samples, round(tuning.half_width / dt))
     weights = cosine_window(half, dt).derivative
     return np.stack([np.convolve(column, weights[::-1], "same") for column in v.T], axis=-1)
@@ -273,7 +273,7 @@ PRINTED = Method(
     lambda v, dt: nonlinear_differentiator(v, dt, form="printed", substeps=substeps(dt))[1],
     None,
 )
-IN_ESTIMATOR = Tuning().bandwidth
+IN_ESTIMATOR = EstimatorTuning().bandwidth
 SHARED = Method(
     f"linear TD of `--method forward-td` (R = {IN_ESTIMATOR:g}, critical)",
     lambda v, dt: LinearDifferentiator(dt, IN_ESTIMATOR, DAMPING).update(v)[1],

@@ -31,7 +31,7 @@ from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.signals.complementary import ComplementaryFilter
 
@@ -135,7 +135,7 @@ def history(seed: int) -> dict[str, Any]:
     """Refits of the all-axes mission at 10 Hz while it is flown, and what was claimed at each."""
     dt = 0.05
     samples = measure(fly("all-axes", 20), "paper", SIGMA, seed)
-    estimator = OnlineEstimator(GEOMETRY, dt, Tuning())
+    estimator = OnlineEstimator(GEOMETRY, dt, EstimatorTuning())
     step = round(REFIT / dt)
     t, errors, std, identified = [], [], [], []
     for begin in range(0, len(samples.gyro), step):
@@ -214,7 +214,7 @@ def speed(seed: int) -> dict[str, float]:
     out = {}
     for name, size in (("block", 100 * each), ("ticks", each), ("single", 1)):
         complementary = ComplementaryFilter(dt)
-        estimator = OnlineEstimator(GEOMETRY, dt, Tuning())
+        estimator = OnlineEstimator(GEOMETRY, dt, EstimatorTuning())
         began = time.process_time()
         for begin in range(0, n, size):
             now = samples.part(slice(begin, begin + size))

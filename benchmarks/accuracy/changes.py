@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model.parameters import INERTIA
 from sim_bridge.ensemble import Flight
 from sim_bridge.simulated_vehicle import Vehicle
@@ -77,7 +77,7 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
     """Estimates after the change, at the scale of the rotors' k_T as known before it."""
     flight = fly("all-axes", RATE, SECONDS, (change,))
     samples = measure(flight, "mems", 0.0, seed)
-    tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+    tracker = Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning())
     after = change.apply(VEHICLE)
     truth = np.array([after.mass, *(getattr(after, name) for name in INERTIA)])
     out: dict[str, Any] = {"t": [], "error": []}
@@ -124,7 +124,7 @@ def quiet(seed: int) -> dict[str, Any]:
     for mission in QUIET:
         flight = fly(mission, RATE)
         samples = measure(flight, "mems", 0.0, seed)
-        tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+        tracker = Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning())
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
             tracker.update(flight.t[now], samples.part(now))

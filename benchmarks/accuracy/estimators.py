@@ -7,14 +7,14 @@ import numpy as np
 from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.offline.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.offline.likelihood import cramer_rao_bound, maximize_likelihood
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
@@ -30,9 +30,9 @@ def true_theta() -> Array:
     return rb.theta_of(VEHICLE.truth(), VEHICLE.k_T)
 
 
-def online(samples: Samples, dt: float, tuning: Tuning | None = None) -> Fit:
+def online(samples: Samples, dt: float, tuning: EstimatorTuning | None = None) -> Fit:
     """The online estimator at the end of a flight."""
-    estimator = OnlineEstimator(GEOMETRY, dt, tuning or Tuning())
+    estimator = OnlineEstimator(GEOMETRY, dt, tuning or EstimatorTuning())
     estimator.update(samples)
     return estimator.fit()
 
@@ -43,7 +43,7 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
     found = maximize_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
     assert found is not None
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    full[: DELAY + 1, : DELAY + 1] = found.covariance
+    full[: Unknown.DELAY + 1, : Unknown.DELAY + 1] = found.covariance
     n = rb.N_THETA
     rotation = replace(
         start.rotation, theta=found.theta, covariance=full[:n, :n], full_covariance=full

@@ -23,7 +23,7 @@ from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.article_estimator import Method
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
@@ -190,7 +190,7 @@ def all_of(samples: Samples, dt: float, fit: Fit, noise: str) -> dict[str, Any]:
     """Every peer on one flight; {label: outcome}, and the settings chosen."""
     out: dict[str, Any] = {}
     for method, label in _LABELS.items():
-        out[label] = outcome(online(samples, dt, Tuning(method=method)))
+        out[label] = outcome(online(samples, dt, EstimatorTuning(method=method)))
     chosen = tune(noise)
     for name, setting in chosen.items():
         out[name] = _physical(*OUTSIDE[name](samples, dt, setting), fit)

@@ -31,7 +31,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.status import RULES
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
@@ -300,7 +300,7 @@ def _claimed(fit: RotationFit) -> list[bool]:
     return list(known & (fit.r_squared[:2] >= least))
 
 
-def online(flight: Samples, vehicle: Vehicle, dt: float, tuning: Tuning) -> RotationFit:
+def online(flight: Samples, vehicle: Vehicle, dt: float, tuning: EstimatorTuning) -> RotationFit:
     """The online estimate of a flight."""
     estimator = OnlineEstimator(vehicle.geometry, dt, tuning)
     estimator.update(flight)
@@ -313,7 +313,7 @@ def offline(flight: Samples, vehicle: Vehicle, dt: float, *, setpoints: bool) ->
     """The offline estimate of a flight; the online one where there is none."""
     if not setpoints:
         flight = replace(flight, setpoint=np.full_like(flight.setpoint, np.nan))
-    tracker = Tracker(vehicle.geometry, dt, Tuning(), keep=True)
+    tracker = Tracker(vehicle.geometry, dt, EstimatorTuning(), keep=True)
     tracker.update(dt * np.arange(len(flight.gyro)), flight)
     first = tracker.fit()
     found = fit_offline(tracker, first)
@@ -325,9 +325,9 @@ def offline(flight: Samples, vehicle: Vehicle, dt: float, *, setpoints: bool) ->
 def estimators(dt: float) -> dict[str, Callable[[Samples, Vehicle], RotationFit]]:
     """What a row of the table may be, by its name."""
     return {
-        "window": lambda s, v: online(s, v, dt, Tuning(smoother="window")),
-        "td": lambda s, v: online(s, v, dt, Tuning(smoother="td")),
-        "whitened": lambda s, v: online(s, v, dt, Tuning()),
+        "window": lambda s, v: online(s, v, dt, EstimatorTuning(smoother="window")),
+        "td": lambda s, v: online(s, v, dt, EstimatorTuning(smoother="td")),
+        "whitened": lambda s, v: online(s, v, dt, EstimatorTuning()),
         "offline": lambda s, v: offline(s, v, dt, setpoints=False),
         "setpoints": lambda s, v: offline(s, v, dt, setpoints=True),
     }

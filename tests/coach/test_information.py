@@ -9,7 +9,7 @@ from gcs_sysid.coach.manoeuvre_library import Limits, library
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.ensemble import fly_ensemble
@@ -38,7 +38,7 @@ def test_intervals_come_out_as_expected(name, craft, noise, vehicle):
     flight = fly_ensemble(vehicle, mission, RATE, mission.duration)
     stds = []
     for seed in range(4):
-        estimator = OnlineEstimator(craft.geometry, 1.0 / RATE, Tuning())
+        estimator = OnlineEstimator(craft.geometry, 1.0 / RATE, EstimatorTuning())
         estimator.update(measure(flight, "mems", 0.0, seed))
         rotation = estimator.fit().rotation
         assert rotation is not None

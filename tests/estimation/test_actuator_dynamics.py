@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     BODY,
     PLAIN,
@@ -25,7 +25,7 @@ SLOW = 2.0 * np.pi * np.array([0.3, 1.0, 2.0, 2.7])
 
 
 def speeds(half_width):
-    return ActuatorDynamics(Tuning().delays, half_width=half_width)
+    return ActuatorDynamics(EstimatorTuning().delays, half_width=half_width)
 
 
 def commands(half_width):
@@ -79,7 +79,7 @@ def test_rows_of_one_step_hold_motion_to_a_thousandth(delay, lag):
 
 @pytest.mark.parametrize("dt", [0.0, 0.008, 0.02])
 def test_rows_of_one_step_hold_delays_at_any_rate(dt):
-    basis = ActuatorDynamics(Tuning().delays, half_width=None, dt=dt)
+    basis = ActuatorDynamics(EstimatorTuning().delays, half_width=None, dt=dt)
     omega, delay = 2.0 * np.pi * np.linspace(0.0, 6.0, 61), 0.004
     weights = basis.maps(np.array([[delay, 0.0, 1.0]]))[0, 0, 0, : basis.late : SIGNALS]
     made = weights @ np.exp(1j * np.outer(basis.delays, omega))

@@ -9,9 +9,7 @@ import pytest
 from benchmarks import early
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
-from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
-from gcs_sysid.estimation.fit.priors import DELAY as DELAY_PLACE
-from gcs_sysid.estimation.fit.priors import LAG as LAG_PLACE
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.search import COORDINATE_STD
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.noise.whitening import bank_for_commands
@@ -22,7 +20,7 @@ from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuned_motors import FirstPlace, TunedRows
 from gcs_sysid.estimation.record.tuning import COMMANDS
-from gcs_sysid.estimation.rows import actuator_dynamics
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MeanThrust, step_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
@@ -187,7 +185,7 @@ def record_about(truth, samples, share):
     record = flown(truth, samples)._record.commands
     now = record._now
     at = now.fit.rotation.coordinates.copy()
-    at[actuator_dynamics.LAG] *= share
+    at[Coordinate.LAG] *= share
     basis = LocalDynamics(record._rounded(at), now.basis.lag_place.of, DT)
     maker, white = record._made(basis, now.maker.hover)
     fit = record._fitted(white, basis)
@@ -212,10 +210,10 @@ def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(truth,
     assert not right.distance_doubt(near).any()
     doubt = wrong.distance_doubt(far)
     std, own = np.sqrt(np.diag(doubt)), far.full_covariance
-    along = own[:, LAG_PLACE] / own[LAG_PLACE, LAG_PLACE] * COORDINATE_STD[1]
-    assert std[LAG_PLACE] >= COORDINATE_STD[1]
+    along = own[:, Unknown.LAG] / own[Unknown.LAG, Unknown.LAG] * COORDINATE_STD[1]
+    assert std[Unknown.LAG] >= COORDINATE_STD[1]
     assert np.all(std >= np.abs(along))
-    assert std[CURVE] >= COORDINATE_STD[2]
+    assert std[Unknown.CURVE] >= COORDINATE_STD[2]
 
 
 @pytest.mark.slow
@@ -310,15 +308,17 @@ def test_what_disturbs_may_be_commands_that_are_not_sent(
     estimator = flown(truth, samples)
     record = estimator._record.commands
     apart = np.zeros(N_UNKNOWNS)
-    apart[CURVE] = 0.4
+    apart[Unknown.CURVE] = 0.4
     monkeypatch.setattr(CommandRecord, "_apart_from_window", lambda self: apart)
     monkeypatch.setattr(command_record, "RULES", replace(command_record.RULES, detected=detected))
     start = record._now.basis.at, "speed"
     tuned, doubt = record._found([start], record._now.maker.hover, ("speed",))
     full = tuned.fit.rotation.full_covariance
-    along = 0.4 * full[:, CURVE] / full[CURVE, CURVE]  # all goes with the curve
+    along = (
+        0.4 * full[:, Unknown.CURVE] / full[Unknown.CURVE, Unknown.CURVE]
+    )  # all goes with the curve
     assert (np.diag(doubt) >= 0.99 * along**2).all() == doubted
-    assert (doubt[CURVE, CURVE] >= 0.16) == doubted
+    assert (doubt[Unknown.CURVE, Unknown.CURVE] >= 0.16) == doubted
 
 
 def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples):
@@ -327,7 +327,7 @@ def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples)
     rigid = estimator.fit().rotation
     other = estimator._rotation.without_products(estimator.prior)
     assert other.lag_place is not None
-    for place in (LAG_PLACE, DELAY_PLACE):
+    for place in (Unknown.LAG, Unknown.DELAY):
         assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0
 
 

@@ -243,7 +243,7 @@ def test_elements_show_noise_as_their_filters_let_it_pass(truth):
     commands = 0.5 + np.random.default_rng(3).normal(0.0, 0.01, (n, 1)) * ROLL
     still = np.zeros((n, 3))
     level = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    for _ in record.take(Samples(still, still, commands, level, still, still)):
+    for _ in record.add_samples(Samples(still, still, commands, level, still, still)):
         pass
     record.flush()
     roll = [k for k in range(record.basis.late) if k % SIGNALS == 0]

@@ -8,7 +8,7 @@ import pytest
 from gcs_sysid.estimation.fit import curve_scatter as module
 from gcs_sysid.estimation.fit.axis_problem import AxisProblem
 from gcs_sysid.estimation.fit.curve_scatter import curve_scatter
-from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 
 BASIS = LocalDynamics(np.array([0.0, 0.05, 0.5, 0.0, 0.0]), "speed", 0.004)
@@ -24,7 +24,7 @@ def found(monkeypatch):
     def minimized(problem, unknowns, limit):
         said.left = problem.bank[:, 0, 0, 0], problem.rows
         unknowns = unknowns.copy()
-        unknowns[:, CURVE] = said.curves
+        unknowns[:, Unknown.CURVE] = said.curves
         return SimpleNamespace(unknowns=unknowns), np.ones(3, dtype=bool)
 
     monkeypatch.setattr(module, "minimize_axes", minimized)
@@ -37,8 +37,8 @@ def scattered(basis=BASIS, counts=COUNTS):
     batches[:, 0, 0, 0] = np.arange(len(counts))
     problem = AxisProblem(batches.sum(axis=0)[None], 1, basis, None, np.zeros((1, 3, width, width)))
     covariance = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    covariance[CURVE, CURVE] = STD**2
-    covariance[0, CURVE] = covariance[CURVE, 0] = -3.0 * STD**2
+    covariance[Unknown.CURVE, Unknown.CURVE] = STD**2
+    covariance[0, Unknown.CURVE] = covariance[Unknown.CURVE, 0] = -3.0 * STD**2
     fit = SimpleNamespace(
         unknowns=np.zeros(N_UNKNOWNS), deviations=np.zeros(0), extended_covariance=covariance
     )
@@ -57,7 +57,7 @@ def test_what_goes_beyond_the_interval_is_added_and_all_goes_with_it(found):
     problem, along = scattered()
     places = list(problem.free)
     excess = np.sqrt(2.0 * np.var(found.curves) - STD**2)
-    assert along[places.index(CURVE)] == pytest.approx(excess)
+    assert along[places.index(Unknown.CURVE)] == pytest.approx(excess)
     assert along[places.index(0)] == pytest.approx(-3.0 * excess)
     assert np.count_nonzero(along) == 2
 

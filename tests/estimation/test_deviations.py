@@ -12,7 +12,7 @@ from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, SIZES, SURE, Devi
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
@@ -116,7 +116,7 @@ def flown():
         Vehicle(), EXCITATIONS["aggressive"], DISTURBANCES["none"],
         flights=1, seconds=16.0, rate=250.0, seed=31,
     )[0]  # fmt: skip
-    estimator = OnlineEstimator(QUAD, T, Tuning())
+    estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)
     record = estimator._record.whitened
     return record.moments(estimator._record.whitened_noise()), record.basis
@@ -185,7 +185,7 @@ def test_nothing_is_chosen_on_an_ideal_flight(seed):
         Vehicle(), EXCITATIONS["doublets"], DISTURBANCES["none"],
         flights=1, seconds=20.0, rate=250.0, seed=seed,
     )[0]  # fmt: skip
-    estimator = OnlineEstimator(QUAD, T, Tuning())
+    estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)
     fit = estimator.fit().rotation
     assert fit.deviating is NO_DEVIATIONS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit.disturbance import RULES, Trial
+from gcs_sysid.estimation.fit.disturbance import RULES, BankTrial
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.noise.whitening import gauss_markov, leak
@@ -47,7 +47,7 @@ def trial(pick=0, apart=0.0, stds=None, gain=0.0):
     variance[pick] = 1.0
     variance[np.arange(len(BANK)) != pick] *= 1.0 + 1e-9
     information = np.stack([np.diag((s * STD) ** -2.0) for s in stds])
-    return Trial(BANK, T, unknowns, variance, information)
+    return BankTrial(BANK, T, unknowns, variance, information)
 
 
 def test_whiteners_that_agree_add_nothing():

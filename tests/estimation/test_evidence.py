@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.checks.validation import Validation
-from gcs_sysid.estimation.fit.priors import CURVE, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.estimation.parameters.evidence import RULES, Evidence, evidence_of
@@ -223,7 +223,7 @@ def test_a_hover_is_told_what_to_fly_and_nothing_else():
 def commanded(validation, curve_std):
     """Whether T_max, curve and lag are `identified`, of a fit with a thrust curve known so well."""
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    full[CURVE, CURVE] = curve_std**2
+    full[Unknown.CURVE, Unknown.CURVE] = curve_std**2
     fit = Fit(replace(ROTATION, full_covariance=full), None, 30.0, validation)
     evidence = evidence_of(fit, "command", 0.004)
     sure = Value(1.0, 1e-6, "identified")

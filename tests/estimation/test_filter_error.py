@@ -26,7 +26,7 @@ from gcs_sysid.estimation.offline.instrumental_variables import (
 from gcs_sysid.estimation.offline.likelihood import most_passes
 from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 
 T = 0.004
 GIVEN = gauss_markov(T, 4.0)
@@ -182,7 +182,7 @@ def gusty():
         vehicle, EXCITATIONS["doublets"], DISTURBANCES["ou3.5"],
         flights=1, seconds=20.0, rate=250.0, seed=3,
     )  # fmt: skip
-    tracker = Tracker(vehicle.geometry, T, Tuning(), keep=True)
+    tracker = Tracker(vehicle.geometry, T, EstimatorTuning(), keep=True)
     tracker.update(T * np.arange(len(flight.gyro)), flight)
     return vehicle, tracker, tracker.fit()
 
@@ -211,7 +211,7 @@ def test_a_record_beyond_the_budget_keeps_the_online_estimate(monkeypatch, truth
     monkeypatch.setattr(likelihood, "_BUDGET", 20_000)
     assert most_passes(1000) == 20
     assert most_passes(2000) == 0
-    tracker = Tracker(truth.geometry, 0.005, Tuning(), keep=True)
+    tracker = Tracker(truth.geometry, 0.005, EstimatorTuning(), keep=True)
     part = flight.part(slice(0, 2000))
     tracker.update(0.005 * np.arange(2000), part)
     whole = tracker.fit()
@@ -225,7 +225,7 @@ def test_a_record_beyond_the_budget_keeps_the_online_estimate(monkeypatch, truth
 
 
 def test_a_search_out_of_budget_says_so(monkeypatch, truth, flight):
-    tracker = Tracker(truth.geometry, 0.005, Tuning(), keep=True)
+    tracker = Tracker(truth.geometry, 0.005, EstimatorTuning(), keep=True)
     part = flight.part(slice(0, 600))
     tracker.update(0.005 * np.arange(600), part)
     whole = tracker.fit()

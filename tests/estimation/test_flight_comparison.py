@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.changes.flight_comparison import ENOUGH, Trial, is_another
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
@@ -39,7 +38,7 @@ def on_commands(kappa, curve_std, hover=0.5, curve=0.3):
     """
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: rb.N_THETA, : rb.N_THETA] = 1e6 * np.eye(rb.N_THETA)
-    full[rb.N_THETA + CURVE, rb.N_THETA + CURVE] = curve_std**2
+    full[Unknown.CURVE, Unknown.CURVE] = curve_std**2
     rotation = RotationFit(
         THETA, full[: rb.N_THETA, : rb.N_THETA], np.eye(3), np.full(3, 0.99), 1000, True,
         full_covariance=full,

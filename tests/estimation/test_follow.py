@@ -7,7 +7,7 @@ import pytest
 
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005
@@ -77,7 +77,7 @@ def assert_same(fits, others):
 @pytest.mark.parametrize("block", [7, 250, 100_000])
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
-    samples, tuning = measured(flight), Tuning(smoother=smoother)
+    samples, tuning = measured(flight), EstimatorTuning(smoother=smoother)
     fits = series(truth, samples, block, tuning)
     assert sum(fit.rotation is not None for fit in fits) > 200
     assert_same(fits, single(truth, samples, tuning))
@@ -107,8 +107,8 @@ def test_blocks_know_the_prior(truth, flight):
     known[at, at] = (0.01 * mean[at]) ** -2.0
     sources = {"prior_source": lambda translation: Prior(mean, known)}
     samples = measured(flight)
-    fits = series(truth, samples, 400, Tuning(), **sources)
-    assert_same(fits, single(truth, samples, Tuning(), **sources))
+    fits = series(truth, samples, 400, EstimatorTuning(), **sources)
+    assert_same(fits, single(truth, samples, EstimatorTuning(), **sources))
     early = next(fit for fit in fits if fit.rotation is not None and fit.seconds > 2.0)
     assert early.rotation.std[at] < 0.011 * mean[at]
 
@@ -116,7 +116,7 @@ def test_blocks_know_the_prior(truth, flight):
 def test_quick_fits_are_near_full_ones(truth, flight):
     samples = measured(flight)
     # Of whitened rows: test_quick_fits_stay_near_the_full_one.
-    estimator = OnlineEstimator(truth.geometry, DT, Tuning(smoother="window"))
+    estimator = OnlineEstimator(truth.geometry, DT, EstimatorTuning(smoother="window"))
     off = []
     for k, start in enumerate(range(0, len(samples.gyro), 10 * STOP)):
         part = samples.part(slice(start, start + 10 * STOP))

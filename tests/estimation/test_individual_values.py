@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.parameters.individual_values import (
     axis_dampings,
@@ -15,7 +15,6 @@ from gcs_sysid.estimation.parameters.individual_values import (
 )
 from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.parameters.scale import Scale
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from tests.known_theta import theta_from
@@ -73,7 +72,7 @@ def test_stds_include_what_the_thrust_curve_does_to_thrust():
     fit, bend = a_fit(), 0.8
     random = np.random.default_rng(3)
     mean = np.concatenate([fit.unknowns, fit.deviations])
-    curve = rb.N_THETA + CURVE
+    curve = Unknown.CURVE
     drawn = random.multivariate_normal(mean, fit.extended_covariance, 40_000)
     damping = drawn[:, [rb.DAMPING]] + drawn[:, N_UNKNOWNS:] @ fit.deviating.dampings
     thrust = 1.0 + bend * (drawn[:, [curve]] - mean[curve])

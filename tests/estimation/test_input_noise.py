@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.record.command_noise import CommandNoise, missed_and_seen
 from gcs_sysid.estimation.record.input_noise import (
@@ -148,7 +148,7 @@ def fit_with_a_delay(std=1e-4):
     rng = np.random.default_rng(5)
     mixed = rng.normal(size=(N_UNKNOWNS, N_UNKNOWNS))
     full = mixed @ mixed.T
-    full *= std**2 / full[DELAY, DELAY]
+    full *= std**2 / full[Unknown.DELAY, Unknown.DELAY]
     theta = np.arange(1.0, n + 1.0)
     theta[:2] = 80.0, 110.0
     return RotationFit(theta, full[:n, :n], np.eye(3), np.ones(3), 100, True, full_covariance=full)
@@ -165,7 +165,7 @@ def test_what_sparse_speeds_miss_moves_delay_and_damping_together(interval, late
     rows[:, -3:] = slope
     wider = with_sparse_readings(fit, interval, rows.T @ rows)
     off = np.zeros(N_UNKNOWNS)
-    off[DELAY] = late
+    off[Unknown.DELAY] = late
     off[rb.DAMPING] = -late * 95.0 * (slope[:, :2] ** 2).sum() / (rates[:, :2] ** 2).sum()
     expected = fit.full_covariance + np.outer(off, off)
     np.testing.assert_allclose(wider.full_covariance, expected)

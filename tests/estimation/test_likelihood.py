@@ -18,7 +18,7 @@ from gcs_sysid.estimation.offline.likelihood import (
 from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.offline.propagation import SPLINE_END
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 
@@ -240,5 +240,5 @@ def test_noise_of_speeds_beyond_the_motion_leaves_no_information(truth, slow, st
 
 
 def test_why_there_is_no_offline_estimate_is_said(truth):
-    tracker = Tracker(truth.geometry, 0.005, Tuning(), keep=True)
+    tracker = Tracker(truth.geometry, 0.005, EstimatorTuning(), keep=True)
     assert "online estimate to start from" in fit_offline(tracker, Fit(None, None, 0.0))

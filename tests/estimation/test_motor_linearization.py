@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    ASYMMETRY,
-    CURVE,
-    DELAY,
-    EXPONENT,
-    LAG,
-    LAGS_OF,
-    ROTOR_COLUMNS,
-)
+from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, ROTOR_COLUMNS, Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MotorRows
 from gcs_sysid.model import rigid_body as rb
 
@@ -78,7 +70,13 @@ def test_rows_hold_the_thrust_of_motors_with_a_lag(of):
 @pytest.mark.parametrize("of", LAGS_OF)
 @pytest.mark.parametrize(
     ("which", "by"),
-    [(DELAY, 0.002), (LAG, 1e-3), (CURVE, 0.03), (ASYMMETRY, 0.03), (EXPONENT, 0.06)],
+    [
+        (Coordinate.DELAY, 0.002),
+        (Coordinate.LAG, 1e-3),
+        (Coordinate.CURVE, 0.03),
+        (Coordinate.ASYMMETRY, 0.03),
+        (Coordinate.EXPONENT, 0.06),
+    ],
 )
 def test_rows_near_a_point_are_those_of_the_motors_there(of, which, by):
     other = AT.copy()
@@ -105,7 +103,7 @@ def test_blocks_change_nothing_and_gaps_leave_out_what_they_touch():
     np.testing.assert_allclose(np.concatenate(parts), at_once, rtol=0.0, atol=rounding)
     assert maker.update(*(s[:0] for s in samples)).shape == (0, basis.width)
     # A motor is known after six of its slowest time constants.
-    settling = 6.0 * AT[LAG] * np.exp((AT[ASYMMETRY] + 0.05) / 2.0)
+    settling = 6.0 * AT[Coordinate.LAG] * np.exp((AT[Coordinate.ASYMMETRY] + 0.05) / 2.0)
     unknown = np.isnan(at_once).any(axis=1).sum() * 3 * DT
     assert settling < unknown < 1.1 * settling + 6 * DT
     u = samples[0].copy()
@@ -116,7 +114,7 @@ def test_blocks_change_nothing_and_gaps_leave_out_what_they_touch():
 
 def test_a_given_curve_is_not_free():
     basis = LocalDynamics(AT, "command", DT, curve=False)
-    assert CURVE not in basis.free
+    assert Coordinate.CURVE not in basis.free
     assert basis.maps(AT[None]).shape[1] == 1 + 4
     assert basis.nodes.tolist() == [AT.tolist()]
 
@@ -126,7 +124,7 @@ def lagged_one_by_one(maker, driven):
     at = maker._basis.at
     x, last, out = driven[0].copy(), driven[0], []
     tau, up, down, p = maker._tau, maker._up, maker._down, maker._p
-    assert tau[0, 0] == at[LAG]
+    assert tau[0, 0] == at[Coordinate.LAG]
     for now in driven:
         v, last = 0.5 * (now + last), now
         slow = (np.maximum(x, 0.3 * maker._hover) / maker._hover) ** p
@@ -161,7 +159,7 @@ def test_noise_raises_the_thrust_of_motors_that_speed_up_faster():
     """Mean thrust over that with one time constant, and to first order elsewhere."""
     samples = flown()
     u, *_ = samples
-    even = np.array([AT[DELAY], AT[LAG], AT[CURVE], 0.0, 0.0])
+    even = np.array([AT[Coordinate.DELAY], AT[Coordinate.LAG], AT[Coordinate.CURVE], 0.0, 0.0])
     skip = round(0.3 / DT)
     told = {}
     for near in (AT, even):

@@ -7,12 +7,12 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005
-CURVES = Tuning(rotor_input="command", delays=(0.0,), curves=(-0.2, 1.2))
+CURVES = EstimatorTuning(rotor_input="command", delays=(0.0,), curves=(-0.2, 1.2))
 """Commands whose thrust curve alone is unknown; motors are measured here, and have no lag."""
 
 
@@ -63,7 +63,7 @@ def noisy(samples):
 
 @pytest.mark.slow
 def test_inertia_is_right_though_there_is_no_gyroscopic_torque(truth, untwisted_flight):
-    fit = estimator_of(truth, noisy(untwisted_flight), Tuning()).fit()
+    fit = estimator_of(truth, noisy(untwisted_flight), EstimatorTuning()).fit()
     assert fit.rigid_body_test.contradicted
     # Rows of one step tell the share to 0.15: at most 1.4 of that off in five seeds.
     assert np.all(fit.rigid_body_test.std < 0.2)
@@ -76,7 +76,7 @@ def test_inertia_is_right_though_there_is_no_gyroscopic_torque(truth, untwisted_
 
 
 def test_a_rigid_body_is_held_against_nothing(truth, flight):
-    fit = estimator_of(truth, noisy(flight), Tuning()).fit()
+    fit = estimator_of(truth, noisy(flight), EstimatorTuning()).fit()
     assert not fit.rigid_body_test.contradicted
     assert fit.rotation.std[2] < 0.05 * truth.theta[2]
     assert abs(fit.rotation.theta - truth.theta)[2] < 3.0 * fit.rotation.std[2]
@@ -89,7 +89,7 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
         b, a = butter(2, 2.0 * DT * cutoff)
         gyro = lfilter(b, a, samples.gyro, axis=0)
         samples = replace(samples, gyro=gyro, rates=gyro)
-    estimator = estimator_of(truth, samples.part(slice(0, 3600)), Tuning())
+    estimator = estimator_of(truth, samples.part(slice(0, 3600)), EstimatorTuning())
     fit = estimator.fit().rotation
     assert estimator.other_layout(fit) is None
     # Rows of one step hold the filter's own motion: the window takes it for a delay.
@@ -103,9 +103,9 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
 
 def test_damping_allows_for_what_sparse_speeds_miss(truth, flight):
     samples = noisy(flight).part(slice(0, 1600))
-    usual = estimator_of(truth, samples, Tuning()).fit().rotation
+    usual = estimator_of(truth, samples, EstimatorTuning()).fit().rotation
     fits = [
-        estimator_of(truth, samples, Tuning(speed_interval=interval)).fit().rotation
+        estimator_of(truth, samples, EstimatorTuning(speed_interval=interval)).fit().rotation
         for interval in (0.004, 0.02, 0.04)
     ]
     np.testing.assert_array_equal(fits[0].full_covariance, usual.full_covariance)
@@ -122,6 +122,6 @@ def test_damping_allows_for_what_sparse_speeds_miss(truth, flight):
 
 
 def test_quick_fits_allow_for_sparse_speeds_too(truth, flight):
-    estimator = OnlineEstimator(truth.geometry, DT, Tuning(speed_interval=0.02))
+    estimator = OnlineEstimator(truth.geometry, DT, EstimatorTuning(speed_interval=0.02))
     quick = estimator.follow(noisy(flight).part(slice(0, 1600)), [1400, 1500])[-1].rotation
     assert quick.delay_std > 2e-4

@@ -5,9 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.fit import rotation
-from gcs_sysid.estimation.fit.priors import CURVE, DELAY, LAG, N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown, prior_of
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
@@ -42,24 +42,26 @@ def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):
 
 
 def test_a_prior_is_a_paraboloid():
-    known = prior_of({IZZ: (140.0, 5.0), DELAY: (0.01, 0.002)})
-    assert np.flatnonzero(known.known).tolist() == [IZZ, DELAY]
+    known = prior_of({IZZ: (140.0, 5.0), Unknown.DELAY: (0.01, 0.002)})
+    assert np.flatnonzero(known.known).tolist() == [IZZ, Unknown.DELAY]
     at = np.zeros((2, N_UNKNOWNS))
-    at[0, [IZZ, DELAY]] = 150.0, 0.01  # two deviations
-    at[1, [IZZ, DELAY, RATIO]] = 135.0, 0.016, 9.0  # one and three
+    at[0, [IZZ, Unknown.DELAY]] = 150.0, 0.01  # two deviations
+    at[1, [IZZ, Unknown.DELAY, RATIO]] = 135.0, 0.016, 9.0  # one and three
     np.testing.assert_allclose(known.cost(at), [4.0, 10.0])
     assert known.cost(at[0]) == pytest.approx(4.0)
     assert known.cost(at[None]).shape == (1, 2)
     # Downhill of half the cost: towards the mean.
     pull = known.pull(at)
     np.testing.assert_allclose(pull[:, IZZ], [-0.4, 0.2])
-    np.testing.assert_allclose(pull[:, DELAY], [0.0, -1500.0])
+    np.testing.assert_allclose(pull[:, Unknown.DELAY], [0.0, -1500.0])
     assert np.count_nonzero(pull) == 3
     # Of the thrust curve: what is left where other unknowns it goes with are open.
     assert known.thrust_curve[1] == np.inf
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     both = np.array([[0.04, 0.06], [0.06, 0.25]])
-    information[np.ix_([LAG, CURVE], [LAG, CURVE])] = np.linalg.inv(both)
+    information[np.ix_([Unknown.LAG, Unknown.CURVE], [Unknown.LAG, Unknown.CURVE])] = np.linalg.inv(
+        both
+    )
     curve = Prior(np.full(N_UNKNOWNS, 0.3), information).thrust_curve
     assert curve == pytest.approx((0.3, 0.5))
     # However vague, it is known; and by how much is in nothing else.
@@ -130,11 +132,11 @@ def test_an_impossible_prior_does_not_make_an_impossible_vehicle():
 
 @pytest.mark.slow
 def test_the_online_estimator_uses_its_prior_in_every_fit(truth, flight):
-    estimator = OnlineEstimator(truth.geometry, 0.005, Tuning())
+    estimator = OnlineEstimator(truth.geometry, 0.005, EstimatorTuning())
     estimator.update(flight)
     free = estimator.fit().rotation
     given = 1.01 * truth.theta[RATIO]
-    estimator.prior = prior_of({RATIO: (given, 1e-9), DELAY: (0.001, 1e-9)})
+    estimator.prior = prior_of({RATIO: (given, 1e-9), Unknown.DELAY: (0.001, 1e-9)})
     for quick in (True, True, False):
         found = estimator.fit(quick=quick).rotation
         assert found.theta[RATIO] == pytest.approx(given, rel=1e-3)

@@ -11,7 +11,7 @@ from gcs_sysid.estimation.fit import rotation, translation
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker
@@ -22,7 +22,7 @@ from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
 from tests.known_theta import theta_from
 
 DT = 0.005
-WINDOW = Tuning(smoother="window")
+WINDOW = EstimatorTuning(smoother="window")
 """Exact without noise; whitened rows are trapezoids, and need noise to be weighed by."""
 
 
@@ -135,7 +135,7 @@ def test_no_fit_without_data_or_response(truth, flight):
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.37])
 def test_grouping_of_samples_does_not_matter(truth, flight, step):
-    estimators = [OnlineEstimator(truth.geometry, DT, Tuning()) for _ in range(2)]
+    estimators = [OnlineEstimator(truth.geometry, DT, EstimatorTuning()) for _ in range(2)]
     n, measured = len(flight.gyro), noisy(flight, 0.02, 1)
     estimators[0].update(measured)
     for k in range(0, n, round(step / DT)):
@@ -166,7 +166,7 @@ def test_missing_samples_are_left_out_of_whitened_rows(truth, flight):
     measured = replace(noisy(flight, 0.005, 4), speeds=np.round(flight.speeds / rpm) * rpm)
     fits = []
     for lost in (np.zeros_like(gone), gone):
-        estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+        estimator = OnlineEstimator(truth.geometry, DT, EstimatorTuning())
         holed = replace(measured, gyro=np.where(lost[:, None], np.nan, measured.gyro))
         estimator.update(holed)
         fits.append(estimator.fit())

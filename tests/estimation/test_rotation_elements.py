@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.fit import rotation
-from gcs_sysid.estimation.fit.priors import CURVE, DELAY, LAG, prior_of
+from gcs_sysid.estimation.fit.priors import Unknown, prior_of
 from gcs_sysid.estimation.fit.rotation import Outcome, fit_rotation
 from gcs_sysid.estimation.fit.search import MAX_ITERATIONS, Problem, minimize
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
@@ -41,7 +41,7 @@ def quiet(basis, leaks=1):
 
 
 @pytest.mark.parametrize("prior", [None, prior_of({0: (THETA[0], 0.5)})], ids=["none", "prior"])
-@pytest.mark.parametrize("index", [0, 4, DELAY, LAG])
+@pytest.mark.parametrize("index", [0, 4, Unknown.DELAY, Unknown.LAG])
 def test_what_is_left_is_twice_the_rise_of_the_likelihood(prior, index):
     batches, _ = moments_of_elements(COMMANDS, AT)
     problem = Problem(batches.sum(axis=0), ROWS, COMMANDS, prior)
@@ -141,8 +141,8 @@ def test_curve_and_lag_of_a_false_minimum_are_hardly_known(share, stuck, widened
         np.testing.assert_allclose(more, 0.0, atol=1e-9 * np.abs(usual).max())
         return
     # To half of the curve's range and 50 ms, and all that goes with them.
-    assert fit.full_covariance[CURVE, CURVE] > 0.5**2
-    assert fit.full_covariance[LAG, LAG] > 0.05**2
+    assert fit.full_covariance[Unknown.CURVE, Unknown.CURVE] > 0.5**2
+    assert fit.full_covariance[Unknown.LAG, Unknown.LAG] > 0.05**2
     d = np.sqrt(more.diagonal())
     assert np.linalg.eigvalsh(more / np.outer(d, d)).min() > -1e-9
 
@@ -157,7 +157,7 @@ def test_a_delay_at_the_end_of_its_range_holds_with_a_prior_too(delay):
         for prior in (None, SLIGHT)
     )
     for fit in (alone, given):
-        assert fit.warm_start.unknowns[DELAY] == np.copysign(0.01, delay)
+        assert fit.warm_start.unknowns[Unknown.DELAY] == np.copysign(0.01, delay)
     assert np.all(np.abs(given.theta - alone.theta) < 0.1 * alone.std)
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.parameters.scale import Scale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
@@ -110,7 +110,7 @@ def test_priors_are_put_relative_to_thrust():
     known = {"Izz": (0.04, 0.0016), "cg_x": (0.1, 0.002), "rotor_delay": (0.01, 0.003)}
     prior = relative_prior(known, scale)
     std = np.zeros(N_UNKNOWNS)
-    at = {"Izz": rb.THETA.index("Izz"), "cg_x": rb.CG_X, "rotor_delay": DELAY}
+    at = {"Izz": rb.THETA.index("Izz"), "cg_x": rb.CG_X, "rotor_delay": Unknown.DELAY}
     # An inertia over k_T, with the error of k_T: 4 and 3 %. Lengths and times need no scale.
     for name, (value, deviation) in {
         "Izz": (0.02, 0.05 * 0.02),
@@ -138,7 +138,7 @@ def test_without_a_scale_lengths_alone_are_known():
     for name, index in (
         ("cg_y", rb.CG_Y),
         ("moment_ratio", rb.MOMENT_RATIO),
-        ("rotor_delay", DELAY),
+        ("rotor_delay", Unknown.DELAY),
     ):
         prior = relative_prior({"Izz": (0.04, 0.001), name: (0.2, 0.5)}, nothing)
         np.testing.assert_array_equal(np.flatnonzero(prior.known), [index])

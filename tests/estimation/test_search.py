@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.fit import search as module
-from gcs_sysid.estimation.fit.priors import COORDINATES, DELAY, N_UNKNOWNS, prior_of
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Unknown, prior_of
 from gcs_sysid.estimation.fit.search import (
     COORDINATE_MEAN,
     COORDINATE_STD,
@@ -129,7 +129,7 @@ def test_several_hypotheses_are_as_many_problems():
 
 
 def test_a_prior_costs_its_squared_distance_a_row():
-    prior = prior_of({2: (150.0, 5.0), DELAY: (0.003, 0.001)})
+    prior = prior_of({2: (150.0, 5.0), Unknown.DELAY: (0.003, 0.001)})
     problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0], prior)
     plain, _, _ = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0])
     difference = problem.evaluate(unknowns[None]).cost - plain.evaluate(unknowns[None]).cost
@@ -198,7 +198,7 @@ def test_a_single_coordinate_is_cut_off_at_its_range():
     step[:] = 1e-3
     step[-1] = 0.02
     moved = problem.moved(unknowns, step)
-    assert moved[DELAY] == 0.01
+    assert moved[Unknown.DELAY] == 0.01
     np.testing.assert_allclose(moved[: rb.N_THETA], unknowns[: rb.N_THETA] + 1e-3)
 
 
@@ -238,11 +238,11 @@ def test_the_search_goes_on_from_the_best_of_all_starts():
     assert starts.shape == (1, 1, N_UNKNOWNS)
     point, converged = search(problem, starts)
     assert converged.all()
-    assert point.unknowns[0, DELAY] == pytest.approx(0.006, abs=5e-4)
+    assert point.unknowns[0, Unknown.DELAY] == pytest.approx(0.006, abs=5e-4)
     # A start in a place of its own does not hide a better one.
     astray = starts.copy()
     astray[0, 0, : rb.N_THETA] *= 50.0
-    astray[0, 0, DELAY] = -0.01
+    astray[0, 0, Unknown.DELAY] = -0.01
     for pair in (np.stack([starts[0], astray[0]]), np.stack([astray[0], starts[0]])):
         best, _ = search(problem, pair)
         np.testing.assert_allclose(best.unknowns, point.unknowns, rtol=1e-5)
@@ -253,7 +253,7 @@ def test_starts_are_at_the_nodes_that_fit_best():
     problem = Problem((rows.T @ rows)[None], N, SPEEDS, None)
     starts = scan(problem, np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None])
     nodes = SPEEDS.nodes[:, 0]
-    assert starts[0, 0, DELAY] == nodes[np.argmin(np.abs(nodes - 0.006))]
+    assert starts[0, 0, Unknown.DELAY] == nodes[np.argmin(np.abs(nodes - 0.006))]
 
 
 def test_four_starts_where_lag_and_curve_are_unknown_too():
@@ -373,7 +373,7 @@ def test_every_hypothesis_takes_the_best_of_its_own_starts():
     astray[: rb.N_THETA] *= 50.0
     found, converged = search(problem, np.array([[astray, good], [good, astray]]))
     assert converged.shape == (2,)
-    np.testing.assert_allclose(found.unknowns[:, DELAY], [0.006, -0.004], atol=5e-4)
+    np.testing.assert_allclose(found.unknowns[:, Unknown.DELAY], [0.006, -0.004], atol=5e-4)
     np.testing.assert_allclose(found.unknowns[:, :3], np.tile(THETA[:3], (2, 1)), rtol=0.01)
     assert found.cost.shape == (2,)
 
@@ -394,7 +394,7 @@ class Bent:
 
     def moved(self, unknowns, step):
         out = unknowns.copy()
-        out[:, DELAY] += step[:, 0]
+        out[:, Unknown.DELAY] += step[:, 0]
         return out
 
     def with_prior(self, gradient, hessian, unknowns):
@@ -402,7 +402,9 @@ class Bent:
         return gradient, hessian
 
     def evaluate(self, unknowns):
-        away = unknowns[:, DELAY] if self.noise is None else unknowns[:, DELAY] - 0.01
+        away = (
+            unknowns[:, Unknown.DELAY] if self.noise is None else unknowns[:, Unknown.DELAY] - 0.01
+        )
         steep = 1.0 if self.noise is None else 3.0
         K = len(unknowns)
         nothing = [np.zeros((K, *shape)) for shape in ((), (3, 3), (3, 4), (3, 3), (2, 2))]
@@ -415,6 +417,6 @@ def test_noise_is_undone_where_a_whole_step_is_too_long(monkeypatch):
     monkeypatch.setattr(module, "Problem", Bent)
     problem = Bent(np.zeros((2, 1, 1)), N, None, None)
     unknowns = np.append(THETA, np.zeros(N_COORDINATES))[None].repeat(2, axis=0)
-    unknowns[1, DELAY] = 0.02
+    unknowns[1, Unknown.DELAY] = 0.02
     _, found, _ = without_noise(problem, problem.evaluate(unknowns), np.ones((2, 1, 1)))
-    np.testing.assert_allclose(found.unknowns[:, DELAY], 0.01, atol=1e-7)
+    np.testing.assert_allclose(found.unknowns[:, Unknown.DELAY], 0.01, atol=1e-7)

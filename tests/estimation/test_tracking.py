@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.change_kinds import Cause
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble
@@ -50,7 +50,7 @@ def measured(flight, seed=1):
 
 
 def follow(samples, block=25, tracker=None):
-    tracker = tracker or Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+    tracker = tracker or Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning())
     t = np.arange(len(samples.gyro)) * DT
     for k in range(0, len(t), block):
         part = slice(k, k + block)
@@ -143,7 +143,7 @@ def test_size_of_blocks_does_not_matter(flights):
 @pytest.mark.slow
 def test_how_often_others_look_does_not_matter(flights):
     plain = follow(flights["payload"])
-    looked = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+    looked = Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning())
     samples = flights["payload"]
     for k in range(0, len(samples.gyro), 50):
         part = slice(k, k + 50)
@@ -173,7 +173,7 @@ def test_a_failing_rotor_stops_the_estimate(flights):
 @pytest.mark.slow
 def test_kept_samples_are_those_of_the_segment_in_force(flights):
     tracker = follow(
-        flights["mass"], tracker=Tracker(GEOMETRY, DT, Tuning(), ChangeTuning(), keep=True)
+        flights["mass"], tracker=Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning(), keep=True)
     )
     kept = sum(len(part.gyro) for part in tracker.kept)
     assert kept == pytest.approx((END - AT) / DT, abs=10)
@@ -187,7 +187,7 @@ def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
     dt, at, now = 0.005, 15.0, 16.0
     samples = replace(flight, gyro=gyro, rates=gyro, force=force).part(slice(0, round(now / dt)))
     # Batches, of which whole ones are forgotten, as short as two rows.
-    tuning = Tuning(smoother="window", batch_time=0.05)
+    tuning = EstimatorTuning(smoother="window", batch_time=0.05)
     tracker = Tracker(truth.geometry, dt, tuning, ChangeTuning())
     tracker.update(np.arange(len(samples.gyro)) * dt, samples)
     cause = Cause("mass_change", None, 0.0, 0.0, 1.2, (0.0, 0.0), 0.9)

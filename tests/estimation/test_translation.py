@@ -10,7 +10,7 @@ from gcs_sysid.estimation.fit.translation import (
     ACCELEROMETER_BIAS_STD,
     GAIN_DRIFT,
     TILT_ERROR_SHARE,
-    Gain,
+    AccelerometerGain,
     TranslationFit,
     accelerometer_gain,
     fit_accelerometer,
@@ -128,7 +128,7 @@ def test_fewer_than_fifty_rows_tell_nothing(rows, there):
 @pytest.mark.parametrize(("rows", "there"), [(11, False), (12, True)])
 def test_with_a_known_gain_twelve_rows_will_do(rows, there):
     batches, counts = moments(accelerometer_rows(n=rows))
-    assert (fit_accelerometer(batches, counts, Gain(1.0, 0.001)) is not None) is there
+    assert (fit_accelerometer(batches, counts, AccelerometerGain(1.0, 0.001)) is not None) is there
 
 
 def test_a_fit_that_follows_is_the_fit():
@@ -214,7 +214,7 @@ def test_the_bias_is_held_to_what_is_usual():
 def test_a_known_gain_takes_the_biass_place():
     batches, counts = moments(accelerometer_rows(bias=0.3, sigma=0.05)[:120])
     plain = fit_accelerometer(batches, counts)
-    gain = Gain(1.0 / (1.0 - 0.3 / GRAVITY), 0.001)
+    gain = AccelerometerGain(1.0 / (1.0 - 0.3 / GRAVITY), 0.001)
     fit = fit_accelerometer(batches, counts, gain)
     assert fit.unbiased == plain.unbiased
     assert fit.kappa == pytest.approx(plain.unbiased * gain.value)
@@ -223,7 +223,7 @@ def test_a_known_gain_takes_the_biass_place():
     white = 3.0 * 0.05 / np.sqrt(120.0) / GRAVITY
     assert fit.kappa_std / fit.kappa == pytest.approx(np.hypot(white, 0.001), rel=0.25)
     exact = moments(accelerometer_rows(sigma=0.0)[:120])
-    sure = fit_accelerometer(*exact, Gain(2.0, 0.01))
+    sure = fit_accelerometer(*exact, AccelerometerGain(2.0, 0.01))
     assert sure.kappa_std == pytest.approx(0.01 * sure.kappa, rel=1e-3)
 
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from gcs_sysid.estimation.checks.validation import validate
 from gcs_sysid.estimation.fit.search import N_X
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.model import rigid_body as rb
 
@@ -96,7 +96,7 @@ def colors(truth, flight, seeds, disturb):
             rates=flight.rates + noise,
             speeds=np.round(flight.speeds / RPM) * RPM,
         )
-        estimator = OnlineEstimator(truth.geometry, DT, Tuning(smoother="window"))
+        estimator = OnlineEstimator(truth.geometry, DT, EstimatorTuning(smoother="window"))
         estimator.update(samples)
         found.append(estimator.fit().validation)
     return np.array([f.whiteness for f in found]), np.array([f.whiteness_p for f in found])

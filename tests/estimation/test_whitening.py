@@ -21,14 +21,14 @@ from gcs_sysid.estimation.noise.whitening import (
 )
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import whitened_record
-from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import OneStep, step_for
 
 T = 0.004
-WHITENED, WINDOW = Tuning(), Tuning(smoother="window")
+WHITENED, WINDOW = EstimatorTuning(), EstimatorTuning(smoother="window")
 
 
 @pytest.mark.parametrize("rho_d", [1e-6, 1e-3, 0.1])
@@ -252,13 +252,13 @@ def test_quick_fits_stay_near_the_full_one(disturbed):
 def test_where_the_window_takes_over():
     assert WHITENED.whitens(0.004)
     assert not WHITENED.whitens(0.02)
-    assert not Tuning(gyro_cutoff=20.0).whitens(0.004)
+    assert not EstimatorTuning(gyro_cutoff=20.0).whitens(0.004)
     assert not WINDOW.whitens(0.004)
     assert COMMANDS.whitens(0.004)
     # Behind a fast low-pass the commands pass it too; speeds, which are whitened faster, do not.
     assert replace(COMMANDS, gyro_cutoff=80.0).whitens(0.004)
     assert not replace(COMMANDS, gyro_cutoff=40.0).whitens(0.004)
-    assert not Tuning(gyro_cutoff=80.0).whitens(0.004)
+    assert not EstimatorTuning(gyro_cutoff=80.0).whitens(0.004)
     assert not replace(COMMANDS, lags=(0.05,)).whitens(0.004)
 
 

@@ -223,7 +223,7 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
 
 
 def test_changes_are_kept_up_to_a_number():
-    tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.Tuning())
+    tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.EstimatorTuning())
     for n in range(3 * tracking.TRACKING.most_passing):
         ended = n if n % 50 == 0 else None
         tracker._add(tracking.Event(float(n), float(n), None, None, ended))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.parameters.status import Value
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results import snapshot as course_module
@@ -234,7 +234,7 @@ def test_a_gap_is_bridged(paper_records, whole):
 @pytest.mark.slow
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_both_smoothers_identify(paper_records, paper_flight, smoother):
-    _, result = run(paper_records, replace(END_ONLY, tuning=Tuning(smoother=smoother)))
+    _, result = run(paper_records, replace(END_ONLY, tuning=EstimatorTuning(smoother=smoother)))
     for name in ("Ixx", "Iyy", "Izz", "k_M"):
         assert result.parameters[name].value == pytest.approx(paper_flight.truth[name], rel=0.06)
 

@@ -13,7 +13,7 @@ from gcs_sysid.cli import arguments, output, reported_airframe
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given, Health
@@ -221,9 +221,9 @@ def _print(
         deliveries.give(lambda: output.show(result_table(result, truth, output.terminal_width())))
 
 
-def _tuning(method: str) -> Tuning:
+def _tuning(method: str) -> EstimatorTuning:
     if method == "forward-td":
-        return Tuning(smoother="td")
+        return EstimatorTuning(smoother="td")
     if method == "forward-window":
-        return Tuning(smoother="window")
-    return Tuning(method=method)  # type: ignore[arg-type]
+        return EstimatorTuning(smoother="window")
+    return EstimatorTuning(method=method)  # type: ignore[arg-type]

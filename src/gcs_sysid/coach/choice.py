@@ -10,7 +10,7 @@ from gcs_sysid.coach.interval_targets import excess, is_enough
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.predicted_information import PredictedInformation
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.rows.actuator_dynamics import LAG
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `interval_targets.shares`."""
@@ -94,7 +94,7 @@ def choose(
         if prospect.fit.rotation is None and not _starts(motion):
             continue
         added = information(
-            motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG])
+            motion, prospect.craft, prospect.noise, float(prospect.coordinates[Coordinate.LAG])
         )
         reached = reached.lasting(USUAL)
         left = excess(judge(_after(prospect, added, reached)), _CLOSE * target)

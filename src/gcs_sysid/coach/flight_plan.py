@@ -10,7 +10,7 @@ from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library, motion
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import RATE, SPEED_STD, PriorVehicle, prior_noise
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, DELAY, LAG
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 
 HOVER = 5.0
 """s of quiet hover at the start."""
@@ -97,7 +97,11 @@ def make_plan(
         target: share to reach.
         limits: of the maneuvers.
     """
-    free = (DELAY, LAG, CURVE) if prior_vehicle.craft.commands else (DELAY,)
+    free = (
+        (Coordinate.DELAY, Coordinate.LAG, Coordinate.CURVE)
+        if prior_vehicle.craft.commands
+        else (Coordinate.DELAY,)
+    )
     prospect = predicted_information(
         Fit(None, None, HOVER), prior_vehicle, prior_noise(prior_vehicle.craft), free
     )

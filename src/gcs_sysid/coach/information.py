@@ -16,14 +16,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    CURVE,
-    DELAY,
-    LAG,
-    N_COORDINATES,
-    ROTOR_COLUMNS,
-)
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, ROTOR_COLUMNS
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -219,10 +213,10 @@ def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) ->
     changes[: rb.N_THETA] = G @ spectrum
     rotors = list(ROTOR_COLUMNS)
     driven = Q[:, rotors] @ spectrum[rotors]
-    changes[rb.N_THETA + DELAY] = 1j * omega * driven
+    changes[Unknown.DELAY] = 1j * omega * driven
     if craft.commands:
-        changes[rb.N_THETA + LAG] = -1j * omega / (1.0 + 1j * omega * lag) * driven
-        changes[rb.N_THETA + CURVE] = Q[:, :4] @ np.fft.rfft(_bent(motion, craft), axis=0).T / n
+        changes[Unknown.LAG] = -1j * omega / (1.0 + 1j * omega * lag) * driven
+        changes[Unknown.CURVE] = Q[:, :4] @ np.fft.rfft(_bent(motion, craft), axis=0).T / n
     assert len(changes) == rb.N_THETA + N_COORDINATES
     weight = np.linalg.inv(noise.at(omega))
     # All but the constant (and the fastest) stand for a negative frequency as well.

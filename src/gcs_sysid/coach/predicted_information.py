@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
-from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.search import COORDINATE_MEAN
 from gcs_sysid.estimation.fit.translation import TranslationFit
@@ -20,7 +20,7 @@ from gcs_sysid.estimation.noise.uncertainty import bartlett
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.thrust_estimator import MIN_MOMENTUM_SECONDS
 from gcs_sysid.estimation.parameters.status import RULES
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAG
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
@@ -165,9 +165,12 @@ def predicted_information(
     if not (rb.is_physical(theta) and theta[rb.MOMENT_RATIO] > 0.0):
         theta = prior_vehicle.craft.theta
     coordinates = unknowns[COORDINATES].copy()
-    coordinates[LAG] = max(coordinates[LAG], 0.0)
+    coordinates[Coordinate.LAG] = max(coordinates[Coordinate.LAG], 0.0)
     craft = replace(
-        prior_vehicle.craft, theta=theta, thrust=GRAVITY / kappa, curve=float(coordinates[CURVE])
+        prior_vehicle.craft,
+        theta=theta,
+        thrust=GRAVITY / kappa,
+        curve=float(coordinates[Coordinate.CURVE]),
     )
     return PredictedInformation(fit, craft, noise, information, freedom, coordinates, free, kappa)
 
@@ -187,7 +190,7 @@ def _information_of(
         else:
             # Whitened rows of commands have asymmetry and exponent of the lag besides.
             every = np.arange(N_UNKNOWNS)
-            curve = rb.N_THETA + CURVE
+            curve = Unknown.CURVE
             widening[every if curve in free else np.delete(every, curve)] = own
         freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)

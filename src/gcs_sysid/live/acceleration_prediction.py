@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.record.tuning import COMMANDS, Tuning
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, DELAY, LAG, ActuatorDynamics
+from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordinate
 from gcs_sysid.estimation.rows.rotor_signals import RotorInput, RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.results.snapshot import Acceleration
@@ -88,7 +88,7 @@ class Rows:
 
 def half_window(dt: float, rotor_input: RotorInput) -> int:
     """Samples on either side of a row's center, as the estimator takes them."""
-    tuning = COMMANDS if rotor_input == "command" else Tuning()
+    tuning = COMMANDS if rotor_input == "command" else EstimatorTuning()
     return max(tuning.min_half_samples, round(tuning.half_width / dt))
 
 
@@ -109,12 +109,12 @@ class Predictor:
     def __init__(self, dt: float, model: Model | None, rotor_input: RotorInput = "speed") -> None:
         self.half = half_window(dt, model.rotor_input if model else rotor_input)
         self.smoother = WindowSmoother(
-            dt, self.half, (0.0 if model is None else float(model.coordinates[DELAY]),)
+            dt, self.half, (0.0 if model is None else float(model.coordinates[Coordinate.DELAY]),)
         )
         self._model = model
         self._path: RotorPath | None = None
         if model is not None:
-            lag, commands = float(model.coordinates[LAG]), model.rotor_input == "command"
+            lag, commands = float(model.coordinates[Coordinate.LAG]), model.rotor_input == "command"
             basis = _basis_of(lag, commands, self.half * dt)
             self._path = RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
 
@@ -125,7 +125,7 @@ class Predictor:
         H = late[:, 4:]
         if self._path is not None and model is not None:
             signals, _, _ = self._path.signals(piece.rotors)
-            curve = float(model.coordinates[CURVE])
+            curve = float(model.coordinates[Coordinate.CURVE])
             late = signals[0]
             if len(signals) > 1:
                 late = (1.0 - curve) * signals[0] + curve * signals[1]
@@ -202,10 +202,10 @@ class LivePrediction:
             self._drop(first, 1.0)
             return
         predictor = Predictor(first.dt, model)
-        settling = _SETTLING * float(model.coordinates[LAG])
+        settling = _SETTLING * float(model.coordinates[Coordinate.LAG])
         if model.gyro_cutoff is not None:
             settling += _LEAST_CUTOFF_CYCLES / model.gyro_cutoff
-        room = predictor.half * first.dt + abs(float(model.coordinates[DELAY]))
+        room = predictor.half * first.dt + abs(float(model.coordinates[Coordinate.DELAY]))
         # As many samples before the first block as its first new row and the filters need.
         self._drop(first, settling + 2.0 * room + (predictor.smoother.step + 3) * first.dt)
         rows = predictor.rows(_joined(samples))

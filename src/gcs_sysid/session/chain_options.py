@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ChainOptions:
         parameters: of the autopilot, as far as they are known beforehand.
     """
 
-    tuning: Tuning = field(default_factory=Tuning)
+    tuning: EstimatorTuning = field(default_factory=EstimatorTuning)
     changes: ChangeTuning | None = field(default_factory=ChangeTuning)
     history_interval: float | None = 0.5
     tick: float = 0.1

@@ -17,7 +17,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAG, LagOf, motor_filter
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf, motor_filter
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.recursions import lfilter
@@ -270,11 +270,11 @@ def reference_of(
         if commands:
             where, std = rot.coordinates, rot.coordinates_std
             actuator = Actuator(
-                float(where[LAG]),
-                float(where[CURVE]),
+                float(where[Coordinate.LAG]),
+                float(where[Coordinate.CURVE]),
                 "command" if rot.lag_place is None else rot.lag_place.of,
-                float(std[LAG]),
-                float(std[CURVE]),
+                float(std[Coordinate.LAG]),
+                float(std[Coordinate.CURVE]),
             )
     stuck = rot is not None and rot.warm_start is not None and rot.warm_start.stuck
     if commands and (actuator is None or stuck):

@@ -14,7 +14,7 @@ from gcs_sysid.estimation.changes.change_reference import Reference
 from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.changes.early_change import actuator_of, early_change
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.rotor_signals import RotorInput
 from gcs_sysid.signals.samples import Samples
 
@@ -68,7 +68,9 @@ class ChangeWatch:
         tuning: of the estimator whose fits are the reference.
     """
 
-    def __init__(self, geometry: Array, dt: float, changes: ChangeTuning, tuning: Tuning) -> None:
+    def __init__(
+        self, geometry: Array, dt: float, changes: ChangeTuning, tuning: EstimatorTuning
+    ) -> None:
         self._dt, self._changes, self._tuning = dt, changes, tuning
         self._geometry = geometry
         self._detector = ChangeDetector(

@@ -22,7 +22,7 @@ from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, 
 from gcs_sysid.estimation.changes.change_window import TUNING, History, Window
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.search import COORDINATE_MEAN, COORDINATE_STD
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAG, LagOf
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf
 from gcs_sysid.signals.samples import Samples
 
 _FRAME = 0.15
@@ -43,7 +43,7 @@ def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
     """
     mean, std = COORDINATE_MEAN.copy(), COORDINATE_STD.copy()
     if len(curves) == 1:
-        mean[CURVE], std[CURVE] = curves[0], 0.0
+        mean[Coordinate.CURVE], std[Coordinate.CURVE] = curves[0], 0.0
     lag_of: LagOf = "command"
     if fit is not None and not (fit.warm_start is not None and fit.warm_start.stuck):
         known = fit.coordinates_std < std
@@ -51,7 +51,11 @@ def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
         std = np.where(known, fit.coordinates_std, std)
         lag_of = lag_of if fit.lag_place is None else fit.lag_place.of
     return Actuator(
-        float(mean[LAG]), float(mean[CURVE]), lag_of, float(std[LAG]), float(std[CURVE])
+        float(mean[Coordinate.LAG]),
+        float(mean[Coordinate.CURVE]),
+        lag_of,
+        float(std[Coordinate.LAG]),
+        float(std[Coordinate.CURVE]),
     )
 
 

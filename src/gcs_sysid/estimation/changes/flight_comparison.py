@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
@@ -156,5 +156,5 @@ def _thrust(before: Fit, now: Fit) -> tuple[float, float] | None:
     if before.rotation is not None:
         # The curve is one: its error moves both alike, but for how near full thrust they hover.
         slopes = b.curve_slope / b.kappa - a.curve_slope / a.kappa
-        variance += (slopes * float(before.rotation.coordinates_std[CURVE])) ** 2
+        variance += (slopes * float(before.rotation.coordinates_std[Coordinate.CURVE])) ** 2
     return b.kappa / a.kappa, variance

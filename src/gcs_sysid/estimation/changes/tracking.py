@@ -30,8 +30,8 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import accelerometer_gain
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator, PriorSource
-from gcs_sysid.estimation.record.tuning import Tuning
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
@@ -139,7 +139,7 @@ class Tracker:
         self,
         geometry: Array,
         dt: float,
-        tuning: Tuning,
+        tuning: EstimatorTuning,
         changes: ChangeTuning | None = None,
         prior: PriorSource | None = None,
         *,
@@ -173,7 +173,7 @@ class Tracker:
         self._newest = -np.inf
 
     @property
-    def tuning(self) -> Tuning:
+    def tuning(self) -> EstimatorTuning:
         """Of the estimators."""
         return self._tuning
 
@@ -508,7 +508,7 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
 def _of_rotors(before: Fit) -> Prior | None:
     """Prior on delay, lag and thrust curve for other flights, from a fit on commands."""
     rotation = before.rotation
-    if rotation is None or not rotation.coordinates_std[CURVE]:
+    if rotation is None or not rotation.coordinates_std[Coordinate.CURVE]:
         return None
     covariance = rotation.full_covariance.copy()
     covariance[: rb.N_THETA] = covariance[:, : rb.N_THETA] = 0.0

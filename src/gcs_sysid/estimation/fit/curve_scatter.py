@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.axis_problem import AxisProblem, minimize_axes
-from gcs_sysid.estimation.fit.priors import CURVE
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 
 _STRETCHES = 3
@@ -33,10 +33,10 @@ def curve_scatter(
         counts: (k,) rows in each.
     """
     nothing = np.zeros(problem.p)
-    if CURVE not in problem.free or len(counts) < _STRETCHES:
+    if Unknown.CURVE not in problem.free or len(counts) < _STRETCHES:
         return nothing
     own = fit.extended_covariance[np.ix_(problem.free, problem.free)]
-    at = int(np.flatnonzero(problem.free == CURVE)[0])
+    at = int(np.flatnonzero(problem.free == Unknown.CURVE)[0])
     if not own[at, at] > 0.0:
         return nothing
     ends = np.cumsum(counts)
@@ -52,7 +52,7 @@ def curve_scatter(
     )
     unknowns = np.concatenate([fit.unknowns, fit.deviations])
     point, _ = minimize_axes(others, np.tile(unknowns, (_STRETCHES, 1)), _STEPS)
-    curves = point.unknowns[:, CURVE]
+    curves = point.unknowns[:, Unknown.CURVE]
     variance = (_STRETCHES - 1) * float(curves.var()) - own[at, at]
     along: Array = own[:, at] / own[at, at] * np.sqrt(max(variance, 0.0))
     return along

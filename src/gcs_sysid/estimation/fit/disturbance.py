@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import CURVE
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.search import scales
 from gcs_sysid.estimation.noise.whitening import Whitener
@@ -39,7 +39,7 @@ RULES = DisturbanceRules()
 
 
 @dataclass(frozen=True)
-class Trial:
+class BankTrial:
     """The fit to the data under every whitener.
 
     Attributes:
@@ -146,9 +146,9 @@ def curve_doubt(fit: RotationFit) -> Array:
 def along_curve(fit: RotationFit, off: float) -> Array:
     """(N_UNKNOWNS,) what all unknowns err by where a fit's thrust curve is off by so much."""
     full = fit.full_covariance
-    if full[CURVE, CURVE] <= 0.0:
+    if full[Unknown.CURVE, Unknown.CURVE] <= 0.0:
         return np.zeros(len(full))
-    along: Array = full[:, CURVE] / full[CURVE, CURVE] * off
+    along: Array = full[:, Unknown.CURVE] / full[Unknown.CURVE, Unknown.CURVE] * off
     return along
 
 

@@ -6,18 +6,27 @@ open. It is kept as information, the inverse of a covariance, so that nothing kn
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES
+from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, Coordinate
 from gcs_sysid.model import rigid_body as rb
 
 N_UNKNOWNS = rb.N_THETA + N_COORDINATES
 """theta, then the coordinates: rotor delay, motor lag, thrust curve, and the lag's nuisances."""
 COORDINATES = slice(rb.N_THETA, N_UNKNOWNS)
-DELAY, LAG, CURVE, ASYMMETRY, EXPONENT = range(rb.N_THETA, N_UNKNOWNS)
-"""Their indices among the unknowns."""
+
+
+class Unknown(IntEnum):
+    """Indices of the coordinates among the unknowns; theta's are those of `rigid_body`."""
+
+    DELAY = rb.N_THETA + Coordinate.DELAY
+    LAG = rb.N_THETA + Coordinate.LAG
+    CURVE = rb.N_THETA + Coordinate.CURVE
+    ASYMMETRY = rb.N_THETA + Coordinate.ASYMMETRY
+    EXPONENT = rb.N_THETA + Coordinate.EXPONENT
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class Prior:
     def thrust_curve(self) -> tuple[float, float]:
         """Mean and standard deviation; NaN and infinity where nothing is known."""
         known = np.flatnonzero(self.known)
-        place = np.flatnonzero(known == CURVE)
+        place = np.flatnonzero(known == Unknown.CURVE)
         if not len(place):
             return np.nan, np.inf
         d = np.sqrt(np.diag(self.information)[known])

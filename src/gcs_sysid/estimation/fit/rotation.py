@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, Deviations
-from gcs_sysid.estimation.fit.priors import COORDINATES, CURVE, LAG, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.search import (
     COORDINATE_STD,
     MAX_ITERATIONS,
@@ -41,8 +41,7 @@ from gcs_sysid.estimation.fit.search import (
 )
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.estimation.noise.whitening import Whitener
-from gcs_sysid.estimation.rows import actuator_dynamics as coordinate
-from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, LagPlace
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordinate, LagPlace
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
@@ -59,7 +58,7 @@ _HALVINGS = 20
 
 
 @dataclass(frozen=True)
-class WarmStart:
+class RotationStart:
     """Warm start for a later fit of the same, longer record.
 
     Attributes:
@@ -116,7 +115,7 @@ class RotationFit:
     leak: int = 0
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
-    warm_start: WarmStart | None = None
+    warm_start: RotationStart | None = None
     whiteners: tuple[Whitener, ...] = ()
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
     deviations: Array = field(default_factory=lambda: np.zeros(0))
@@ -176,12 +175,12 @@ class RotationFit:
     @property
     def delay(self) -> float:
         """s, of the rotor stream behind the IMU stream."""
-        return float(self.coordinates[coordinate.DELAY])
+        return float(self.coordinates[Coordinate.DELAY])
 
     @property
     def delay_std(self) -> float:
         """s; zero where the delay was not estimated."""
-        return float(self.coordinates_std[coordinate.DELAY])
+        return float(self.coordinates_std[Coordinate.DELAY])
 
 
 def fit_rotation(
@@ -498,18 +497,25 @@ class Outcome:
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales
         full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
-        if problem.basis.curve_doubt and CURVE in problem.free:
+        if problem.basis.curve_doubt and Unknown.CURVE in problem.free:
             # Were the curve another, all unknowns would go with it.
-            along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
+            along = (
+                full[:, :, Unknown.CURVE]
+                / full[:, Unknown.CURVE, Unknown.CURVE, None]
+                * problem.basis.curve_doubt
+            )
             full += along[:, :, None] * along[:, None, :]
         r_squared = self._explained()
         stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
-        if problem.basis.commands and CURVE in problem.free:
+        if problem.basis.commands and Unknown.CURVE in problem.free:
             # A fit that explains an axis worse than nothing is in a false minimum.
             astray = stuck | (r_squared.min(axis=1) < _ABSURD)
             for i in np.flatnonzero(astray).tolist():
                 # There curve and lag are what they ordinarily are.
-                for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
+                for place, std in (
+                    (Unknown.CURVE, COORDINATE_STD[Coordinate.CURVE]),
+                    (Unknown.LAG, COORDINATE_STD[Coordinate.LAG]),
+                ):
                     if full[i, place, place] > 0.0:
                         along = full[i, :, place] / full[i, place, place] * std
                         full[i] += np.outer(along, along)
@@ -526,7 +532,7 @@ class Outcome:
                 leak=leak,
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
-                warm_start=WarmStart(self._unknowns[i], spread[i], widening[i], bool(stuck[i])),
+                warm_start=RotationStart(self._unknowns[i], spread[i], widening[i], bool(stuck[i])),
                 deviations=unknowns[i, N_UNKNOWNS:],
                 extended_covariance=every[i],
             )

@@ -51,7 +51,7 @@ _ROWS_IN_WINDOW = 3.0
 
 
 @dataclass(frozen=True)
-class Gain:
+class AccelerometerGain:
     """Of the accelerometer against momentum balance, with its relative standard deviation."""
 
     value: float
@@ -59,7 +59,7 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class WarmStart:
+class MomentumStart:
     """Warm start for a later fit of the same, longer record.
 
     Attributes:
@@ -89,7 +89,7 @@ class TranslationFit:
     delta: float
     delta_std: float
     source: Literal["momentum", "accelerometer"]
-    warm_start: WarmStart | None = None
+    warm_start: MomentumStart | None = None
     curve_slope: float = 0.0
     """Change of kappa with the thrust curve, where that is estimated."""
     quickness: float = 0.0
@@ -99,7 +99,7 @@ class TranslationFit:
     wind: float = 0.0
     """m/s^2, steady horizontal acceleration that thrust and drag leave: drag by wind, mostly."""
     unbiased: float = np.nan
-    """Of the accelerometer: kappa as if it had no bias, which is what a `Gain` belongs to."""
+    """Of the accelerometer: kappa as if it had no bias, to which an `AccelerometerGain` applies."""
 
 
 def fit_momentum(
@@ -156,7 +156,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
             float(deltas[i]),
             float(delta_stds[i]),
             "momentum",
-            WarmStart(weights, inflated),
+            MomentumStart(weights, inflated),
             quickness=float(balance.quickness[i]),
             wind=float(wind[i]),
         )
@@ -179,7 +179,7 @@ def _tilt_shares(balance: "_Balance") -> Array:
 
 def accelerometer_gain(
     momentum: TranslationFit | None, accelerometer: TranslationFit | None
-) -> Gain | None:
+) -> AccelerometerGain | None:
     """How the accelerometer's kappa must be scaled to agree with momentum balance.
 
     In flight both sides of its bias, b and the mean specific force g, stay the same when the mass
@@ -187,14 +187,14 @@ def accelerometer_gain(
     """
     if momentum is None or accelerometer is None or momentum.source != "momentum":
         return None
-    return Gain(
+    return AccelerometerGain(
         momentum.kappa / accelerometer.unbiased,
         float(np.hypot(momentum.kappa_std / momentum.kappa, GAIN_DRIFT)),
     )
 
 
 def fit_accelerometer(
-    batches: Array, counts: NDArray[np.int64], gain: Gain | None = None
+    batches: Array, counts: NDArray[np.int64], gain: AccelerometerGain | None = None
 ) -> TranslationFit | None:
     """Fit thrust over mass to the accelerometer's z axis alone.
 

@@ -20,7 +20,7 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimize_axes
 from gcs_sysid.estimation.fit.curve_scatter import curve_scatter
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
-from gcs_sysid.estimation.fit.disturbance import RULES, Trial
+from gcs_sysid.estimation.fit.disturbance import RULES, BankTrial
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.rotation import BLIND_STEP, RotationFit
 from gcs_sysid.estimation.fit.search import first_guess, residual_maker, scales
@@ -274,7 +274,7 @@ def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None
 
 
 @dataclass(frozen=True)
-class Reference:
+class ShockReference:
     """Where the fit starts by which the next batches are judged.
 
     Attributes:
@@ -291,8 +291,12 @@ class Reference:
 
 
 def shocks_in(
-    data: WhitenedMoments, basis: ActuatorDynamics, start: Reference | None, *, quick: bool = False
-) -> tuple[Mask, Reference | None]:
+    data: WhitenedMoments,
+    basis: ActuatorDynamics,
+    start: ShockReference | None,
+    *,
+    quick: bool = False,
+) -> tuple[Mask, ShockReference | None]:
     """(k,) which batches are to be left out, by a fit to these batches alone, where one is needed.
 
     Args:
@@ -325,10 +329,10 @@ def shocks_in(
     problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
     point, _ = minimize_axes(problem, unknowns, limit)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
-    return shocks, Reference(point.unknowns[0], pick, point.variance[0], age)
+    return shocks, ShockReference(point.unknowns[0], pick, point.variance[0], age)
 
 
-def _is_calm(before: Reference, data: WhitenedMoments, basis: ActuatorDynamics) -> bool:
+def _is_calm(before: ShockReference, data: WhitenedMoments, basis: ActuatorDynamics) -> bool:
     """Whether the fit before shows, without another, that no batch holds a shock."""
     TP = residual_maker(rb.forward_matrix(before.unknowns[: rb.N_THETA])) @ basis.map_at(
         before.unknowns[COORDINATES]
@@ -346,7 +350,7 @@ class _Solved:
     point: AxisPoint
     converged: bool
     pick: tuple[int, ...]
-    trial: Trial
+    trial: BankTrial
 
     @property
     def cost(self) -> float:
@@ -368,7 +372,7 @@ def _solved(
     data: WhitenedMoments,
     basis: ActuatorDynamics,
     prior: Prior | None,
-    trial: Trial,
+    trial: BankTrial,
     deviations: Deviations,
 ) -> _Solved:
     """Fit with the whiteners of a trial; and once more, should others be better there."""
@@ -399,7 +403,7 @@ def _tried(
     unknowns: Array,
     limit: int = _AGAIN,
     deviations: Deviations = NO_DEVIATIONS,
-) -> Trial:
+) -> BankTrial:
     """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
     fitted = unknowns if unknowns.ndim == 1 else None
     unknowns = np.broadcast_to(unknowns, (len(total), unknowns.shape[-1]))
@@ -415,7 +419,7 @@ def _tried(
     tried = point.unknowns.copy()
     if basis.commands:
         tried[:, COORDINATES] = at  # plain rows have none
-    return Trial(data.whiteners, data.time, tried, alike, point.hessian)
+    return BankTrial(data.whiteners, data.time, tried, alike, point.hessian)
 
 
 def _chosen(
@@ -489,7 +493,7 @@ def _scanned(
     data: WhitenedMoments,
     basis: ActuatorDynamics,
     prior: Prior | None,
-) -> Trial | None:
+) -> BankTrial | None:
     """From the data alone: every node with every whitener, then all whiteners at the best one."""
     nodes = basis.nodes
     every = max(len(total) * len(nodes) // _SCANNED, 1)

@@ -147,7 +147,7 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
     # that the model misses, which is process noise.
     best, best_score = AxisNoise(MIN_STD, None, 0.0, 0.0), np.inf
     for color, process, moment in product((0, 1, 2), (False, True), (False, True)):
-        spectrum = _Spectrum(one, cos, fixed, dt, color, process, moment)
+        spectrum = _NoiseSpectrum(one, cos, fixed, dt, color, process, moment)
         values = spectrum.start(float(level))
         misfit, values = _maximize(spectrum, power, values)
         score = misfit + 0.5 * len(values) * np.log(len(power))
@@ -161,7 +161,7 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
 
 
 @dataclass(frozen=True)
-class _Spectrum:
+class _NoiseSpectrum:
     """A family of spectra of gyro increments, over (3, k) frequencies: bins with neighbors.
 
     Unknowns, in this order: log white_std; from color 1 on log corner; with color 2 the logit
@@ -251,7 +251,7 @@ class _Spectrum:
         return mean, np.stack([np.tensordot(_HANN, slope, 1) for slope in slopes], axis=1)
 
 
-def _maximize(spectrum: _Spectrum, power: Array, values: Array) -> tuple[float, Array]:
+def _maximize(spectrum: _NoiseSpectrum, power: Array, values: Array) -> tuple[float, Array]:
     """Fisher scoring with Levenberg-Marquardt damping; minus log likelihood and the unknowns."""
     damping = 1e-3
     values = spectrum.limits(values)
@@ -283,7 +283,7 @@ def _maximize(spectrum: _Spectrum, power: Array, values: Array) -> tuple[float, 
 
 
 @dataclass(frozen=True)
-class Whitener:
+class KalmanWhitener:
     """The Kalman filter's gains for one run; they do not depend on the measurements.
 
     Attributes:
@@ -343,7 +343,7 @@ class Whitener:
 
 def make_whitener(
     noise: Noise, known: Array, by_rate: Array, rate_std: Array, dt: float
-) -> Whitener:
+) -> KalmanWhitener:
     """Run the filter's covariances through one gapless run.
 
     Args:
@@ -406,7 +406,7 @@ def make_whitener(
     # F - K H
     loops = F.copy()
     loops[..., :_N] -= np.concatenate([gains, -gains, gains], axis=-1)
-    return Whitener(
+    return KalmanWhitener(
         np.linalg.inv(factors), 2.0 * float(np.log(diagonal).sum()), loops, gains, covariances
     )
 

@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.noise.uncertainty import sandwich
 from gcs_sysid.estimation.offline.innovations import (
     AxisNoise,
@@ -35,9 +36,8 @@ from gcs_sysid.estimation.offline.innovations import (
     rough_noise,
 )
 from gcs_sysid.estimation.offline.offline_record import (
-    DELAY,
     MIN_RUN,
-    N_UNKNOWNS,
+    N_FITTED,
     Linearization,
     OfflineRecord,
     Weighed,
@@ -90,7 +90,7 @@ class LikelihoodFit:
     Attributes:
         theta: (N_THETA,) estimate.
         delay: s, of the rotor speeds.
-        covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and delay; from the scatter of the score
+        covariance: (N_FITTED, N_FITTED) of theta and delay; from the scatter of the score
             where residuals are not white.
         bound: (N_THETA,) Cramer-Rao standard deviations of this flight with the fitted noise;
             first rates, gyro biases and the prior, if any, included.
@@ -220,12 +220,12 @@ def cramer_rao_bound(
 def _search(
     record: OfflineRecord, start: Array, prior: Prior | None, progress: Callable[[float], None]
 ) -> LikelihoodFit:
-    mean, weight = np.append(start, record.delay), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    mean, weight = np.append(start, record.delay), np.zeros((N_FITTED, N_FITTED))
     if prior is not None:
         mean[: rb.N_THETA], weight[: rb.N_THETA, : rb.N_THETA] = prior
     free = record.delay_bounds[1] > record.delay_bounds[0]
     # Next to a fixed delay's weight nothing counts.
-    weight[DELAY, DELAY] = 1.0 / (DELAY_STD if free else _FIXED) ** 2
+    weight[Unknown.DELAY, Unknown.DELAY] = 1.0 / (DELAY_STD if free else _FIXED) ** 2
 
     def cost_of(weighed: Weighed, unknowns: Array) -> float:
         off = unknowns - mean
@@ -254,7 +254,7 @@ def _search(
         scatter = weighed.scatter + weight
         # Fast changes of the speeds, noise among them, make more of the delay's information than
         # there is: steps fall short by one share, which two of them show (Aitken).
-        wanted = -float((_inverse(information) @ gradient)[DELAY])
+        wanted = -float((_inverse(information) @ gradient)[Unknown.DELAY])
         short = 0.0 if not before or reweighted else wanted / before
         ahead = 1.0 / (1.0 - short) if 0.2 < short < 0.9 else 1.0
         before, reweighted = (0.0 if ahead > 1.0 else wanted), False
@@ -262,11 +262,13 @@ def _search(
         after: Weighed | None = None
         while found is None and damping < _MAX_DAMPING:
             step = -_inverse(information, damping) @ gradient
-            to = np.clip(unknowns[DELAY] + ahead * step[DELAY], *record.delay_bounds)
-            step[DELAY] = to - unknowns[DELAY]
+            to = np.clip(
+                unknowns[Unknown.DELAY] + ahead * step[Unknown.DELAY], *record.delay_bounds
+            )
+            step[Unknown.DELAY] = to - unknowns[Unknown.DELAY]
             # In standard deviations, squared.
             size = float(step @ scatter @ step)
-            if rb.is_physical(point.theta + step[:DELAY]):
+            if rb.is_physical(point.theta + step[: rb.N_THETA]):
                 candidate = _moved(record, point, weighed, step)
                 if size < _SMALL**2:
                     # The cost changes by less than its linearization's error.
@@ -278,7 +280,7 @@ def _search(
                 if after is not None and cost_of(after, unknowns + step) < most:
                     found = candidate
                     continue
-                record.align(unknowns[DELAY])
+                record.align(unknowns[Unknown.DELAY])
             damping = max(10.0 * damping, 1e-3)
         if found is None:
             break
@@ -351,10 +353,10 @@ def _moved(
     for whitener, gyro, w, by in zip(
         weighed.whiteners, record.gyro, point.rates, point.transitions, strict=True
     ):
-        moved = by.by_theta @ step[:DELAY] + by.by_delay * step[DELAY]
+        moved = by.by_theta @ step[: rb.N_THETA] + by.by_delay * step[Unknown.DELAY]
         rates.append(w + whitener.smooth(gyro - w, by.rates - w[1:] + moved))
-    record.align(record.delay + step[DELAY])
-    return linearize(record, point.theta + step[:DELAY], rates)
+    record.align(record.delay + step[Unknown.DELAY])
+    return linearize(record, point.theta + step[: rb.N_THETA], rates)
 
 
 def _conclude(

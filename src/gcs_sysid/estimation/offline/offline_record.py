@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.offline.innovations import Noise, Whitener, initial_std, make_whitener
+from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.estimation.offline.innovations import (
+    KalmanWhitener,
+    Noise,
+    initial_std,
+    make_whitener,
+)
 from gcs_sysid.estimation.offline.propagation import (
     SPLINE_END,
     Propagator,
@@ -18,9 +24,8 @@ from gcs_sysid.signals.samples import Samples
 
 MIN_RUN = 24
 """Samples; shorter pieces between gaps carry little information and are left out."""
-DELAY = rb.N_THETA
-"""Place of the rotor speeds' delay among the unknowns, behind theta."""
-N_UNKNOWNS = rb.N_THETA + 1
+N_FITTED = Unknown.DELAY + 1
+"""Unknowns: theta, then the delay of the rotor speeds."""
 
 
 class OfflineRecord:
@@ -123,18 +128,18 @@ class Weighed:
     Attributes:
         whiteners: of each run.
         residuals: of each run, (n, 3), white and of unit variance if all is right.
-        sensitivities: of each run, (n, 3, N_UNKNOWNS), their derivatives by theta and delay.
-        excess: (N_UNKNOWNS,) expected gradient at the truth, from noise of the speeds.
-        gradient: (N_UNKNOWNS,) of half the sum of squared residuals, corrected.
-        scatter: (N_UNKNOWNS, N_UNKNOWNS) covariance of the gradient.
-        information: (N_UNKNOWNS, N_UNKNOWNS) expected slope of the gradient.
+        sensitivities: of each run, (n, 3, N_FITTED), their derivatives by theta and delay.
+        excess: (N_FITTED,) expected gradient at the truth, from noise of the speeds.
+        gradient: (N_FITTED,) of half the sum of squared residuals, corrected.
+        scatter: (N_FITTED, N_FITTED) covariance of the gradient.
+        information: (N_FITTED, N_FITTED) expected slope of the gradient.
         squares: half the sum of squared residuals, what the gradient belongs to. Without the
             determinant: noise of the speeds makes that change with theta, and the profile over
             the true speeds has none.
         log_determinant: of the innovations' covariances.
     """
 
-    whiteners: list[Whitener]
+    whiteners: list[KalmanWhitener]
     residuals: list[Array]
     sensitivities: list[Array]
     excess: Array
@@ -160,7 +165,7 @@ def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Arra
     """
     rate_std = initial_std(noise, known, record.dt)
     whiteners, residuals, sensitivities = [], [], []
-    gradient, scatter = np.zeros(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    gradient, scatter = np.zeros(N_FITTED), np.zeros((N_FITTED, N_FITTED))
     squares = log_determinant = 0.0
     for gyro, rates, by in zip(record.gyro, point.rates, point.transitions, strict=True):
         whitener = make_whitener(noise, known, by.by_rate, rate_std, record.dt)
@@ -170,7 +175,7 @@ def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Arra
         measured[..., 0] = gyro - rates
         white = whitener.whiten(measured, steps)
         v, V = white[..., 0], white[..., 1:]
-        columns = V.reshape(-1, N_UNKNOWNS)
+        columns = V.reshape(-1, N_FITTED)
         gradient += columns.T @ v.ravel()
         scatter += columns.T @ columns
         squares += 0.5 * float(np.sum(v * v))
@@ -178,7 +183,7 @@ def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Arra
         whiteners.append(whitener)
         residuals.append(v)
         sensitivities.append(V)
-    information, excess = scatter.copy(), np.zeros(N_UNKNOWNS)
+    information, excess = scatter.copy(), np.zeros(N_FITTED)
     if record.speed_variance.any():
         excess, surplus = _speed_noise_terms(record, point, whiteners)
         information -= surplus
@@ -196,7 +201,7 @@ def weigh(record: OfflineRecord, point: Linearization, noise: Noise, known: Arra
 
 
 def _speed_noise_terms(
-    record: OfflineRecord, point: Linearization, whiteners: list[Whitener]
+    record: OfflineRecord, point: Linearization, whiteners: list[KalmanWhitener]
 ) -> tuple[Array, Array]:
     """What noise of the rotor speeds adds to gradient and information, by expectation.
 
@@ -223,14 +228,14 @@ def _speed_noise_terms(
     by_change = change * G[:, :, dH]
     at = torque @ Q.T
     n = rb.N_THETA
-    excess, surplus = np.zeros(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    excess, surplus = np.zeros(N_FITTED), np.zeros((N_FITTED, N_FITTED))
     excess[:n] = np.einsum("kri,ij,rj->k", by_torque, energy[:3, :3], at)
     excess[:n] += by_change @ energy[3:, 3:] @ (change * Q[:, dH])
     surplus[:n, :n] = np.einsum("kri,ij,lrj->kl", by_torque, energy[:3, :3], by_torque)
     surplus[:n, :n] += by_change @ energy[3:, 3:] @ by_change.T
     # A later stamp moves torque from one interval to the next, as a change of H does.
-    excess[DELAY] = np.einsum("ri,ij,rj->", at, energy[3:, :3], at)
-    surplus[DELAY, DELAY] = np.einsum("ri,ij,rj->", at, energy[3:, 3:], at)
+    excess[Unknown.DELAY] = np.einsum("ri,ij,rj->", at, energy[3:, :3], at)
+    surplus[Unknown.DELAY, Unknown.DELAY] = np.einsum("ri,ij,rj->", at, energy[3:, 3:], at)
     across = np.einsum("kri,ij,rj->k", by_torque, energy[:3, 3:], at)
-    surplus[:n, DELAY] = surplus[DELAY, :n] = across
+    surplus[:n, Unknown.DELAY] = surplus[Unknown.DELAY, :n] = across
     return record.rows * excess, record.rows * surplus

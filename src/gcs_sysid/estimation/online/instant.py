@@ -7,7 +7,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import FitMoments
-from gcs_sysid.estimation.online.whitened_estimator import Followed
+from gcs_sysid.estimation.online.whitened_estimator import WhitenedInstant
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.rows.motor_linearization import MeanThrust
 
@@ -30,14 +30,14 @@ class Instant:
     rotation: Array
     rows: int
     noise: Array
-    whitened: Followed | None
+    whitened: WhitenedInstant | None
     momentum: Array
     momentum_rows: int
     seconds: float
     mean_thrust: MeanThrust | None
 
     @classmethod
-    def of(cls, record: FlightRecord, leak: int, whitened: Followed | None) -> "Instant":
+    def of(cls, record: FlightRecord, leak: int, whitened: WhitenedInstant | None) -> "Instant":
         """Those of now.
 
         Args:

@@ -15,7 +15,7 @@ from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.translation import Gain, TranslationFit
+from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.instant import Instant
@@ -23,8 +23,8 @@ from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
-from gcs_sysid.estimation.record.tuning import Tuning
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.samples import Samples
 
@@ -37,7 +37,7 @@ PriorSource = Callable[[TranslationFit | None], Prior | None]
 
 
 @dataclass(frozen=True)
-class _WarmStart:
+class _SeriesStart:
     """Starting point of a series of quick fits.
 
     Attributes:
@@ -69,7 +69,7 @@ class OnlineEstimator:
         self,
         geometry: Array,
         dt: float,
-        tuning: Tuning,
+        tuning: EstimatorTuning,
         offline: OfflineBank | None = None,
     ) -> None:
         self.dt = dt
@@ -84,19 +84,19 @@ class OnlineEstimator:
             self._record, whitening, self._thrust, geometry, tuning.speed_interval
         )
         self._settle_interval = tuning.settle_interval
-        self._warm_starts: dict[str, _WarmStart] = {}
+        self._warm_starts: dict[str, _SeriesStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None
         self._validation: Validation | None = None
         """The latest of a running flight."""
         self._rigid_body_test_at = 0.0
 
     @property
-    def accelerometer_gain(self) -> Gain | None:
+    def accelerometer_gain(self) -> AccelerometerGain | None:
         """How the accelerometer reads against gravity, from an earlier segment; may be set."""
         return self._thrust.accelerometer_gain
 
     @accelerometer_gain.setter
-    def accelerometer_gain(self, gain: Gain | None) -> None:
+    def accelerometer_gain(self, gain: AccelerometerGain | None) -> None:
         self._thrust.accelerometer_gain = gain
 
     @property
@@ -151,7 +151,7 @@ class OnlineEstimator:
 
     def update(self, samples: Samples) -> None:
         """Take a block of samples; the outcome does not depend on how they are grouped."""
-        for _ in self._record.take(samples):
+        for _ in self._record.add_samples(samples):
             pass
 
     def follow(self, samples: Samples, stops: Sequence[int], series: str = "") -> list[Fit]:
@@ -165,7 +165,7 @@ class OnlineEstimator:
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
-        return self._follow(self._record.take(samples, stops), series)
+        return self._follow(self._record.add_samples(samples, stops), series)
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The estimate from everything so far.
@@ -223,7 +223,7 @@ class OnlineEstimator:
             rotors: of them; None: the fit as it is.
             fit: of the whole record.
         """
-        if rotors is None or CURVE not in self.free:
+        if rotors is None or Coordinate.CURVE not in self.free:
             return fit
         thrust, accelerometer = self.fit_translation(rotors)
         return replace(fit, translation=thrust, accelerometer=accelerometer)
@@ -259,14 +259,14 @@ class OnlineEstimator:
             fits += self._followed(self._warm_starts[series], waiting)
         return fits
 
-    def _is_outdated(self, warm_start: _WarmStart) -> bool:
+    def _is_outdated(self, warm_start: _SeriesStart) -> bool:
         return (
             warm_start.thrust is None
             or warm_start.batches != self._record.batches
             or self._is_rigid_body_test_due()
         )
 
-    def _followed(self, warm_start: _WarmStart, instants: Sequence[Instant]) -> list[Fit]:
+    def _followed(self, warm_start: _SeriesStart, instants: Sequence[Instant]) -> list[Fit]:
         """Quick fits at several instants, from one warm start."""
         if not instants:
             return []
@@ -287,7 +287,7 @@ class OnlineEstimator:
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
 
-    def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
+    def _renewed(self, series: str, warm_start: _SeriesStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self._record, fit.rotation
         assert rot is not None
@@ -302,7 +302,7 @@ class OnlineEstimator:
         trans = self._thrust.with_slope(trans, rot, self.prior)
         return replace(fit, translation=trans, rigid_body_test=rigid_body_test)
 
-    def _settle(self, series: str, before: _WarmStart | None) -> Fit:
+    def _settle(self, series: str, before: _SeriesStart | None) -> Fit:
         """A fit that chooses leak and delay, as a warm start for those to come."""
         self._renew_prior()
         known = before if self.seconds > _WELL_KNOWN else None
@@ -310,7 +310,7 @@ class OnlineEstimator:
         thrust, trans = self._thrust.quick(rot, self.prior)
         if rot is not None and self._record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
-            self._warm_starts[series] = _WarmStart(
+            self._warm_starts[series] = _SeriesStart(
                 rot, thrust, self._record.batches, settle, self._rotation.left_out
             )
         rigid_body_test = self._latest_rigid_body_test(rot)

@@ -15,7 +15,7 @@ from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.whitened_estimator import WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body
 
 MIN_MOMENTUM_SECONDS = 5.0
@@ -33,7 +33,7 @@ class ThrustEstimator:
     """
 
     def __init__(self, record: FlightRecord, whitening: WhitenedEstimator) -> None:
-        self.accelerometer_gain: translation.Gain | None = None
+        self.accelerometer_gain: translation.AccelerometerGain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record, self._basis, self._whitening = record, record.basis, whitening
 
@@ -101,11 +101,13 @@ class ThrustEstimator:
         """(3,) of a fit, or the basis' middle with the thrust curve that is known beforehand."""
         self._record.use_place(None if fit is None else fit.lag_place)
         where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
-        if fit is None and prior is not None and CURVE in self._basis.free:
+        if fit is None and prior is not None and Coordinate.CURVE in self._basis.free:
             curve, _ = prior.thrust_curve
             where = where.copy()
             if np.isfinite(curve):
-                where[CURVE] = np.clip(curve, self._basis.low[CURVE], self._basis.high[CURVE])
+                where[Coordinate.CURVE] = np.clip(
+                    curve, self._basis.low[Coordinate.CURVE], self._basis.high[Coordinate.CURVE]
+                )
         return where
 
     def with_slope(
@@ -125,7 +127,7 @@ class ThrustEstimator:
             prior: what else is known.
             instant: that the fit is of; None: now.
         """
-        if fit is None or (at is None and CURVE not in self._basis.free):
+        if fit is None or (at is None and Coordinate.CURVE not in self._basis.free):
             return fit
         if self._record.whitened is not None and at is not None:
             fit = self._whitening.judged_thrust(fit, at)
@@ -140,23 +142,23 @@ class ThrustEstimator:
                     variance += share * share
                 spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
                 fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
-        if CURVE not in self._basis.free:
+        if Coordinate.CURVE not in self._basis.free:
             return fit
         where = self.coordinates(at, prior)
         total = self._record.momentum.total if instant is None else instant.momentum
         if fit.source == "accelerometer":
             total = self._record.accelerometer.total
-        step = _CURVE_STEP * np.eye(len(where))[CURVE]
+        step = _CURVE_STEP * np.eye(len(where))[Coordinate.CURVE]
         less, more = (
             float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
             for c in (where - step, where + step)
             for mixed in (_mixed(self._basis.thrust_weights(c), total),)
         )
-        change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[Coordinate.CURVE])
         if at is None:
             # Of the curve nothing is known yet but what was known, or what it ordinarily is.
             known = np.inf if prior is None else prior.thrust_curve[1]
-            curve_std = min(known, float(COORDINATE_STD[CURVE]))
+            curve_std = min(known, float(COORDINATE_STD[Coordinate.CURVE]))
             return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
         return replace(fit, curve_slope=float(change))
 

@@ -59,7 +59,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Followed:
+class WhitenedInstant:
     """Moments at one instant.
 
     Attributes:
@@ -135,10 +135,10 @@ class WhitenedEstimator:
         self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
-    def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
+    def instant(self, fit: RotationFit, left_out: LeftOut) -> WhitenedInstant:
         """The moments of now, for `follow`."""
         pick, white = self._white.places(fit.whiteners), self._white
-        return Followed(
+        return WhitenedInstant(
             self.basis,
             white.total[pick] - left_out.moments,
             white.rows - left_out.rows,
@@ -146,7 +146,7 @@ class WhitenedEstimator:
         )
 
     def follow(
-        self, instants: Sequence[Followed], start: RotationFit, prior: Prior | None
+        self, instants: Sequence[WhitenedInstant], start: RotationFit, prior: Prior | None
     ) -> list[RotationFit]:
         """Quick fits at some instants, from an earlier one."""
         return follow_whitened(

@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Mask
 from gcs_sysid.estimation.checks.layout_test import LEAST_RATE
-from gcs_sysid.estimation.fit.priors import CURVE
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.model.parameters import Parameter, RotorInput
@@ -164,7 +164,7 @@ def evidence_of(
 def _motors(fit: Fit, untold: tuple[bool, ...]) -> bool:
     """Whether motors are in doubt that were found from commands and (2,) roll and pitch."""
     assert fit.rotation is not None
-    return any(untold) and bool(fit.rotation.full_covariance[CURVE, CURVE] > 0.0)
+    return any(untold) and bool(fit.rotation.full_covariance[Unknown.CURVE, Unknown.CURVE] > 0.0)
 
 
 def _still(fit: Fit) -> tuple[Mask, tuple[str, ...]]:

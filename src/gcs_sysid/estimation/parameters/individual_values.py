@@ -7,9 +7,8 @@ fit. Where a kind of deviation had no evidence, each has the mean's value.
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE
 from gcs_sysid.model import rigid_body as rb
 
 
@@ -67,6 +66,6 @@ def _linear(fit: RotationFit, maps: Array, bend: float = 0.0) -> tuple[Array, Ar
     covariance, values = fit.extended_covariance, maps @ unknowns
     maps = maps.copy()
     # d (x T) / dc = T (dx / dc + x bend)
-    maps[:, rb.N_THETA + CURVE] += bend * values
+    maps[:, Unknown.CURVE] += bend * values
     variance = np.einsum("ki,ij,kj->k", maps, covariance, maps)
     return values, np.sqrt(np.maximum(variance, 0.0))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.parameters.individual_values import (
@@ -17,7 +18,7 @@ from gcs_sysid.estimation.parameters.individual_values import (
 from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
 from gcs_sysid.estimation.parameters.status import NOTHING, RULES, Value, doubted, judged
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
-from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, CURVE, LAG
+from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import (
     ARM,
@@ -173,7 +174,9 @@ def _scale_values(
     doubt: float,
 ) -> Raw:
     """Mass and k_T or T_max, as far as they are known."""
-    bent = 0.0 if rotation is None else abs(bend) * float(rotation.coordinates_std[CURVE])
+    bent = (
+        0.0 if rotation is None else abs(bend) * float(rotation.coordinates_std[Coordinate.CURVE])
+    )
     found = (
         ("mass", scale.mass, scale.mass_share),
         (THRUST_OF[rotor_input], scale.thrust, scale.thrust_share),
@@ -208,7 +211,7 @@ def _rotation_values(
     out: Raw = {}
     theta, std = rotation.theta.copy(), rotation.std
     theta[rb.MOMENT_RATIO] -= cant
-    n, curve = rb.N_THETA, rb.N_THETA + CURVE
+    n, curve = rb.N_THETA, Unknown.CURVE
     full = rotation.full_covariance
     # Errors of the curve move the relative values and the scale together.
     variance = std**2 + theta * bend * (2.0 * full[:n, curve] + theta * bend * full[curve, curve])
@@ -379,7 +382,7 @@ def _slowness(rotation: RotationFit | None) -> float:
     """
     if rotation is None:
         return 1.0
-    return max(1.0, float(rotation.coordinates[LAG]) / ERRORS.quick_motor)
+    return max(1.0, float(rotation.coordinates[Coordinate.LAG]) / ERRORS.quick_motor)
 
 
 def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
@@ -395,7 +398,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
     std = float(rotation.coordinates_std[which])
     if std == 0.0:
         return Value(value, 0.0, "given")
-    if which == LAG:
+    if which == Coordinate.LAG:
         doubt = ERRORS.lag * value
     p = REGISTRY[name]
     return judged(value, math.hypot(std, doubt), p.reference.size(value, {}), p.sign)

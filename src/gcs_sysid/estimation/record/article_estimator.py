@@ -104,11 +104,11 @@ class ArticleEstimator:
         """Take a block of samples; a missing one ends a run."""
         for run, there in runs(complete_rows(samples.gyro) & complete_rows(samples.speeds)):
             if there:
-                self._take(*self._differentiate(samples.gyro[run], samples.speeds[run]))
+                self._add_run(*self._differentiate(samples.gyro[run], samples.speeds[run]))
             else:
                 self.restart()
 
-    def _take(self, gyro: Array, speeds: Array, accelerations: Array) -> None:
+    def _add_run(self, gyro: Array, speeds: Array, accelerations: Array) -> None:
         rotors, _ = rb.rotor_signals(self._geometry, speeds)
         phi, y = rb.direct_rows(gyro, accelerations, rotors)
         for k in range(len(gyro)):

@@ -16,13 +16,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.disturbance import RULES, along_curve
-from gcs_sysid.estimation.fit.priors import COORDINATES, DELAY, LAG, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import Whitener, bank_for_commands
 from gcs_sysid.estimation.record.tuned_motors import TRUSTED, FirstPlace, TunedRows
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.rows.actuator_dynamics import CURVE, LAGS_OF, LagOf
+from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, Coordinate, LagOf
 from gcs_sysid.estimation.rows.motor_linearization import (
     LocalDynamics,
     MeanThrust,
@@ -65,7 +65,7 @@ _JUMPS = 1.0 / 16.0
 deviation: each falls anywhere between two, and a flight has some twenty. Damping is what such a
 delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
 
-_TIMING = np.array([DELAY, LAG])
+_TIMING = np.array([Unknown.DELAY, Unknown.LAG])
 FitWindow = Callable[[], RotationFit | None]
 """Fits the symmetric window of some instant."""
 _Samples = tuple[Array, Array, Array, Array, Array]
@@ -146,7 +146,7 @@ class CommandRecord:
         """
         return np.zeros_like(self.doubt) if self._now is None else self._now.distance_doubt(fit)
 
-    def take(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
+    def add_samples(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
         """Take samples.
 
         Args:
@@ -309,7 +309,9 @@ class CommandRecord:
         elif found[best].fit.rotation.disturbance.max() > RULES.detected:
             # Between commands less far apart there may be others too, of a loop of another rate:
             # to rows of one step they are a disturbance.
-            along = along_curve(found[best].fit.rotation, float(apart[COORDINATES][CURVE]))
+            along = along_curve(
+                found[best].fit.rotation, float(apart[COORDINATES][Coordinate.CURVE])
+            )
             doubt += np.outer(along, along)
         # Delay and lag trade against each other within a sample: on three flights of PX4's
         # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
@@ -361,7 +363,7 @@ class CommandRecord:
     def _rounded(self, at: Array) -> Array:
         rounded: Array = np.rint(at / _GRID) * _GRID
         if self._curve is not None:
-            rounded[CURVE] = self._curve
+            rounded[Coordinate.CURVE] = self._curve
         return rounded
 
     def _with_all_whiteners(self, tuned: TunedRows, hover: float) -> TunedRows:

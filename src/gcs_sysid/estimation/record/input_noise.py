@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.fit.priors import DELAY, N_UNKNOWNS
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body
@@ -118,12 +118,19 @@ def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> Ro
     """
     powers, n = np.diag(window), rigid_body.N_THETA
     turning = float(powers[_RATES].sum())
-    if not is_sparse(interval) or fit.full_covariance[DELAY, DELAY] <= 0.0 or turning <= 0.0:
+    if (
+        not is_sparse(interval)
+        or fit.full_covariance[Unknown.DELAY, Unknown.DELAY] <= 0.0
+        or turning <= 0.0
+    ):
         return fit
     late = _LATE * interval * max((interval / _SLOW) ** _GROWTH, 1.0)
     quickness = float(powers[-3:-1].sum()) / turning
     off = np.zeros(len(fit.extended_covariance))
-    off[DELAY], off[rigid_body.DAMPING] = late, -late * float(fit.theta[:2].mean()) * quickness
+    off[Unknown.DELAY], off[rigid_body.DAMPING] = (
+        late,
+        -late * float(fit.theta[:2].mean()) * quickness,
+    )
     extended = fit.extended_covariance + np.outer(off, off)
     return replace(
         fit,

@@ -17,18 +17,18 @@ from gcs_sysid.estimation.record import article_estimator as article
 from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.command_record import CommandRecord, FitWindow
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
-from gcs_sysid.estimation.record.tuning import Tuning
+from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import (
-    DELAY,
     LAGS_OF,
     ActuatorDynamics,
+    Coordinate,
     LagOf,
     LagPlace,
 )
 from gcs_sysid.estimation.rows.motor_linearization import MeanThrust
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
-from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker, Rows
+from gcs_sysid.estimation.rows.regression import LeakySums, RegressionRows, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.one_step import step_for
@@ -54,7 +54,7 @@ _NOTED_TIME = 2.0
 """s between notes of the inputs' noise, by which batches are judged: the same however blocks are
 cut."""
 _BATCHES, _FEWER_BATCHES = 512, 256
-"""Rows of commands are wide, and their batches large: fewer are kept apart."""
+"""RegressionRows of commands are wide, and their batches large: fewer are kept apart."""
 
 _SignalsNoise = tuple[Array, Array, float, Array]
 """What noise of the inputs adds to the rotors' signals, as `WhitenedRecord.noise` takes it."""
@@ -85,7 +85,7 @@ class FlightRecord:
         self,
         geometry: Array,
         dt: float,
-        tuning: Tuning,
+        tuning: EstimatorTuning,
         offline: OfflineBank | None = None,
     ) -> None:
         smoother: Smoother
@@ -107,7 +107,7 @@ class FlightRecord:
         self.memories = (0.0,) if tuning.whitens(dt) and not commands else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
-        self._held = _Held(piece, geometry.shape[1])
+        self._held = _SampleBuffer(piece, geometry.shape[1])
         self._noted_every = piece * max(round(_NOTED_TIME / (piece * dt)), 1)
         self._since_noted = 0
         self._note: _SignalsNoise | None = None
@@ -182,7 +182,7 @@ class FlightRecord:
         if self.article:
             self.article.restart()
 
-    def take(self, samples: Samples, stops: Sequence[int] = ()) -> Iterator[None]:
+    def add_samples(self, samples: Samples, stops: Sequence[int] = ()) -> Iterator[None]:
         """Take a block of samples; the outcome does not depend on how they are grouped.
 
         Args:
@@ -198,16 +198,16 @@ class FlightRecord:
         if pieces is None:
             yield from (None for _ in stops)
         else:
-            yield from self._take(pieces, ends)
+            yield from self._add_pieces(pieces, ends)
 
     def flush(self) -> None:
         """Take the samples held back as an incomplete piece."""
         rest = self._held.rest()
         if rest is not None:
-            for _ in self._take(rest, ()):
+            for _ in self._add_pieces(rest, ()):
                 pass
 
-    def _take(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
+    def _add_pieces(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
         """Make rows of all samples at once; add them up from each end to the next."""
         n, every = len(samples.gyro), self._noted_every
         noted = self._of_speeds is not None or self.commands is not None
@@ -230,7 +230,7 @@ class FlightRecord:
                 if self.article:
                     self.article.update(samples.part(piece))
                 if self.commands is not None and made.drift is not None:
-                    self.commands.take(
+                    self.commands.add_samples(
                         made.inputs[piece],
                         samples.gyro[piece],
                         samples.rates[piece],
@@ -272,7 +272,7 @@ class FlightRecord:
         window = fit_rotation(
             self.rotation.batches, self.rotation.counts, self.basis, noise, doubt=self.noise_doubt
         )
-        if window is None or window.coordinates[DELAY] > -_LATE_GYRO:
+        if window is None or window.coordinates[Coordinate.DELAY] > -_LATE_GYRO:
             return
         well = window.r_squared >= _BY_WINDOW
         if not well[:2].all():
@@ -412,7 +412,7 @@ class _Sections:
         leaks: to sum up those of the rotation.
     """
 
-    def __init__(self, rows: Rows, leaks: LeakySums) -> None:
+    def __init__(self, rows: RegressionRows, leaks: LeakySums) -> None:
         self._rotation = leaks.update(rows.rotation)[:, 0]
         self._of_rotation = _places(rows.rotation)
         self._momentum, self._of_momentum = _kept(rows.momentum)
@@ -459,7 +459,7 @@ def _places(rows: Array) -> _Places:
     return np.concatenate([[0], np.cumsum(whole)])
 
 
-class _Held:
+class _SampleBuffer:
     """Samples held back until there are enough for a piece.
 
     Args:

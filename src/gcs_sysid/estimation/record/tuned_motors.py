@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import CURVE, LAG
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.search import COORDINATE_STD, residual_maker
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MotorRows
 
 TRUSTED = 4.0
@@ -69,7 +70,10 @@ class TunedRows:
         doubt = np.zeros_like(fit.full_covariance)
         if self._is_near(fit, TRUSTED):
             return doubt
-        for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
+        for place, std in (
+            (Unknown.CURVE, COORDINATE_STD[Coordinate.CURVE]),
+            (Unknown.LAG, COORDINATE_STD[Coordinate.LAG]),
+        ):
             own = fit.full_covariance[place, place]
             if own > 0.0:
                 along = fit.full_covariance[:, place] / own * std

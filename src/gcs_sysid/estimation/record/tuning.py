@@ -19,7 +19,7 @@ behind 80 Hz keep their intervals, behind 60 Hz Izz is no longer identified, beh
 
 
 @dataclass(frozen=True)
-class Tuning:
+class EstimatorTuning:
     """Settings of the online estimator.
 
     Attributes:
@@ -75,7 +75,7 @@ class Tuning:
         )
 
 
-COMMANDS = Tuning(
+COMMANDS = EstimatorTuning(
     # Commands answer to the gyro's noise: a longer window lets less of that back in.
     half_width=0.2,
     rotor_input="command",
@@ -84,11 +84,11 @@ COMMANDS = Tuning(
     lags=(0.0, 0.012, 0.025, 0.04, 0.06, 0.085, 0.13),
     curves=(-0.2, 1.2),
 )
-"""Tuning for commands as the rotors' input."""
+"""EstimatorTuning for commands as the rotors' input."""
 
 
-def tuning_for_commands(dt: float) -> Tuning:
-    """Tuning for commands that come every `dt` s.
+def tuning_for_commands(dt: float) -> EstimatorTuning:
+    """EstimatorTuning for commands that come every `dt` s.
 
     Aliased noise has all frequencies, the motion is slow: a leak weighs most what is certain, and
     least the error of the aliased part.

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import DELAY
-from gcs_sysid.estimation.fit.whitened_fit import Reference, least_power, shocks_in
+from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.estimation.fit.whitened_fit import ShockReference, least_power, shocks_in
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank, WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import (
@@ -87,7 +87,7 @@ class WhitenedRecord:
         self._narrows = not basis.commands
         self.narrowed = False
         """Whether whiteners and delays are fewer than at first: their numbers changed."""
-        self._reference: Reference | None = None
+        self._reference: ShockReference | None = None
         self.total = np.zeros(shape)
         """(bank, width, width) sum over all rows, shocks included; not to be written to."""
         self.rows = 0
@@ -219,7 +219,7 @@ class WhitenedRecord:
         # The last quarter-minute, which they were picked for, may be unlike the rest.
         picked = least_power(self.moments(noise), self.basis, reference.unknowns)
         keep = essential(self.whiteners, (*reference.pick, *picked))
-        away = np.abs(self.basis.delays - reference.unknowns[DELAY])
+        away = np.abs(self.basis.delays - reference.unknowns[Unknown.DELAY])
         delays = np.sort(np.argsort(away, kind="stable")[:_DELAYS])
         per_delay = self.basis.sets * SIGNALS
         rotors = np.arange(self.basis.width - BODY).reshape(-1, per_delay)[delays].ravel()

@@ -28,6 +28,7 @@ however small.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from itertools import product
 from typing import Literal, get_args
@@ -43,8 +44,17 @@ COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve", "lag_asymmetry",
 """Of the coordinates d, tau, c as in `model.parameters`, and of e and p, which only
 `motor_linearization` has; they are nuisances."""
 N_COORDINATES = len(COORDINATE_NAMES)
-DELAY, LAG, CURVE, ASYMMETRY, EXPONENT = range(N_COORDINATES)
-"""Their indices."""
+
+
+class Coordinate(IntEnum):
+    """Indices of the coordinates; among all unknowns they are those of `fit.priors.Unknown`."""
+
+    DELAY = 0
+    LAG = 1
+    CURVE = 2
+    ASYMMETRY = 3
+    EXPONENT = 4
+
 
 WIDTH = rb.N_SIGNALS + 3
 """Of a row [x, y]."""
@@ -110,9 +120,9 @@ the signals next to nothing (1e-5)."""
 
 def _differentiated(passed: Array, omega: Array, lag: Array, by: int | None) -> Array:
     """(K, n) responses at (K,) lags, differentiated by delay or lag or not."""
-    if by == DELAY:
+    if by == Coordinate.DELAY:
         passed = passed * (1j * omega)
-    elif by == LAG:
+    elif by == Coordinate.LAG:
         passed = passed * (-1j * omega / (1.0 + 1j * omega * lag[:, None]))
     return passed
 
@@ -232,12 +242,14 @@ class _Span:
         """
         made: dict[int | None, Array] = {}
         for place in by:
-            own = place if place in (DELAY, LAG) else None
+            own = place if place in (Coordinate.DELAY, Coordinate.LAG) else None
             if own not in made:
                 made[own] = targets.by(own, squared=self._squared) @ self._of_target.T
                 if own is None:
                     made[own] += self._of_sum
-        return [made[place if place in (DELAY, LAG) else None] for place in by]
+        return [
+            made[place if place in (Coordinate.DELAY, Coordinate.LAG) else None] for place in by
+        ]
 
     def weights(self, delay: Array, lag: Array) -> Array:
         """(K, k) for (K,) delays and lags."""
@@ -423,7 +435,7 @@ class ActuatorDynamics:
     def middle(self) -> int:
         """The node nearest to no delay, and to the middle of lags and curves."""
         center = 0.5 * (self.low + self.high)
-        center[DELAY] = 0.0
+        center[Coordinate.DELAY] = 0.0
         span = np.where(self.high > self.low, self.high - self.low, 1.0)
         return int(np.argmin((((self.nodes - center) / span) ** 2).sum(axis=1)))
 
@@ -434,9 +446,9 @@ class ActuatorDynamics:
         free coordinates.
         """
         K, by = len(at), (None, *self.free)
-        targets = self._span.targets(at[:, DELAY], at[:, LAG])
+        targets = self._span.targets(at[:, Coordinate.DELAY], at[:, Coordinate.LAG])
         filters = np.stack(self._span.weights_by(targets, by), axis=1)
-        mixtures = np.stack([self._mixture(at[:, CURVE], i) for i in by], axis=1)
+        mixtures = np.stack([self._mixture(at[:, Coordinate.CURVE], i) for i in by], axis=1)
         rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
         maps = np.zeros((K, len(by), WIDTH, self.width))
         for place, column in enumerate(ROTOR_COLUMNS):
@@ -460,10 +472,10 @@ class ActuatorDynamics:
         """(K, bent lags) weights of the bends at (K, 3) coordinates, or their derivatives."""
         if self._bent_span is None:
             return [np.empty((len(at), 0)) for _ in by]
-        k, change = self.lag_place.bend(at[:, CURVE])
+        k, change = self.lag_place.bend(at[:, Coordinate.CURVE])
         every = self._bent_span.weights_by(targets, by)
         return [
-            (change if i == CURVE else k)[:, None] * weights[:, 1:]
+            (change if i == Coordinate.CURVE else k)[:, None] * weights[:, 1:]
             for i, weights in zip(by, every, strict=True)
         ]
 
@@ -494,9 +506,9 @@ class ActuatorDynamics:
         """(thrusts,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
         if not self.commands:
             return np.ones(1)
-        targets = self._lag_span.targets(np.zeros(1), at[LAG : LAG + 1])
+        targets = self._lag_span.targets(np.zeros(1), at[Coordinate.LAG : Coordinate.LAG + 1])
         weights = self._lag_span.weights_by(targets, (None,))[0]
-        mixture = self._mixture(at[CURVE : CURVE + 1], None)
+        mixture = self._mixture(at[Coordinate.CURVE : Coordinate.CURVE + 1], None)
         bent = self._bent(at[None], (None,), targets)[0][0]
         return np.concatenate([np.outer(weights, mixture).ravel(), bent])
 
@@ -510,7 +522,7 @@ class ActuatorDynamics:
         one = np.ones_like(curve)
         if not self.commands:
             return one[:, None]
-        if by == CURVE:
+        if by == Coordinate.CURVE:
             return np.stack([-one, one], axis=1)
         return np.stack([1.0 - curve, curve], axis=1)
 

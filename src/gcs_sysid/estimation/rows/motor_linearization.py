@@ -26,16 +26,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.rows.actuator_dynamics import (
-    ASYMMETRY,
-    CURVE,
-    DELAY,
-    EXPONENT,
-    LAG,
     N_COORDINATES,
     ROTOR_COLUMNS,
     SIGNALS,
     WIDTH,
     ActuatorDynamics,
+    Coordinate,
     LagOf,
     LagPlace,
 )
@@ -87,19 +83,19 @@ class LocalDynamics(ActuatorDynamics):
         self.at = np.clip(at, LOW, HIGH)
         self.commands = True
         self.lag_place = LagPlace(of)
-        self.free = tuple(i for i in range(N_COORDINATES) if curve or i != CURVE)
+        self.free = tuple(i for i in range(N_COORDINATES) if curve or i != Coordinate.CURVE)
         self.low, self.high = LOW, HIGH
         self.nodes = self.at[None]
         self.moved = _MOVED.copy()
         """(N_COORDINATES,) by how much each is moved for its derivative."""
-        self.moved[LAG] = 0.05 * self.at[LAG]
+        self.moved[Coordinate.LAG] = 0.05 * self.at[Coordinate.LAG]
         self.spacing = max(round(_SPACING / dt), 1)
         """Samples between delays."""
-        self.moved[DELAY] = self.spacing * dt
-        self.late_by = round(float(self.at[DELAY]) / dt)
+        self.moved[Coordinate.DELAY] = self.spacing * dt
+        self.late_by = round(float(self.at[Coordinate.DELAY]) / dt)
         """Samples of delay in the middle."""
         self._middle = self.late_by * dt
-        self.varied = tuple(i for i in self.free if i != DELAY)
+        self.varied = tuple(i for i in self.free if i != Coordinate.DELAY)
         """Those moved."""
         self.sets = 3 + len(self.varied)
         self.late = self.sets * _OWN
@@ -107,15 +103,18 @@ class LocalDynamics(ActuatorDynamics):
 
     def weights(self, at: Array, by: int | None = None) -> Array:
         """(K, sets) of the point, of both delays, and of every other, at (K, N_COORDINATES)."""
-        x = (at[:, DELAY] - self._middle) / self.moved[DELAY]
+        x = (at[:, Coordinate.DELAY] - self._middle) / self.moved[Coordinate.DELAY]
         out = np.zeros((len(at), self.sets))
         if by is None:
             out[:, 0] = 1.0
             out[:, 1], out[:, 2] = 0.5 * (x * x - x), 0.5 * (x * x + x)
             for place, i in enumerate(self.varied, 3):
                 out[:, place] = (at[:, i] - self.at[i]) / self.moved[i]
-        elif by == DELAY:
-            out[:, 1], out[:, 2] = (x - 0.5) / self.moved[DELAY], (x + 0.5) / self.moved[DELAY]
+        elif by == Coordinate.DELAY:
+            out[:, 1], out[:, 2] = (
+                (x - 0.5) / self.moved[Coordinate.DELAY],
+                (x + 0.5) / self.moved[Coordinate.DELAY],
+            )
         else:
             out[:, 3 + self.varied.index(by)] = 1.0 / self.moved[by]
         return out
@@ -168,7 +167,7 @@ class MeanThrust:
         if even <= 0.0:
             return 0.0, slope
         for place, i in enumerate(self.basis.varied, 1):
-            if i in (ASYMMETRY, EXPONENT):
+            if i in (Coordinate.ASYMMETRY, Coordinate.EXPONENT):
                 slope[i] = (self.sums[place] - self.sums[0]) / (even * self.basis.moved[i])
         share = (self.sums[0] - even) / even + slope @ (at - self.basis.at)
         return float(share), slope
@@ -192,7 +191,7 @@ class MotorRows:
             points[row, i] += basis.moved[i]
         # Last, motors with one time constant, for the mean thrust.
         points = np.concatenate([points, points[:1]])
-        points[-1, [ASYMMETRY, EXPONENT]] = 0.0
+        points[-1, [Coordinate.ASYMMETRY, Coordinate.EXPONENT]] = 0.0
         self._thrusts = np.zeros(len(points))
         _, self._tau, self._curve, e, self._p = (v[:, None] for v in points.T)
         self._up, self._down = np.exp(-0.5 * e), np.exp(0.5 * e)

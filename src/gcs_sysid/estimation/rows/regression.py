@@ -24,7 +24,7 @@ from gcs_sysid.signals.smoothers import Smoothed, Smoother
 
 
 @dataclass(frozen=True)
-class Rows:
+class RegressionRows:
     """Regression rows, NaN where a window held a sample that must not be used.
 
     Attributes:
@@ -95,7 +95,7 @@ class RowMaker:
         """How many rows of one step so many more samples will complete."""
         return 0 if self._one_step is None else self._one_step[0].count_after(samples)
 
-    def update(self, samples: Samples) -> Rows:
+    def update(self, samples: Samples) -> RegressionRows:
         """The rows that these samples complete."""
         inputs, drift = samples.speeds, None
         if self._drift is not None:
@@ -123,7 +123,7 @@ class RowMaker:
         accelerometer[:, -3] = 0.0
         accelerometer[:, -1] = rows.average[:, -1]
         rotation = self._of_elements(rows, self._basis)[None]
-        return Rows(rotation, momentum, accelerometer, one_step, inputs, drift)
+        return RegressionRows(rotation, momentum, accelerometer, one_step, inputs, drift)
 
     def _of_elements(self, rows: Smoothed, basis: ActuatorDynamics) -> Array:
         """(n, width) rows of elements."""
@@ -184,7 +184,7 @@ class RowMaker:
 
 
 _PIECE = 16
-"""Rows that a leaky sum takes at once."""
+"""RegressionRows that a leaky sum takes at once."""
 
 
 class LeakySums:

@@ -230,16 +230,16 @@ class ThrustDrift:
             self._sums += part.sum(axis=0)
             self._volts += volts[start:stop].sum(axis=0)
             if self._sums[0] >= self._count:
-                self._take(self._sums[1:] / self._sums[0])
+                self._add_average(self._sums[1:] / self._sums[0])
                 self._sums[:] = self._volts[:] = 0.0
                 counted = counted - self._count
             start = stop
         return Drift(out, fallen)
 
-    def _take(self, means: Array) -> None:
+    def _add_average(self, means: Array) -> None:
         """Take averages of u, u^2, F and F^2; later factors go on to the drift that they show."""
         self._now, self._fallen_before = self._target, self._fallen
-        self._take_voltage()
+        self._add_voltage()
         u, square, force, power = means.tolist()
         t = self._tuning
         if u <= 0.0 or force < t.least_force * GRAVITY:
@@ -278,7 +278,7 @@ class ThrustDrift:
         self._covariance[i] = self._covariance[:, i] = 0.0
         self._covariance[i, i] = std**2
 
-    def _take_voltage(self) -> None:
+    def _add_voltage(self) -> None:
         """Take the average of the voltage, if enough of it was reported."""
         count, total = self._volts.tolist()
         if 2.0 * count < self._count:
