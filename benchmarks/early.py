@@ -20,9 +20,9 @@ from benchmarks.changes import DT, GEOMETRY, PAPER, RATE, samples_of, vehicles, 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.tuning import tuning_for_commands
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
@@ -51,7 +51,7 @@ def drawn(count: int, seed: int) -> list[Vehicle]:
     ]
 
 
-def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Value]]:
+def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
     """What a live session has on its screen at each of `TIMES`."""
     tracker = Tracker(GEOMETRY, DT, tuning_for_commands(DT), ChangeTuning())
     arm = float(np.mean(np.hypot(*GEOMETRY[:2])))

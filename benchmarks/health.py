@@ -26,7 +26,6 @@ from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
@@ -35,6 +34,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -172,7 +172,7 @@ class Score:
     errors: list[float]
     sigmas: list[float]
 
-    def add(self, told: Quantity, truth: float, relative: bool = False) -> None:
+    def add(self, told: Estimate, truth: float, relative: bool = False) -> None:
         """One more vehicle's; relative errors are over the truth."""
         assert told.value is not None
         assert told.std is not None
@@ -271,7 +271,7 @@ def _by_commands(log: Path, airframe: Airframe) -> Health:
     return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe), {})
 
 
-def flown_alone(told: Quantity) -> Quantity:
+def flown_alone(told: Estimate) -> Estimate:
     """Without what is assumed of rotors and places."""
     assert told.std is not None
     return replace(told, std=max(told.std**2 - told.std_given**2, 0.0) ** 0.5, std_given=0.0)

@@ -10,9 +10,10 @@ import pytest
 from gcs_sysid.cli.inspect_command import next_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen.verdict_summary import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View

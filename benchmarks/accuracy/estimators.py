@@ -12,10 +12,10 @@ from gcs_sysid.estimation.offline.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.offline.likelihood import cramer_rao_bound, maximize_likelihood
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.signals.samples import Samples
@@ -51,7 +51,7 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
     return replace(start, rotation=rotation)
 
 
-def at_known_mass(fit: Fit) -> dict[str, Value]:
+def at_known_mass(fit: Fit) -> dict[str, Estimate]:
     """The physical parameters at the scale of the known mass, as the program reports them."""
     return values_of(fit, ScaleReference("mass", VEHICLE.mass), ARM, {})
 

@@ -10,7 +10,8 @@ from benchmarks.truth.emulated import Truth
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 
 MOMENTS = ("Ixx", "Iyy", "Izz")

@@ -19,11 +19,12 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
+from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
 from gcs_sysid.report.data import Recorder
 from gcs_sysid.report.prediction_series import predict
 from gcs_sysid.results.parameter_samples import ParameterSamples
-from gcs_sysid.results.result import Estimate, IdentifiedEstimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.analysis import analyze_log

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.reliability import busy, day, flood, rate, soak
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS

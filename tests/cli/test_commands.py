@@ -11,8 +11,9 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 

@@ -6,8 +6,9 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 
 ERROR = "gcs-sysid: error: "
 VALUES = {

@@ -9,7 +9,8 @@ import pytest
 from gcs_sysid.coach.choice import Choice
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre, damped_words, sentence
-from gcs_sysid.estimation.parameters.status import NOTHING, Value
+from gcs_sysid.estimation.parameters.status import NOTHING
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF
 
 D20, D45 = math.radians(20.0), math.radians(45.0)
@@ -52,8 +53,8 @@ def test_gains_name_the_widest_first():
 
 
 def values(**changed):
-    usual = dict.fromkeys(CORE_OF["speed"], Value(1.0, 0.01, "identified"))
-    return usual | {"mass": Value(1.0, 0.0, "given")} | changed
+    usual = dict.fromkeys(CORE_OF["speed"], Estimate(1.0, 0.01, status="identified"))
+    return usual | {"mass": Estimate(1.0, 0.0, status="given")} | changed
 
 
 def test_what_is_given_does_not_count():
@@ -62,11 +63,9 @@ def test_what_is_given_does_not_count():
 
 
 def test_what_may_be_zero_is_measured_against_what_it_matters_to():
-    found = shares(
-        values(Ixx=Value(4.0, 0.01, "identified"), Ixy=Value(0.0, 0.01, "identified"),
-               cg_x=Value(0.0, 0.01, "identified"), cg_y=Value(-2.0, 0.01, "identified")),
-        0.5, "speed",
-    )  # fmt: skip
+    numbers = {"Ixx": 4.0, "Ixy": 0.0, "cg_x": 0.0, "cg_y": -2.0}
+    known = {name: Estimate(value, 0.01, status="identified") for name, value in numbers.items()}
+    found = shares(values(**known), 0.5, "speed")
     assert found["Ixy"] == pytest.approx(0.0196 / (0.05 * 2.0), rel=1e-3)
     assert found["cg_x"] == pytest.approx(0.0196 / (0.05 * 0.5), rel=1e-3)
     assert found["cg_y"] == pytest.approx(0.0098, rel=1e-3)

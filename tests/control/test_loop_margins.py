@@ -7,7 +7,7 @@ from gcs_sysid.control.gain_design import LIMITS, propose
 from gcs_sysid.control.hover_dynamics import HoverDynamics, hover_dynamics
 from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.exports.exported_vehicle import MissingError, Quantity, Vehicle
+from gcs_sysid.exports.exported_vehicle import KnownEstimate, MissingError, Vehicle
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from sim_bridge.controller import Gains
 from sim_bridge.missions import HEIGHT, Reference
@@ -27,7 +27,7 @@ def known_vehicle(share=0.01, **changes):
              "motor_lag", "rotational_damping", "rotor_inertia", "thrust_curve")  # fmt: skip
     values = {n: getattr(truth, n) for n in names} | {"moment_ratio": truth.moment_ratio} | changes
     known = {
-        n: Quantity(v, abs(share * v) or None, "identified")
+        n: KnownEstimate(v, abs(share * v) or None, origin="identified")
         for n, v in values.items()
         if v is not None
     }

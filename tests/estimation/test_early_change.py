@@ -10,8 +10,8 @@ from benchmarks.accuracy.flights import exact
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.early_change import LEAST_BEFORE, actuator_of, early_change
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.tuning import tuning_for_commands
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor
 from sim_bridge.doublets import ALL_MISSIONS
@@ -126,9 +126,14 @@ def follow_blocks(size):
 @pytest.mark.parametrize(
     ("thrust", "kind", "value", "std"),
     [
-        (Value(None, None, "unobservable"), "mass", 1.8, 0.03),  # nothing but the jump tells
-        (Value(8.0, 1.6, "weak"), "mass", 1.8, 0.03),  # 20 %: the jump tells more
-        (Value(8.0, 0.04, "identified"), "T_max", 8.0, 0.04),  # 0.5 %: thrust does
+        (
+            Estimate(None, None, status="unobservable"),
+            "mass",
+            1.8,
+            0.03,
+        ),  # nothing but the jump tells
+        (Estimate(8.0, 1.6, status="weak"), "mass", 1.8, 0.03),  # 20 %: the jump tells more
+        (Estimate(8.0, 0.04, status="identified"), "T_max", 8.0, 0.04),  # 0.5 %: thrust does
     ],
 )
 def test_the_scale_after_a_change_is_by_what_is_known_best(thrust, kind, value, std):
@@ -138,8 +143,11 @@ def test_the_scale_after_a_change_is_by_what_is_known_best(thrust, kind, value, 
 
 
 def test_without_a_jump_that_tells_the_scale_is_that_of_thrust():
-    anchor, unknown = ScaleReference("mass", 1.5), {"T_max": Value(None, None, "unobservable")}
+    anchor, unknown = (
+        ScaleReference("mass", 1.5),
+        {"T_max": Estimate(None, None, status="unobservable")},
+    )
     assert next_anchor(anchor, unknown, 4.0) is anchor
     given = ScaleReference("T_max", 8.0)
-    after = next_anchor(given, {"T_max": Value(8.0, 0.0, "given")}, 4.0, (1.2, 0.02))
+    after = next_anchor(given, {"T_max": Estimate(8.0, 0.0, status="given")}, 4.0, (1.2, 0.02))
     assert (after.kind, after.value, after.std) == ("T_max", 8.0, 0.0)

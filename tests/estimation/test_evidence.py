@@ -10,8 +10,8 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.estimation.parameters.evidence import RULES, Evidence, evidence_of
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 
 ROTATION = RotationFit(
@@ -44,7 +44,7 @@ def on(axis, usual, value):
 
 def capped(evidence):
     """Names of the parameters that are `identified` no longer."""
-    sure = Value(1.0, 1e-6, "identified")
+    sure = Estimate(1.0, 1e-6, status="identified")
     return {name for name, p in CLAIMS.items() if evidence.cap(sure, p).status != "identified"}
 
 
@@ -168,14 +168,14 @@ def test_without_validation_nothing_is_identified():
 @pytest.mark.parametrize("status", ["given", "weak", "unobservable"])
 def test_a_cap_raises_nothing_and_changes_no_number(status):
     evidence = found(None)
-    value = Value(2.0, 0.1, status)
+    value = Estimate(2.0, 0.1, status=status)
     assert evidence.cap(value, REGISTRY["Ixx"]) == value
-    sure = Value(2.0, 0.1, "identified")
+    sure = Estimate(2.0, 0.1, status="identified")
     assert evidence.cap(sure, REGISTRY["Ixx"]) == replace(sure, status="weak")
 
 
 def test_what_rests_on_forces_is_not_capped():
-    sure = Value(2.0, 0.1, "identified")
+    sure = Estimate(2.0, 0.1, status="identified")
     free = [p for p in REGISTRY.values() if not p.axes]
     assert free
     assert all(found(None).cap(sure, p) == sure for p in free)
@@ -226,7 +226,7 @@ def commanded(validation, curve_std):
     full[Unknown.CURVE, Unknown.CURVE] = curve_std**2
     fit = Fit(replace(ROTATION, full_covariance=full), None, 30.0, validation)
     evidence = evidence_of(fit, "command", 0.004)
-    sure = Value(1.0, 1e-6, "identified")
+    sure = Estimate(1.0, 1e-6, status="identified")
     names = ("T_max", "thrust_curve", "motor_lag")
     return {evidence.cap(sure, REGISTRY[name]).status == "identified" for name in names}
 
@@ -246,4 +246,7 @@ def test_where_the_curve_is_given_t_max_is_gravity_over_a_known_share():
 
 def test_k_t_rests_on_no_fit_of_motors():
     evidence = found(None)
-    assert evidence.cap(Value(1.0, 1e-6, "identified"), REGISTRY["k_T"]).status == "identified"
+    assert (
+        evidence.cap(Estimate(1.0, 1e-6, status="identified"), REGISTRY["k_T"]).status
+        == "identified"
+    )

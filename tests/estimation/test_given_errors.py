@@ -18,11 +18,11 @@ from gcs_sysid.estimation.parameters.given_errors import (
     given_stds,
     with_given,
 )
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.given_uncertainty import UNCERTAIN
 from gcs_sysid.model.scale_reference import ScaleReference
 from tests.known_theta import theta_from
@@ -119,7 +119,7 @@ def test_single_rotors_elsewhere_are_in_the_interval():
         better = aligned(fit, alignment_of(fit, moved(told, x, y)))
         theta, std = better.rotation.theta, better.rotation.std
         values = {
-            name: Value(float(v), float(s), "identified")
+            name: Estimate(float(v), float(s), status="identified")
             for name, v, s in zip(rb.THETA, theta, std, strict=True)
             if name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y")
         }
@@ -141,7 +141,7 @@ def test_shares_of_what_was_given():
     told = QUAD.with_uncertainty({"rotor_position": 0, "arm": "3%", "mass": "4%"}, "here")
     fit = fit_of(told)
     names = ("mass", "k_T", "Ixx", "k_M", "moment_ratio", "cg_x", "linear_drag")
-    values = {name: Value(2.0, 0.01, "identified") for name in names}
+    values = {name: Estimate(2.0, 0.01, status="identified") for name in names}
     anchor = ScaleReference("mass", 1.5, given=told.uncertainty.scale_share("mass", 1.5))
     stds = given_stds(values, fit, Given(told, anchor, "speed", {}))
     expected = {"mass": 4, "k_T": 4, "Ixx": 5, "k_M": 5, "moment_ratio": 3, "cg_x": 3}
@@ -160,23 +160,29 @@ def test_shares_of_what_was_given():
 
 def test_exactly_given_adds_nothing():
     fit = fit_of(EXACT)
-    values = {"Ixx": Value(2.0, 0.01, "identified"), "mass": Value(1.5, 0.0, "given")}
+    values = {
+        "Ixx": Estimate(2.0, 0.01, status="identified"),
+        "mass": Estimate(1.5, 0.0, status="given"),
+    }
     stds = given_stds(values, fit, Given(EXACT, ScaleReference("mass", 1.5), "speed", {}))
     assert with_given(values, stds, EXACT.arm) == values
 
 
 def test_status_falls_with_the_whole_interval_but_the_flight_still_tells():
-    values = {"Ixx": Value(2.0, 0.01, "identified"), "mass": Value(1.5, 0.0, "given")}
+    values = {
+        "Ixx": Estimate(2.0, 0.01, status="identified"),
+        "mass": Estimate(1.5, 0.0, status="given"),
+    }
     out = with_given(values, {"Ixx": 0.09, "mass": 0.3}, 0.3)
     assert out["Ixx"].status == "identified"
-    assert out["mass"] == Value(1.5, 0.3, "given")
+    assert out["mass"] == Estimate(1.5, 0.3, status="given")
     assert with_given(values, {"Ixx": 0.1}, 0.3)["Ixx"].status == "weak"
     assert with_given(values, {"Ixx": 1.9}, 0.3)["Ixx"].status == "weak"
 
 
 def test_an_imu_off_the_center_matters_to_the_accelerometer_alone():
     fit = fit_of(QUAD)
-    values = {"k_T": Value(2e-4, 1e-7, "identified")}
+    values = {"k_T": Estimate(2e-4, 1e-7, status="identified")}
     given = Given(EXACT.with_uncertainty({"imu_position": 0.02}, "here"),
                   ScaleReference("mass", 1.5), "speed", {})  # fmt: skip
     assert given_stds(values, fit, given)["k_T"] == 0.0

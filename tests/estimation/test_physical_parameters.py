@@ -16,8 +16,9 @@ from gcs_sysid.estimation.parameters.physical_parameters import (
     verdict,
 )
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
-from gcs_sysid.estimation.parameters.status import NOTHING, Value
+from gcs_sysid.estimation.parameters.status import NOTHING
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.model.scale_reference import ScaleReference
 
@@ -48,7 +49,7 @@ def test_either_true_anchor_gives_the_truth(anchor):
     values = physical_parameters(ScaleReference(*anchor), ROTATION, TRANSLATION, ARM)
     assert set(values) == {n for n, p in PARAMETERS.items() if p.in_result("speed")}
     assert {n: v.value for n, v in values.items()} == pytest.approx(ALL, rel=1e-12)
-    assert values[anchor[0]] == Value(anchor[1], 0.0, "given")
+    assert values[anchor[0]] == Estimate(anchor[1], 0.0, status="given")
     assert verdict(values) == ("identified", ())
 
 
@@ -158,7 +159,7 @@ def test_doubt_never_raises_a_status():
 
 def test_without_rotation_or_translation():
     nothing = physical_parameters(ScaleReference("mass", MASS), None, None, ARM)
-    assert nothing.pop("mass") == Value(MASS, 0.0, "given")
+    assert nothing.pop("mass") == Estimate(MASS, 0.0, status="given")
     assert set(nothing.values()) == {NOTHING}
     lengths = physical_parameters(ScaleReference("mass", MASS), ROTATION, None, ARM)
     assert lengths["cg_x"].value == pytest.approx(0.1)
@@ -209,7 +210,7 @@ def test_drag_is_doubted_where_the_attitude_is_late(told):
 
 def parameters(**statuses):
     given = dict.fromkeys(CORE, "identified") | {"mass": "given"} | statuses
-    return {n: Value(1.0, 0.1, s) for n, s in given.items()}
+    return {n: Estimate(1.0, 0.1, status=s) for n, s in given.items()}
 
 
 @pytest.mark.parametrize(
@@ -239,7 +240,7 @@ def test_verdict_and_its_reasons(statuses, word, said):
 @pytest.mark.parametrize(("ratio", "negative"), [(-0.29, False), (-0.31, True)])
 def test_a_rotor_torque_surely_negative_is_a_wrong_spin(ratio, negative):
     """By more than three standard deviations."""
-    values = parameters() | {"moment_ratio": Value(ratio, 0.1, "identified")}
+    values = parameters() | {"moment_ratio": Estimate(ratio, 0.1, status="identified")}
     _, reasons = verdict(values)
     assert any("check spin" in reason for reason in reasons) is negative
 

@@ -12,7 +12,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.exports.formats import TARGETS
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.model.estimate import Estimate
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, estimate, without
 

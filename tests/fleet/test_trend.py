@@ -17,9 +17,10 @@ from gcs_sysid.fleet.jobs import Job, Task
 from gcs_sysid.fleet.trend import mean, scatter_of, vehicles_of
 from gcs_sysid.fleet.trend_page import render, value_text
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.comparison import LEVEL
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 
 STD = 0.01
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.health.balance import Center, Quantity
+from gcs_sysid.health.balance import Center
 from gcs_sysid.health.health_trend import Series, series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.model.estimate import Estimate
 
 
 def test_slope_of_a_straight_line_and_of_scatter():
@@ -68,7 +69,7 @@ def in_wind(cg, force, lever, lever_std):
     center = Center(cg, 1e-8 * np.eye(2), lever * force, lever, np.full(2, lever_std), force)
     scatter = np.sqrt(1e-8 + (TUNING.wind_share * center.by_wind) ** 2)
     places = [
-        Quantity(float(v), float(np.hypot(s, 0.005)), "m", 0.005)
+        Estimate(float(v), float(np.hypot(s, 0.005)), "m", std_given=0.005)
         for v, s in zip(cg, scatter, strict=True)
     ]
     return Health("flight", cg=tuple(places), center=center)

@@ -8,17 +8,17 @@ import pytest
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.health.advice import advice_of
 from gcs_sysid.health.airframe_guess import GuessedAirframe
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from tests.screen.fake import health as health_document
 
-AFT = Quantity(-0.1, 0.0067 / 1.96, "m", 0.0067 / 1.96)
-CENTERED = Quantity(0.0, 0.001, "m")
+AFT = Estimate(-0.1, 0.0067 / 1.96, "m", std_given=0.0067 / 1.96)
+CENTERED = Estimate(0.0, 0.001, "m")
 HEALTH = Health(
     "a.tlog", airframe=load_airframe("paper"), rotor_input="speed", cg=(AFT, CENTERED),
 )  # fmt: skip
@@ -39,17 +39,17 @@ def test_battery_travel_is_computed_with_both_masses():
 
 @pytest.mark.parametrize(("share", "more"), [(-0.098, "clockwise"), (0.15, "counter-clockwise")])
 def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
-    health = replace(HEALTH, yaw_imbalance=Quantity(share, 0.002, "1"))
+    health = replace(HEALTH, yaw_imbalance=Estimate(share, 0.002, "1"))
     told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
     assert any(f"the {more} rotors carry {100.0 * abs(share):.0f} %" in text for text in told)
     for small, std in ((0.035, 0.002), (0.1, 0.03)):
-        health = replace(HEALTH, yaw_imbalance=Quantity(small, std, "1"))
+        health = replace(HEALTH, yaw_imbalance=Estimate(small, std, "1"))
         told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
         assert not any("hold the heading" in text for text in told)
 
 
 def test_a_weak_rotor_is_written_like_every_other_number():
-    loss = Quantity(0.052, 0.004, "1")
+    loss = Estimate(0.052, 0.004, "1")
     condition = Condition("rotor", 1, loss, 20.0, (0.0, 0.0), None, ())
     assert condition_text(condition) == "rotor 2 gives 5.20 ± 0.78 % less thrust than before"
 

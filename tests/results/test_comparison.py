@@ -8,9 +8,10 @@ import pytest
 from gcs_sysid.cli.compare_command import report
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.comparison import compare
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.web.result_view import comparison_rows
 
 STD = 0.01

@@ -8,9 +8,10 @@ import pytest
 
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model.airframe import parse_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rigid_body import are_physical
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import Acceleration, History
 
 VALUES = {

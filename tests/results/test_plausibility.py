@@ -11,12 +11,12 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.parameters.physical_parameters import verdict
-from gcs_sysid.estimation.parameters.status import Status, Value, judged
+from gcs_sysid.estimation.parameters.status import judged
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
+from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.results.plausibility import RANGES, capped, objections
-from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.words import shown
 
 QUAD = load_airframe("px4-quad-x").with_arm(0.25)
@@ -28,10 +28,13 @@ SOUND = {
 }  # fmt: skip
 
 
-def values(**changes: float) -> dict[str, Value]:
+def values(**changes: float) -> dict[str, Estimate]:
     numbers = SOUND | changes
-    out = {name: Value(value, 1e-3 * abs(value), "identified") for name, value in numbers.items()}
-    return out | {"mass": Value(numbers["mass"], 0.0, "given")}
+    out = {
+        name: Estimate(value, 1e-3 * abs(value), status="identified")
+        for name, value in numbers.items()
+    }
+    return out | {"mass": Estimate(numbers["mass"], 0.0, status="given")}
 
 
 def reasons(airframe: Airframe = QUAD, reinterpreted: bool = False, **changes: float) -> str:
@@ -42,7 +45,7 @@ def reasons(airframe: Airframe = QUAD, reinterpreted: bool = False, **changes: f
 def test_a_sound_vehicle_raises_no_objection():
     assert reasons() == ""
     command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
-    command["T_max"] = Value(8.0, 0.01, "identified")
+    command["T_max"] = Estimate(8.0, 0.01, status="identified")
     assert objections(command, QUAD, "command") == ()
 
 
@@ -62,7 +65,7 @@ def test_the_arm_of_a_layout_is_a_placeholder():
     assert found["cg_x"].status == "weak"
     assert found["k_T"].status == "identified"  # from mass and gravity
     assert found["mass"].status == "given"
-    nothing = dict.fromkeys(SOUND, Value(None, None, "unobservable"))
+    nothing = dict.fromkeys(SOUND, Estimate(None, None, status="unobservable"))
     assert objections(nothing, guessed, "speed") == ()
 
 
@@ -115,7 +118,10 @@ def test_a_wrong_unit_caps_all_but_the_given():
 
 def test_full_thrust_against_weight():
     for T_max, said in ((8.0, ""), (3.0, "0.82 times the weight"), (200.0, "54 times the weight")):
-        found = {"mass": Value(1.5, 0.0, "given"), "T_max": Value(T_max, 0.01, "identified")}
+        found = {
+            "mass": Estimate(1.5, 0.0, status="given"),
+            "T_max": Estimate(T_max, 0.01, status="identified"),
+        }
         text = "\n".join(o.reason for o in objections(found, QUAD, "command"))
         assert said in text
         assert bool(text) is bool(said)
@@ -156,7 +162,7 @@ def test_consistent_with_zero_has_a_status_and_a_limit():
 
 def test_what_cannot_be_negative_is_not():
     assert judged(-5e-3, 2e-3, 1.0, "not negative").status == "zero"
-    assert judged(-7e-3, 2e-3, 1.0, "not negative") == Value(None, None, "unobservable")
+    assert judged(-7e-3, 2e-3, 1.0, "not negative") == Estimate(None, None, status="unobservable")
     bounded = Estimate(-5e-3, 2e-3, "N m s", "zero", not_negative=True).bounded
     assert bounded.value == 0.0
     assert bounded.ci95 == pytest.approx((0.0, Z95 * 2e-3))
@@ -189,7 +195,7 @@ def test_the_verdicts_rule_in_the_documentation_is_the_one_in_force():
         ({"Ixy": "zero"}, "partial"),
     ):
         statuses = {**core, **known}
-        found = verdict({n: Value(1.0, 0.1, s) for n, s in statuses.items()})
+        found = verdict({n: Estimate(1.0, 0.1, status=s) for n, s in statuses.items()})
         assert found[0] == word
 
 
@@ -215,13 +221,13 @@ def test_swapped_coaxial_rotors_are_not_identified():
 
 def test_with_commands_neighboring_rotors_bound_the_propellers():
     command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
-    command["T_max"] = Value(8.0, 0.01, "identified")
+    command["T_max"] = Estimate(8.0, 0.01, status="identified")
     # Neighbors are 0.35 m apart: at most 0.046 m.
     for ratio, objected in ((0.04, 0), (0.05, 1)):
-        command["moment_ratio"] = Value(ratio, 1e-4, "identified")
+        command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
         assert len(objections(command, QUAD, "command")) == objected
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
     for ratio, objected in ((0.03, 0), (0.035, 1)):
-        command["moment_ratio"] = Value(ratio, 1e-4, "identified")
+        command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
         assert len(objections(command, x8, "command")) == objected

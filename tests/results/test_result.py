@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result, Scale
 
 
 def result(**estimates):

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.result_file import parse_result, read_result
 
 RESULT = Result(

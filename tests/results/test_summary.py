@@ -10,7 +10,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.parameters.physical_parameters import Value
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import event_of, next_anchor, values_of
 from tests.known_theta import THETA
@@ -43,13 +43,16 @@ def test_nothing_but_the_anchor_at_first():
 
 @pytest.mark.parametrize(("thrust", "other"), [("k_T", "T_max"), ("T_max", "k_T")])
 def test_the_scale_carries_over_a_change_with_speeds_and_with_commands(thrust, other):
-    values = {"mass": Value(1.5, 0.0, "given"), thrust: Value(8.2, 0.02, "identified")}
+    values = {
+        "mass": Estimate(1.5, 0.0, status="given"),
+        thrust: Estimate(8.2, 0.02, status="identified"),
+    }
     after = next_anchor(MASS, values, 31.2)
     assert (after.kind, after.value, after.std) == (thrust, 8.2, 0.02)
     assert after.origin
     given = ScaleReference(thrust, 8.0)
     assert next_anchor(given, values, 31.2).value == 8.0
-    unknown = {**values, thrust: Value(None, None, "unobservable")}
+    unknown = {**values, thrust: Estimate(None, None, status="unobservable")}
     assert next_anchor(MASS, unknown, 31.2) is MASS
     assert other not in values
 
@@ -57,12 +60,12 @@ def test_the_scale_carries_over_a_change_with_speeds_and_with_commands(thrust, o
 def test_what_no_flight_determines_has_not_changed():
     """After a payload was dropped in hover a fit of inertia is anything."""
     before = {
-        "mass": Value(1.5, 0.01, "given"),
-        "Iyy": Value(0.026, 1e-4, "identified"),
+        "mass": Estimate(1.5, 0.01, status="given"),
+        "Iyy": Estimate(0.026, 1e-4, status="identified"),
     }
     after = {
-        "mass": Value(1.25, 0.01, "identified"),
-        "Iyy": Value(0.042, 1e-3, "unobservable"),
+        "mass": Estimate(1.25, 0.01, status="identified"),
+        "Iyy": Estimate(0.042, 1e-3, status="unobservable"),
     }
     event = event_of(Event(43.0, 43.2, None, None, 0, decided=44.0), before, after)
     assert event["kind"] == "mass_change"

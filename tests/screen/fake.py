@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.results.result import Estimate, Result, Scale, Status
+from gcs_sysid.model.estimate import Estimate, Status
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import (
     Acceleration,
     Advice,

@@ -8,7 +8,7 @@ import pytest
 from textual.events import Resize
 from textual.geometry import Size
 
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.dialogs import help_text

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.screen import formatting as fmt
 
 from . import fake

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
 from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.pilot_view import blocks

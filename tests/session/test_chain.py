@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results import snapshot as course_module
 from gcs_sysid.session.chain import Chain
@@ -273,7 +273,7 @@ def test_a_course_given_out_does_not_change(monkeypatch):
     recorder = course_module.HistoryRecorder()
     shown = []
     for k in range(20):
-        recorder.append(float(k), {"mass": Value(1.0 + k, 0.1, "identified")})
+        recorder.append(float(k), {"mass": Estimate(1.0 + k, 0.1, status="identified")})
         shown.append((recorder.history(), recorder.history().t.copy()))
     recorder.clear()
     recorder.append(99.0, {})

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import MotionState
 from gcs_sysid.model.parameters import ARM, PARAMETERS, REGISTRY
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 from sim_bridge.dynamics import Dynamics
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.vehicle_files import load_vehicle

@@ -8,8 +8,8 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.notebook_view import text
-from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.snapshot import History, LinkState
 from gcs_sysid.screen import Actions, Baseline
 from gcs_sysid.screen.formatting import choose_exponents

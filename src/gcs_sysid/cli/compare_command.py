@@ -7,10 +7,10 @@ from pathlib import Path
 
 from gcs_sysid.cli import output
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.number_format import percent_column, rounded, significant
-from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.words import CHANGE, displayed, shown
 

@@ -13,11 +13,11 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, suggested
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
 
 _NAME = 20
@@ -175,14 +175,14 @@ def _line(name: str, text: str) -> str:
     return f"{name:<{_NAME}}{text}"
 
 
-def _pure(name: str, quantity: Quantity | None, scale: float, words: str) -> Iterator[str]:
+def _pure(name: str, quantity: Estimate | None, scale: float, words: str) -> Iterator[str]:
     if quantity is None or quantity.value is None:
         return
     half = scale * (quantity.half or 0.0)
     yield _line(name, PLAIN.measure(scale * quantity.value, half, words))
 
 
-def _value(quantity: Quantity) -> str:
+def _value(quantity: Estimate) -> str:
     assert quantity.value is not None
     if not quantity.half:
         return f"{significant(quantity.value, 4)} {quantity.unit} (given)"
@@ -206,7 +206,7 @@ def _rotors(health: Health) -> Iterator[str]:
         yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in cells)
 
 
-def _cell(quantity: Quantity | None, scale: float, unit: str) -> str:
+def _cell(quantity: Estimate | None, scale: float, unit: str) -> str:
     if quantity is None or quantity.value is None:
         return "-"
     value = scale * quantity.value

@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.number_format import PLAIN, percent_column, rounded, significant
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import event_text, shown
 
 
@@ -88,7 +89,7 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
         ]
     columns |= {
         "unit": [PARAMETERS[name].unit for name in names],
-        "status": [e.status for e in estimates],
+        "status": [e.status or "" for e in estimates],
     }
     if any(e.bound is not None for e in estimates):
         bounds = [Z95 * e.bound if e.bound else None for e in estimates]

@@ -8,15 +8,15 @@ to: a twentieth of the moments that a product couples, a twentieth of the arm.
 import math
 from collections.abc import Mapping
 
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import ARM, CORE_OF, REGISTRY, RotorInput
 
 _SMALL = 0.05
 
 
 def shares(
-    values: Mapping[str, Value], arm: float, rotor_input: RotorInput
+    values: Mapping[str, Estimate], arm: float, rotor_input: RotorInput
 ) -> dict[str, float | None]:
     """Half of each 95 % interval over its reference value; None where nothing is known.
 

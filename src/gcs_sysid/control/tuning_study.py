@@ -23,7 +23,7 @@ from gcs_sysid.control.loop_margins import (
 )
 from gcs_sysid.control.rate_loops import AXES, Autopilot, RateLoop, read_loop
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import Quantity, Vehicle, complete
+from gcs_sysid.exports.exported_vehicle import KnownEstimate, Vehicle, complete
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameter_file import mission_planner_lines, qgroundcontrol_lines
@@ -181,7 +181,7 @@ def with_delay(vehicle: Vehicle) -> Vehicle:
         or found.status not in ("identified", "weak")
     ):
         return vehicle
-    delay = Quantity(found.value, found.std, found.status)
+    delay = KnownEstimate(found.value, found.std, origin=found.status)
     return replace(vehicle, known={**vehicle.known, "rotor_delay": delay})
 
 

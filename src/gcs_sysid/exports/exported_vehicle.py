@@ -15,8 +15,9 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import INERTIA, REGISTRY, Sign
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 
 UNITS = {name: p.unit for name, p in REGISTRY.items() if p.of_vehicle} | {
     "rotor_speed_max": "rad/s"
@@ -43,18 +44,15 @@ class MissingError(GcsSysidError):
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """One known parameter.
+class KnownEstimate(Estimate):
+    """A parameter with a value; `std` is None where it is not known.
 
     Attributes:
-        value: SI.
-        std: standard deviation; None where it is not known.
         origin: the flight's status ("identified", "weak", "given"), else where it comes from.
     """
 
     value: float
-    std: float | None
-    origin: str
+    origin: str = ""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Vehicle:
 
     name: str
     rotors: tuple[Rotor, ...]
-    known: Mapping[str, Quantity]
+    known: Mapping[str, KnownEstimate]
     result: Result
 
     def get(self, name: str) -> float | None:
@@ -201,7 +199,7 @@ def assemble(
         InputError: a value makes no sense, the rotors are not known, or they contradict.
     """
     rotors, label = _rotors(result, airframe)
-    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _quantity_of(e))}
+    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _of_flight(e))}
     known.pop("rotor_delay", None)
     if airframe is not None:
         for n, quantity in _of_airframe(airframe).items():
@@ -216,29 +214,29 @@ def assemble(
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
-def _quantity_of(estimate: Estimate) -> Quantity | None:
-    if estimate.value is None or estimate.status == "unobservable":
+def _of_flight(estimate: Estimate) -> KnownEstimate | None:
+    if estimate.value is None or estimate.status in (None, "unobservable"):
         return None
-    return Quantity(estimate.value, estimate.std, estimate.status)
+    return KnownEstimate(estimate.value, estimate.std, estimate.unit, origin=estimate.status)
 
 
-def _of_airframe(airframe: Airframe) -> dict[str, Quantity]:
+def _of_airframe(airframe: Airframe) -> dict[str, KnownEstimate]:
     origin = f"airframe {airframe.name}"
     out = {
-        name: Quantity(value, std, origin)
+        name: KnownEstimate(value, std, origin=origin)
         for name, (value, std) in airframe.priors.items()
         if name in UNITS
     }
     for name in ANCHORS:
         value = getattr(airframe, name)
         if value is not None:
-            out[name] = Quantity(value, None, origin)
+            out[name] = KnownEstimate(value, None, origin=origin)
     if airframe.command.thrust_curve is not None:
-        out["thrust_curve"] = Quantity(airframe.command.thrust_curve, None, origin)
+        out["thrust_curve"] = KnownEstimate(airframe.command.thrust_curve, None, origin=origin)
     return out
 
 
-def _checked(name: str, value: float) -> Quantity:
+def _checked(name: str, value: float) -> KnownEstimate:
     if name not in UNITS:
         raise InputError(f"--set: no parameter {name!r}; known are {', '.join(UNITS)}")
     if not math.isfinite(value):
@@ -247,7 +245,7 @@ def _checked(name: str, value: float) -> Quantity:
         raise InputError(f"--set {name}: must be positive, got {value:g}")
     if _sign(name) == "not negative" and value < 0.0:
         raise InputError(f"--set {name}: must not be negative, got {value:g}")
-    return Quantity(value, None, "by hand")
+    return KnownEstimate(value, None, origin="by hand")
 
 
 def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...], str]:
@@ -290,12 +288,12 @@ _RULES = (
 )
 
 
-def complete(known: dict[str, Quantity]) -> None:
+def complete(known: dict[str, KnownEstimate]) -> None:
     """Add what follows from two others."""
     for rule in _RULES:
         if rule.name not in known and all(name in known for name in rule.of):
             value = rule.formula(*(known[name].value for name in rule.of))
-            known[rule.name] = Quantity(value, None, f"from {' and '.join(rule.of)}")
+            known[rule.name] = KnownEstimate(value, None, origin=f"from {' and '.join(rule.of)}")
     if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():
         k_T, full, speed = (known[n].value for n in ("k_T", "T_max", "rotor_speed_max"))
         if abs(k_T * speed**2 / full - 1.0) > _APART:
@@ -305,7 +303,7 @@ def complete(known: dict[str, Quantity]) -> None:
             )
 
 
-def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, Quantity]) -> None:
+def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, KnownEstimate]) -> None:
     """The drag torque with which upright rotors would turn the vehicle as its canted ones do.
 
     Formats know upright rotors alone.
@@ -317,7 +315,9 @@ def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, Quantity]) -> Non
     ):
         if cant and name in known and share:
             own = known[name]
-            known[name] = Quantity(own.value + cant * share, own.std, f"{own.origin}, cant added")
+            known[name] = KnownEstimate(
+                own.value + cant * share, own.std, origin=f"{own.origin}, cant added"
+            )
 
 
 def _identifier(name: str) -> str:

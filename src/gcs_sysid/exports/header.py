@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import UNITS, Quantity, Vehicle
+from gcs_sysid.exports.exported_vehicle import UNITS, KnownEstimate, Vehicle
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
 
@@ -114,7 +114,7 @@ def _is_there(vehicle: Vehicle, name: str) -> bool:
     return bool(value) and abs(value or 0.0) > Z95 * (vehicle.known[name].std or 0.0)
 
 
-def _row(name: str, known: Quantity) -> str:
+def _row(name: str, known: KnownEstimate) -> str:
     unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
     half = f" +- {Z95 * known.std:.2g}" if known.std else ""
     return f"  {name} = {known.value:.6g}{half}{unit} ({_plain(known.origin)})"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs_sysid.exports.exported_vehicle import Quantity, Vehicle, complete
+from gcs_sysid.exports.exported_vehicle import KnownEstimate, Vehicle, complete
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import INERTIA, REGISTRY
 
@@ -76,7 +76,7 @@ _OF_THE_FLIGHT = ("identified", "weak", "zero", "given")
 
 def _shifted(vehicle: Vehicle, shift: dict[str, float]) -> Vehicle | None:
     """The vehicle with values moved; None where there can be no such thing."""
-    known: dict[str, Quantity] = {}
+    known: dict[str, KnownEstimate] = {}
     for name, quantity in vehicle.known.items():
         if quantity.origin.startswith(_FOLLOWING):
             continue

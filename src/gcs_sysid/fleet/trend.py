@@ -17,9 +17,10 @@ from typing import Any
 from scipy.special import ndtri, stdtrit
 
 from gcs_sysid.fleet.batch_table import Row
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
 from gcs_sysid.results.comparison import LEVEL, Comparison, Difference, compare
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 
 FEWEST = 4
 """Fewest flights for an estimate of their scatter."""

@@ -10,6 +10,7 @@ from gcs_sysid import __version__
 from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle, is_sound, mean
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
 from gcs_sysid.report.parts import (
     Child,
@@ -24,7 +25,6 @@ from gcs_sysid.report.parts import (
 )
 from gcs_sysid.report.wording import names_text
 from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
-from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.words import VERDICT, displayed
 
 _LEGEND = (

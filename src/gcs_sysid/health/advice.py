@@ -3,9 +3,9 @@
 import math
 
 from gcs_sysid.health.airframe_guess import GuessedAirframe
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN
 
 _AXES = (("forward", "aft"), ("right", "left"))
@@ -131,11 +131,11 @@ def _margins(health: Health) -> list[str]:
     return out
 
 
-def arrow(health: Health) -> tuple[Quantity, Quantity] | None:
+def arrow(health: Health) -> tuple[Estimate, Estimate] | None:
     """What the battery, or whatever moves, should go by; None where the CG is good."""
     if health.cg is None:
         return None
     x, y = health.cg
     if x.value is None or y.value is None:
         return None
-    return Quantity(-x.value, x.std, "m"), Quantity(-y.value, y.std, "m")
+    return Estimate(-x.value, x.std, "m"), Estimate(-y.value, y.std, "m")

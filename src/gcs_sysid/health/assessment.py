@@ -12,7 +12,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advice_of
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import (
     battery_of,
@@ -27,6 +26,7 @@ from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.session.reasons import blames_rotors
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
@@ -310,7 +310,7 @@ def _balances(
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
     places = tuple(
-        Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
+        Estimate(float(v), float(math.hypot(f, a)), "m", std_given=float(a))
         for v, f, a in zip(cg, flown, assumed, strict=True)
     )
     share_flown = np.array(
@@ -325,8 +325,8 @@ def _balances(
     shaking = vibration_of(streams, hover)
     rotors = tuple(
         RotorHealth(
-            Quantity(float(s), math.hypot(f, a), "1", float(a)),
-            Quantity(1.0, TUNING.rotor_scatter, "1", TUNING.rotor_scatter),
+            Estimate(float(s), math.hypot(f, a), "1", std_given=float(a)),
+            Estimate(1.0, TUNING.rotor_scatter, "1", std_given=TUNING.rotor_scatter),
             gains[i],
             None,
             None,
@@ -348,7 +348,7 @@ def _balances(
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
         center=center,
         rotors=rotors,
-        yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
+        yaw_imbalance=Estimate(yaw_value, yaw_std, "1"),
         scale=scale,
         mass=mass,
         assumptions=_assumptions(guess, curve),
@@ -357,19 +357,19 @@ def _balances(
 
 def _scale(
     airframe: Airframe, per_thrust: float, std: float, *, by_command: bool
-) -> tuple[tuple[str, Quantity] | None, Quantity | None]:
+) -> tuple[tuple[str, Estimate] | None, Estimate | None]:
     """k_T or T_max of a given mass, or the mass of a given coefficient.
 
     per_thrust is lift over the sum of thrust in the rotors' unit: k_T / m or T_max / m.
     """
     name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
     if airframe.mass is not None:
-        return (name, Quantity(airframe.mass * per_thrust, airframe.mass * std, unit)), None
+        return (name, Estimate(airframe.mass * per_thrust, airframe.mass * std, unit)), None
     given = airframe.T_max if by_command else airframe.k_T
     if given is None:
         return None, None
     mass = given / per_thrust
-    return (name, Quantity(given, 0.0, unit)), Quantity(mass, mass * std / per_thrust, "kg")
+    return (name, Estimate(given, 0.0, unit)), Estimate(mass, mass * std / per_thrust, "kg")
 
 
 def _compared(

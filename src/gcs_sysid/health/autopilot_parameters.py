@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameter_file import REAL32
 
 _FULL, _EMPTY = 4.2, 3.3
@@ -43,7 +43,7 @@ class Suggestion:
     """
 
     name: str
-    quantity: Quantity
+    quantity: Estimate
     now: float | None
     note: str
 
@@ -56,7 +56,7 @@ def suggested(health: Health) -> tuple[Suggestion, ...]:
     return () if of is None else tuple(of(health))
 
 
-def _make(health: Health, name: str, quantity: Quantity | None, note: str) -> Iterator[Suggestion]:
+def _make(health: Health, name: str, quantity: Estimate | None, note: str) -> Iterator[Suggestion]:
     if quantity is None or quantity.value is None or quantity.std is None:
         return
     if not (math.isfinite(quantity.value) and math.isfinite(quantity.std)):
@@ -64,7 +64,7 @@ def _make(health: Health, name: str, quantity: Quantity | None, note: str) -> It
     yield Suggestion(name, quantity, health.parameters.get(name), note)
 
 
-def _curve(health: Health) -> Quantity | None:
+def _curve(health: Health) -> Estimate | None:
     if health.curve is None or health.curve.c.std is None:
         return None
     # A curve that the flight does not determine is not suggested.
@@ -86,7 +86,7 @@ def _px4(health: Health) -> Iterator[Suggestion]:
                     health, f"CA_ROTOR{i}_P{axis}", _less(place, offset), "m from the CG as flown"
                 )
             if ratio is not None:
-                turn = Quantity(rotor.spin * ratio[0], ratio[1], "m", ratio[1])
+                turn = Estimate(rotor.spin * ratio[0], ratio[1], "m", std_given=ratio[1])
                 yield from _make(health, f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
         yield from _imu(health, "EKF2_IMU_POS_")
 
@@ -110,13 +110,13 @@ def _ardupilot(health: Health) -> Iterator[Suggestion]:
             note = f"{cells} LiPo cells by {high:.1f} V, the highest seen ({low:.1f} V the lowest)"
             for name, volt in (("MAX", _FULL), ("MIN", _EMPTY)):
                 yield from _make(
-                    health, f"MOT_BAT_VOLT_{name}", Quantity(cells * volt, 0.0, "V"), note
+                    health, f"MOT_BAT_VOLT_{name}", Estimate(cells * volt, 0.0, "V"), note
                 )
     if health.sized:
         yield from _imu(health, "INS_POS1_")
 
 
-def _thrust_hover(health: Health) -> tuple[Quantity | None, str]:
+def _thrust_hover(health: Health) -> tuple[Estimate | None, str]:
     """Throttle of a hover, as ArduPilot has it before it makes up for the battery's voltage.
 
     With v the voltage over MOT_BAT_VOLT_MAX, an output u is that of the thrust f(v u), and the
@@ -137,10 +137,10 @@ def _thrust_hover(health: Health) -> tuple[Quantity | None, str]:
     std = math.hypot(hover.std * value / hover.value, TUNING.voltage_std * value)
     at = f"{health.battery[2]:.1f} V of MOT_BAT_VOLT_MAX {full:.1f} V"
     note = f"{note}, at {at}, air as on the ground"
-    return Quantity(value, std, "1", TUNING.voltage_std * value), note
+    return Estimate(value, std, "1", std_given=TUNING.voltage_std * value), note
 
 
-def _spin_min(health: Health) -> Quantity | None:
+def _spin_min(health: Health) -> Estimate | None:
     """A little above the least output at which all rotors turned, over the range of outputs."""
     low, high = (health.parameters.get(f"MOT_PWM_{end}", 0.0) for end in ("MIN", "MAX"))
     if not 0.0 < low < high:
@@ -152,7 +152,7 @@ def _spin_min(health: Health) -> Quantity | None:
     # In flight no output is below MOT_SPIN_MIN: only an idle on the ground shows it.
     if not 0.0 < share < now - TUNING.idle_std:
         return None
-    return Quantity(share + TUNING.above_idle, TUNING.idle_std, "1", TUNING.idle_std)
+    return Estimate(share + TUNING.above_idle, TUNING.idle_std, "1", std_given=TUNING.idle_std)
 
 
 def _imu(health: Health, prefix: str) -> Iterator[Suggestion]:
@@ -165,9 +165,9 @@ def _imu(health: Health, prefix: str) -> Iterator[Suggestion]:
         yield from _make(health, f"{prefix}{axis}", _less(value, offset), "m from the CG as flown")
 
 
-def _less(place: float, offset: Quantity) -> Quantity:
+def _less(place: float, offset: Estimate) -> Estimate:
     assert offset.value is not None
-    return Quantity(place - offset.value, offset.std, "m", offset.std_given)
+    return Estimate(place - offset.value, offset.std, "m", std_given=offset.std_given)
 
 
 def format_of(path: Path) -> str:

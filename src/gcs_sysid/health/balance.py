@@ -13,7 +13,6 @@ CG is the intercept, and unbiased however poorly the inertia is known.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -21,50 +20,12 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.intervals import Z95, interval95
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 
 _ROUNDS = 12
 """Reweighted least squares, of Huber's weights."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number with its uncertainty.
-
-    Attributes:
-        value: None where the log does not determine it.
-        std: standard deviation, all of it.
-        unit: SI; "1" for pure numbers.
-        std_given: the part of `std` that comes from what was given or assumed, not from the flight.
-    """
-
-    value: float | None
-    std: float | None
-    unit: str
-    std_given: float = 0.0
-
-    @property
-    def half(self) -> float | None:
-        """Half of the 95 % interval."""
-        return None if self.std is None else Z95 * self.std
-
-    @property
-    def ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval (normal); None without a value."""
-        return interval95(self.value, self.std)
-
-    def as_json(self) -> dict[str, Any]:
-        """As result files write it."""
-        ci95 = self.ci95
-        return {
-            "value": self.value,
-            "std": self.std,
-            "ci95": None if ci95 is None else list(ci95),
-            "unit": self.unit,
-            "std_given": self.std_given,
-        }
 
 
 @dataclass(frozen=True)

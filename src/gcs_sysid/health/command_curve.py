@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
-from gcs_sysid.health.balance import Fit, Quantity, robust_fit
+from gcs_sysid.health.balance import Fit, robust_fit
 from gcs_sysid.health.hover import Windows, variations_of_lift
 from gcs_sysid.health.hover_tuning import TUNING
+from gcs_sysid.model.estimate import Estimate
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Curve:
         origin: in words.
     """
 
-    c: Quantity
+    c: Estimate
     origin: str
 
 
@@ -43,7 +44,7 @@ def curve_of(
         autopilot_name: of that setting.
     """
     if given is not None:
-        return Curve(Quantity(given, 0.0, "1"), "given")
+        return Curve(Estimate(given, 0.0, "1"), "given")
     guess, sigma, origin = 0.5, TUNING.curve_std, "assumed"
     if own is not None and 0.0 < own <= 1.0:
         # Half of the fleet never touched it: it says little more than the usual.
@@ -52,14 +53,14 @@ def curve_of(
     found = _by_speeds(windows) if by_speeds else _by_lift(windows)
     if found is None or not -TUNING.sure * found[1] < found[0] < 1.0 + TUNING.sure * found[1]:
         # None, or none of a propeller: something else moves thrust and commands.
-        return Curve(Quantity(guess, sigma, "1", sigma), origin)
+        return Curve(Estimate(guess, sigma, "1", std_given=sigma), origin)
     c, std, by = found
     gain = sigma**2 / (sigma**2 + std**2)
     merged = guess + gain * (c - guess)
     clipped = float(np.clip(merged, 0.0, 1.0))
     widened = (1.0 if by_speeds else TUNING.gusts_beside) * math.sqrt(gain) * std
     whole = math.hypot(min(widened, sigma), merged - clipped)
-    return Curve(Quantity(clipped, whole, "1"), by if gain > 0.5 else origin)
+    return Curve(Estimate(clipped, whole, "1"), by if gain > 0.5 else origin)
 
 
 def _ratio(fit: Fit) -> tuple[float, float]:

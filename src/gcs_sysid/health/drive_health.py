@@ -15,19 +15,19 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 
 
 def motor_gains(
     streams: Streams, hover: Windows, curve: Curve | None
-) -> tuple[Quantity | None, ...]:
+) -> tuple[Estimate | None, ...]:
     """Speed squared for the command over that of the mean rotor."""
     n = hover.speeds.shape[1]
     hover = hover.part(complete_rows(np.column_stack([hover.speeds, hover.commands])))
@@ -51,7 +51,7 @@ def motor_gains(
     for column, extra in zip(ratio.T, by_curve, strict=True):
         fit = balance.robust_fit(np.ones((len(column), 1)), column)
         std = math.sqrt(float(fit.covariance[0, 0]))
-        out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
+        out.append(Estimate(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
     return tuple(out)
 
 
@@ -76,9 +76,9 @@ def with_throttle(
         if np.isfinite(commanded).all() and (commanded > 0.0).all():
             effort = np.log(commanded / lift)
     fit = balance.robust_fit(np.column_stack([np.ones(len(minutes)), minutes]), effort)
-    drift = Quantity(-float(fit.value[1]), math.sqrt(float(fit.covariance[1, 1])), "1/min")
+    drift = Estimate(-float(fit.value[1]), math.sqrt(float(fit.covariance[1, 1])), "1/min")
     if float(np.ptp(minutes)) < TUNING.shortest_drift / 60.0:
-        drift = Quantity(None, None, "1/min")
+        drift = Estimate(None, None, "1/min")
     health = replace(health, drift=drift)
     u = hover.commands
     if streams.commands is None or curve is None or curve.c.value is None:
@@ -89,9 +89,9 @@ def with_throttle(
     rows = complete_rows(hover.commands)
     unit = GRAVITY / lift[rows]
 
-    def mean_of(values: Array) -> Quantity:
+    def mean_of(values: Array) -> Estimate:
         fit = balance.robust_fit(np.ones((len(values), 1)), values)
-        return Quantity(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+        return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
 
     throttle = mean_of(u.mean(axis=1))
     share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
@@ -104,7 +104,7 @@ def with_throttle(
         hover_thrust = replace(hover_thrust, std=math.hypot(hover_thrust.std, by_curve))
     assert hover_thrust.value is not None
     assert hover_thrust.std is not None
-    to_weight = Quantity(1.0 / hover_thrust.value, hover_thrust.std / hover_thrust.value**2, "1")
+    to_weight = Estimate(1.0 / hover_thrust.value, hover_thrust.std / hover_thrust.value**2, "1")
     rotors = []
     for i, rotor in enumerate(health.rotors):
         used = mean_of(u[:, i])
@@ -113,7 +113,7 @@ def with_throttle(
         turning = samples[samples > 0.0]
         full = float(np.mean(turning >= TUNING.full_command)) if len(turning) else None
         rotors.append(
-            replace(rotor, headroom=Quantity(1.0 - used.value, used.std, "1"), saturated=full)
+            replace(rotor, headroom=Estimate(1.0 - used.value, used.std, "1"), saturated=full)
         )
     return replace(
         health,
@@ -165,7 +165,7 @@ def battery_of(streams: Streams) -> tuple[float, float, float] | None:
     return float(volts.max()), float(volts.min()), float(np.median(volts))
 
 
-def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, ...]:
+def vibration_of(streams: Streams, windows: Windows) -> tuple[Estimate | None, ...]:
     """Amplitude of specific force at each rotor's frequency in hover, m/s^2, rms over the axes.
 
     None for rotors whose frequency the IMU's rate does not show, or without measured speeds.
@@ -178,7 +178,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, .
         return tuple([None] * windows.speeds.shape[1])
     t, imu = streams.tracks[Stream.IMU]
     rate = streams.rate(Stream.IMU)
-    found: list[Quantity | None] = []
+    found: list[Estimate | None] = []
     for times, speeds in streams.speeds.samples:
         phase = np.interp(
             t,
@@ -192,7 +192,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, .
         mean = float(np.mean(squares))
         std = float(np.std(squares)) / math.sqrt(len(squares))
         amplitude = math.sqrt(max(mean, 0.0))
-        found.append(Quantity(amplitude, std / (2.0 * max(amplitude, math.sqrt(std))), "m/s^2"))
+        found.append(Estimate(amplitude, std / (2.0 * max(amplitude, math.sqrt(std))), "m/s^2"))
     return tuple(found)
 
 

@@ -7,9 +7,9 @@ from typing import Any
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
 from gcs_sysid.health.autopilot_parameters import suggested
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN
 
 SCHEMA = "gcs-sysid-health/1"
@@ -19,7 +19,7 @@ _MOST_BYTES = 5_000_000
 def document_of(health: Health) -> dict[str, Any]:
     """The health file's content."""
 
-    def plain(quantity: Quantity | None) -> dict[str, Any] | None:
+    def plain(quantity: Estimate | None) -> dict[str, Any] | None:
         return None if quantity is None else quantity.as_json()
 
     out: dict[str, Any] = {

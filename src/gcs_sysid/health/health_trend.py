@@ -13,11 +13,11 @@ from pathlib import PurePath
 import numpy as np
 from scipy.special import stdtrit
 
-from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN, power_of_ten, times_power
 
 _SHARE = "share of rotor "
@@ -109,7 +109,7 @@ def series_of(flights: Sequence[Health]) -> list[Series]:
     return [one for one in (*places, throttle, yaw, *scales, *shares) if one.known]
 
 
-def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Quantity, ...]]:
+def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Estimate, ...]]:
     """The CG of each flight in the mean wind of all.
 
     Drag moves the center of thrust by the same lever in every flight of a vehicle, and what the
@@ -118,7 +118,7 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Quantity, ...]]:
     flown (`benchmarks.health_logs --part repeated`).
     """
     centers = [h.center for h in flights]
-    places: list[tuple[Quantity, ...]] = [h.cg or () for h in flights]
+    places: list[tuple[Estimate, ...]] = [h.cg or () for h in flights]
     known = [center for center in centers if center is not None]
     if len(known) < max(len(flights), 2):
         return places
@@ -136,11 +136,11 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Quantity, ...]]:
         own = np.maximum(own - (TUNING.wind_share * center.by_wind) ** 2, 0.0)
         values = np.array([q.value or 0.0 for q in place]) - shift
         both = zip(values.tolist(), np.sqrt(own + std**2).tolist(), strict=True)
-        out.append(tuple(Quantity(value, whole, "m") for value, whole in both))
+        out.append(tuple(Estimate(value, whole, "m") for value, whole in both))
     return out
 
 
-def _series(name: str, unit: str, factor: float, usable: Sequence[Quantity | None]) -> Series:
+def _series(name: str, unit: str, factor: float, usable: Sequence[Estimate | None]) -> Series:
     values, stds = [], []
     for quantity in usable:
         if quantity is None or quantity.value is None or quantity.std is None:

@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.health.balance import Quantity, lift_of, robust_values
+from gcs_sysid.health.balance import lift_of, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
 
 
@@ -154,11 +155,11 @@ class Condition:
 
     verdict: str
     rotor: int | None
-    loss: Quantity | None
+    loss: Estimate | None
     margin: float
     moved: tuple[float, float]
     changes: Array
-    efficiency: tuple[Quantity, ...]
+    efficiency: tuple[Estimate, ...]
     suspect: int | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -270,7 +271,7 @@ def compare_loads(
         second = _rival(best)
         margin = min(others - left, second - left)
         if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
-            loss = Quantity(-math.expm1(-extra), std * math.exp(-extra), "1")
+            loss = Estimate(-math.expm1(-extra), std * math.exp(-extra), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     left_best = min((entry[0] for entry in best), default=math.inf)
     least = min(others, left_best)
@@ -366,7 +367,7 @@ def watch_rotors(
     return None, judged
 
 
-def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:
+def _shrunk(r: Array, noise: Array, n: int) -> tuple[Estimate, ...]:
     """Thrust per load against the baseline, each rotor shrunk to no change.
 
     The mean of normal e_i of standard deviation s given r = -e + noise: -s^2 (s^2 I + noise)^-1 r.
@@ -375,6 +376,6 @@ def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:
     gain = prior @ np.linalg.inv(prior + noise)
     value, covariance = -gain @ r, prior - gain @ prior
     return tuple(
-        Quantity(float(1.0 + e), math.sqrt(float(v)), "1")
+        Estimate(float(1.0 + e), math.sqrt(float(v)), "1")
         for e, v in zip(value, np.diag(covariance), strict=True)
     )

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from gcs_sysid.health.balance import Center, Quantity
+from gcs_sysid.health.balance import Center
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 
 
 @dataclass(frozen=True)
@@ -62,12 +63,12 @@ class RotorHealth:
         vibration: amplitude of specific force at its frequency; None where not seen.
     """
 
-    thrust_share: Quantity
-    efficiency: Quantity
-    motor_gain: Quantity | None
-    headroom: Quantity | None
+    thrust_share: Estimate
+    efficiency: Estimate
+    motor_gain: Estimate | None
+    headroom: Estimate | None
     saturated: float | None
-    vibration: Quantity | None
+    vibration: Estimate | None
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it."""
@@ -134,18 +135,18 @@ class Health:
     rotor_input: str = ""
     rotor_source: str = ""
     seconds: float = 0.0
-    cg: tuple[Quantity, Quantity] | None = None
+    cg: tuple[Estimate, Estimate] | None = None
     by_wind: tuple[float, float] | None = None
     center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()
-    yaw_imbalance: Quantity | None = None
-    hover_throttle: Quantity | None = None
-    hover_thrust: Quantity | None = None
-    thrust_to_weight: Quantity | None = None
-    scale: tuple[str, Quantity] | None = None
-    mass: Quantity | None = None
+    yaw_imbalance: Estimate | None = None
+    hover_throttle: Estimate | None = None
+    hover_thrust: Estimate | None = None
+    thrust_to_weight: Estimate | None = None
+    scale: tuple[str, Estimate] | None = None
+    mass: Estimate | None = None
     curve: Curve | None = None
-    drift: Quantity | None = None
+    drift: Estimate | None = None
     motor_lag: float | None = None
     condition: Condition | None = None
     apart: str = ""

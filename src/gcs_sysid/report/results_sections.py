@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Status
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import ReportData
@@ -175,7 +175,7 @@ def _name(name: str) -> Markup:
     )
 
 
-def _status(status: Status, word: words.Word) -> Markup:
+def _status(status: Status | None, word: words.Word) -> Markup:
     sign = element("span", word.sign, class_="sign", aria_hidden="true")
     return element("span", sign, status, class_=f"status {status}")
 

@@ -14,8 +14,9 @@ from typing import Any, Literal
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import interval95
 from gcs_sysid.model.airframe import parse_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 
 SCHEMA = "gcs-sysid/compare/1"
 Change = Literal["changed", "no_change_seen", "cannot_tell"]

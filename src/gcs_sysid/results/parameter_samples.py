@@ -10,10 +10,11 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import parse_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY, THRUST_OF
 from gcs_sysid.results.notebook_view import needed
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 
 if TYPE_CHECKING:
     import pandas

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from gcs_sysid.estimation.parameters.status import KNOWN, Value
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import KNOWN, Estimate
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, THRUST_OF, RotorInput
 from gcs_sysid.model.rigid_body import inertia_matrix
 
@@ -69,7 +69,7 @@ class Objection:
 
 
 def objections(
-    values: Mapping[str, Value],
+    values: Mapping[str, Estimate],
     airframe: Airframe,
     rotor_input: RotorInput,
     *,
@@ -118,12 +118,12 @@ def objections(
     )
 
 
-def capped(values: Mapping[str, Value], found: Iterable[Objection]) -> dict[str, Value]:
+def capped(values: Mapping[str, Estimate], found: Iterable[Objection]) -> dict[str, Estimate]:
     """The values, none that an objection concerns better than `weak`; given ones stay given."""
     return weakened(values, frozenset[str]().union(*(objection.names for objection in found)))
 
 
-def weakened(values: Mapping[str, Value], names: frozenset[str]) -> dict[str, Value]:
+def weakened(values: Mapping[str, Estimate], names: frozenset[str]) -> dict[str, Estimate]:
     """The values, none of those named better than `weak`; given ones stay given."""
     return {
         name: replace(value, status="weak")

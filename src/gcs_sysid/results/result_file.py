@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, NoReturn, cast, get_args
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.parameters.status import Status
 from gcs_sysid.files import read_text
 from gcs_sysid.model.airframe import ANCHORS
+from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.results.result import SCHEMA, Estimate, Result, Scale, Verdict
+from gcs_sysid.results.result import SCHEMA, Result, Scale, Verdict
 from gcs_sysid.sanitize import one_line
 
 MOST_BYTES = 256 * 1024 * 1024

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.parameters.status import NOTHING, Value
+from gcs_sysid.estimation.parameters.status import NOTHING
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.result import Result
 
@@ -248,7 +249,7 @@ class HistoryRecorder:
         self._every = 1
         self._skipped = 0
 
-    def append(self, t: float, values: Mapping[str, Value]) -> None:
+    def append(self, t: float, values: Mapping[str, Estimate]) -> None:
         """Add an instant."""
         self._skipped += 1
         if self._skipped < self._every:

@@ -13,11 +13,11 @@ from gcs_sysid.estimation.changes.tracking import Event
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
-from gcs_sysid.results.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.words import WRONG_AIRFRAME, disturbance_text
 
@@ -62,7 +62,7 @@ def values_of(
     rotor_input: RotorInput = "speed",
     lateness: float = 0.0,
     cant: float = 0.0,
-) -> dict[str, Value]:
+) -> dict[str, Estimate]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early.
 
     While the flight continues, every estimate is seen and may be taken once `identified`: intervals
@@ -107,10 +107,10 @@ def _widened(fit: Fit, factor: float) -> Fit:
 
 
 def estimates_of(
-    values: Mapping[str, Value],
+    values: Mapping[str, Estimate],
     fit: Fit,
     anchor: ScaleReference,
-    bounds: Mapping[str, Value] | None = None,
+    bounds: Mapping[str, Estimate] | None = None,
     given: Mapping[str, float] | None = None,
 ) -> dict[str, Estimate]:
     """Values as a result's estimates.
@@ -149,7 +149,7 @@ def scale_of(anchor: ScaleReference) -> Scale:
 
 def next_anchor(
     anchor: ScaleReference,
-    values: Mapping[str, Value],
+    values: Mapping[str, Estimate],
     until: float,
     mass_ratio: tuple[float, float] | None = None,
 ) -> ScaleReference:
@@ -209,7 +209,7 @@ def validation_of(fit: Fit) -> dict[str, Any]:
 
 
 def event_of(
-    event: Event, before: Mapping[str, Value], after: Mapping[str, Value] | None
+    event: Event, before: Mapping[str, Estimate], after: Mapping[str, Estimate] | None
 ) -> dict[str, Any]:
     """A change as a result reports it.
 

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from gcs_sysid.estimation.parameters.status import RULES, Status
+from gcs_sysid.estimation.parameters.status import RULES
+from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import (
@@ -19,7 +20,7 @@ from gcs_sysid.results.number_format import (
     scaled_unit,
     significant,
 )
-from gcs_sysid.results.result import Estimate, Result, Verdict
+from gcs_sysid.results.result import Result, Verdict
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Word:
         return f"{self.meaning}: {self.advice}" if self.advice else self.meaning
 
 
-STATUS: dict[Status, Word] = {
+STATUS: dict[Status | None, Word] = {
     "identified": Word(
         "✓", f"sigma below {100.0 * RULES.identified_below:g} % of the reference value"
     ),

@@ -8,10 +8,10 @@ them and is held while it reads well, so that numbers do not jump as they conver
 import math
 from collections.abc import Iterable, Mapping
 
-from gcs_sysid.estimation.parameters.status import Status
+from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import decimals_for, engineering_exponent
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.results.words import exponent_key, rows
 
@@ -28,7 +28,7 @@ MUTED = "$foreground 65%"
 """Style of what is not the message: labels, times. (`$text-muted` has no effect inside a text.)"""
 
 # Colors beside the signs of `results.words`.
-STATUS_STYLE: dict[Status, str] = {
+STATUS_STYLE: dict[Status | None, str] = {
     "identified": "$text-success",
     "given": "$text-primary",
     "zero": "$text-success",

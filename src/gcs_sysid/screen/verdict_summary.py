@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.parameters.status import KNOWN, NOTHING, Status, Value
+from gcs_sysid.estimation.parameters.status import NOTHING
+from gcs_sysid.model.estimate import KNOWN, Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
@@ -23,7 +24,7 @@ def shares(result: Result) -> dict[str, float | None]:
     """Half of each 95 % interval over what it is measured against, see `coach.interval_targets`."""
     estimates = result.parameters
     # Flying on makes no interval narrower by what was given.
-    values = {name: Value(e.value, e.std_data, e.status) for name, e in estimates.items()}
+    values = {name: Estimate(e.value, e.std_data, status=e.status) for name, e in estimates.items()}
     complete = dict.fromkeys(CORE_OF[result.rotor_input], NOTHING) | values
     places = [(rotor["x"], rotor["y"]) for rotor in result.airframe.get("rotors", ())]
     arm = sum(math.hypot(x, y) for x, y in places) / max(len(places), 1)
@@ -55,7 +56,7 @@ class Standing:
 
 def standing_of(snapshot: Snapshot) -> Standing:
     """Sort a snapshot's parameters."""
-    groups: dict[Status, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
+    groups: dict[Status | None, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
     reached = 0
     for name, share in shares(snapshot.result).items():
         status = snapshot.result.parameters[name].status

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
 from gcs_sysid.results.words import rows

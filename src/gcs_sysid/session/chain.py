@@ -22,10 +22,10 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.evidence import Evidence, evidence_of
 from gcs_sysid.estimation.parameters.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.record.tuning import COMMANDS, tuning_for_commands
 from gcs_sysid.estimation.rows.rotor_signals import RotorInput, low_pass_delay
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
@@ -304,7 +304,7 @@ class Chain:
         """How the estimates moved so far."""
         return self._history.history()
 
-    def values(self, fit: Fit, anchor: ScaleReference | None = None) -> dict[str, Value]:
+    def values(self, fit: Fit, anchor: ScaleReference | None = None) -> dict[str, Estimate]:
         """Physical parameters of a fit, by the rules of this flight.
 
         Args:

@@ -27,12 +27,12 @@ from gcs_sysid.estimation.parameters.physical_parameters import (
     with_clock_error,
 )
 from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
-from gcs_sysid.estimation.parameters.status import Value
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import plausibility, summary
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.reasons import data_reasons, limit_by_given
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
@@ -144,7 +144,9 @@ class Findings:
             for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        entries = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
+        entries = {
+            name: Estimate(e.value, e.std, status=e.status) for name, e in parameters.items()
+        }
         given = given_effects(entries, self.chain.fit, self._given(self.chain.anchor))
         names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
@@ -162,11 +164,11 @@ class Findings:
 
     def _estimates(
         self,
-        values: dict[str, Value],
+        values: dict[str, Estimate],
         fit: Fit,
         anchor: ScaleReference,
-        bounds: dict[str, Value] | None = None,
-    ) -> tuple[dict[str, Estimate], dict[str, Value]]:
+        bounds: dict[str, Estimate] | None = None,
+    ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
         """Estimates with all of their uncertainty; the values of the same, for the verdict."""
         airframe = self.chain.airframe
         stds = given_stds(values, fit, self._given(anchor))
@@ -176,7 +178,7 @@ class Findings:
         )
         return estimates, with_given(values, stds, airframe.arm)
 
-    def _objections(self, values: dict[str, Value]) -> tuple[plausibility.Objection, ...]:
+    def _objections(self, values: dict[str, Estimate]) -> tuple[plausibility.Objection, ...]:
         source = self.chain.rotors
         return plausibility.objections(
             values,
@@ -198,7 +200,7 @@ class Findings:
             for name, value in with_clock_error(timing, self.chain.clock_error).items()
         }
 
-    def _past_values(self) -> list[dict[str, Value]]:
+    def _past_values(self) -> list[dict[str, Estimate]]:
         if self.chain.tracker is None:
             return []
         return [
@@ -208,14 +210,14 @@ class Findings:
             )
         ]
 
-    def _bounds(self) -> dict[str, Value] | None:
+    def _bounds(self) -> dict[str, Estimate] | None:
         if isinstance(self.chain.offline, str | None):
             return None
         bounds = self.chain.values(self.chain.offline.bounding_fit, self.chain.anchor)
         # The likelihood is that of the rotation.
         return {n: v for n, v in bounds.items() if REGISTRY[n].fit in ("rotation", "actuator")}
 
-    def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+    def _changes(self, values: list[dict[str, Estimate]]) -> tuple[dict[str, Any], ...]:
         if self.chain.tracker is None:
             return ()
         out = []
@@ -229,7 +231,7 @@ class Findings:
                 before = event.segment + 1
         return tuple(out)
 
-    def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+    def _segments(self, past: list[dict[str, Estimate]]) -> tuple[dict[str, Any], ...]:
         if self.chain.tracker is None:
             return ()
         return tuple(

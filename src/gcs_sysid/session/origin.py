@@ -6,7 +6,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.clock_check import ClockDoubt, clock_doubt
 from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout
 from gcs_sysid.telemetry.imu_loss import loss_reason

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from gcs_sysid.estimation.parameters.status import RULES, Value
+from gcs_sysid.estimation.parameters.status import RULES
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
@@ -72,7 +73,9 @@ def data_reasons(chain: "Chain", *, still: bool = False) -> tuple[str, ...]:
     return ()
 
 
-def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -> tuple[str, ...]:
+def limit_by_given(
+    by_flight: Mapping[str, Estimate], whole: Mapping[str, Estimate]
+) -> tuple[str, ...]:
     """Parameters that the flight determines well enough, but the given values do not.
 
     Args:

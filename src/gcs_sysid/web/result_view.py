@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.wording import verdict_sentence
 from gcs_sysid.results.comparison import Comparison, Difference
 from gcs_sysid.results.number_format import PAGE, decimals_for, scaled_unit
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import CHANGE, STATUS, VERDICT, WAITING, rows
 
 
@@ -86,7 +87,7 @@ def result_rows(
         if waiting and status == "unobservable":
             word, shown = WAITING, WAITING.meaning
         else:
-            shown = status
+            shown = status or ""
         out.append(
             {
                 "name": parameter.name,

@@ -13,7 +13,7 @@ from gcs_sysid.arrays import Mask
 from gcs_sysid.estimation.checks.layout_test import LEAST_RATE
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.parameters.status import Value
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter, RotorInput
 
 AXES = ("roll", "pitch", "yaw")
@@ -84,7 +84,7 @@ class Evidence:
     """Whether lag and thrust curve are capped, as roll or pitch, which they are found from, is not
     predicted; and T_max, gravity over the share of full thrust at hover, which the curve gives."""
 
-    def cap(self, value: Value, parameter: Parameter) -> Value:
+    def cap(self, value: Estimate, parameter: Parameter) -> Estimate:
         """The value, at most `weak` where an axis of the parameter is capped."""
         capped = [axis for axis in parameter.axes if self.capped[axis]]
         if parameter.mean_torque and self.misplaced:

@@ -36,10 +36,11 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.search import N_X, residual_maker
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.scale import resolve_scale
-from gcs_sysid.estimation.parameters.status import RULES, Value
+from gcs_sysid.estimation.parameters.status import RULES
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import ARM, PARAMETERS, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
@@ -81,7 +82,7 @@ all arms, what canted rotors add with these, and the middle of the rotors."""
 _SCALE, _LEVER, _ARM, _CANT, _CENTER = range(5)
 
 
-def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, Array]:
+def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dict[str, Array]:
     """What one standard deviation of each thing given does to the parameters.
 
     One error moves all that depends on it: a mass 1 % too large makes k_T and inertia 1 % too
@@ -133,7 +134,7 @@ def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[s
     return out
 
 
-def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, float]:
+def given_stds(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dict[str, float]:
     """Standard deviations that come from what was given, and which no flight makes smaller.
 
     Args:
@@ -158,8 +159,8 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
 
 
 def with_given(
-    values: Mapping[str, Value], stds: Mapping[str, float], arm: float
-) -> dict[str, Value]:
+    values: Mapping[str, Estimate], stds: Mapping[str, float], arm: float
+) -> dict[str, Estimate]:
     """Values with the whole of their uncertainty: the flight's and that of what was given.
 
     A parameter whose total standard deviation exceeds 5 % of its reference value is no longer

@@ -16,10 +16,11 @@ from gcs_sysid.estimation.parameters.individual_values import (
     rotor_coefficients,
 )
 from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
-from gcs_sysid.estimation.parameters.status import NOTHING, RULES, Value, doubted, judged
+from gcs_sysid.estimation.parameters.status import NOTHING, RULES, doubted, judged
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import (
     ARM,
     AXIS_DAMPINGS,
@@ -98,7 +99,7 @@ def physical_parameters(
     lateness: float = 0.0,
     cant: float = 0.0,
     seconds: float = math.inf,
-) -> dict[str, Value]:
+) -> dict[str, Estimate]:
     """Physical parameters of the fits, at the anchor's scale.
 
     With commands T_max and the thrust curve take the places of k_T and k_M, and a rotor's inertia
@@ -150,7 +151,7 @@ def physical_parameters(
         if p.in_result(rotor_input) or (p.optional and name in raw)
     }
     if anchor.kind in out and anchor.std == 0.0:
-        out[anchor.kind] = Value(anchor.value, 0.0, "given")
+        out[anchor.kind] = Estimate(anchor.value, 0.0, status="given")
     if rotation is None:
         return out
     for name, p in PARAMETERS.items():
@@ -302,7 +303,7 @@ def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float)
 
 def rotor_values(
     rotation: RotationFit | None, scale: Scale, rotors: int, cant: float = 0.0
-) -> list[dict[str, Value]]:
+) -> list[dict[str, Estimate]]:
     """k_T and k_M of each rotor, in motor order; empty where nothing sets the scale.
 
     Args:
@@ -326,7 +327,7 @@ def rotor_values(
     return out
 
 
-def _not_rigid(values: Mapping[str, Value]) -> dict[str, Value]:
+def _not_rigid(values: Mapping[str, Estimate]) -> dict[str, Estimate]:
     """Values where the vehicle does not move like a rigid body: the rest is doubted, too."""
     out = dict(values)
     for name, entry in values.items():
@@ -338,7 +339,7 @@ def _not_rigid(values: Mapping[str, Value]) -> dict[str, Value]:
     return out
 
 
-def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Value]:
+def with_clock_error(values: Mapping[str, Estimate], share: float) -> dict[str, Estimate]:
     """Values with the error of the vehicle's clock included.
 
     Args:
@@ -346,7 +347,7 @@ def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Val
         share: relative error of its rate.
     """
 
-    def widened(name: str, entry: Value) -> Value:
+    def widened(name: str, entry: Estimate) -> Estimate:
         clock = REGISTRY[name].clock
         size = values.get(clock.of or name, NOTHING).value
         if size is None or not (clock.power and entry.std) or entry.status == "given":
@@ -363,7 +364,7 @@ def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
     return frozenset(name for name, p in PARAMETERS.items() if p.theta in names)
 
 
-def timing_values(rotation: RotationFit | None, rotor_input: RotorInput) -> dict[str, Value]:
+def timing_values(rotation: RotationFit | None, rotor_input: RotorInput) -> dict[str, Estimate]:
     """How far the rotor stream lags behind the IMU's, and with commands a motor's lag, s."""
     names = [name for name, p in TIMING.items() if rotor_input in p.inputs]
     if rotation is None:
@@ -385,7 +386,7 @@ def _slowness(rotation: RotationFit | None) -> float:
     return max(1.0, float(rotation.coordinates[Coordinate.LAG]) / ERRORS.quick_motor)
 
 
-def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
+def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Estimate:
     """One of the actuator's coordinates; `given` where it was not estimated.
 
     Args:
@@ -397,7 +398,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
     value = float(rotation.coordinates[which])
     std = float(rotation.coordinates_std[which])
     if std == 0.0:
-        return Value(value, 0.0, "given")
+        return Estimate(value, 0.0, status="given")
     if which == Coordinate.LAG:
         doubt = ERRORS.lag * value
     p = REGISTRY[name]
@@ -405,7 +406,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
 
 
 def verdict(
-    parameters: Mapping[str, Value],
+    parameters: Mapping[str, Estimate],
     rotor_input: RotorInput = "speed",
     rigid_body_test: RigidBodyTest | None = None,
     *,

@@ -2,14 +2,10 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter, Sign
-
-Status = Literal["identified", "given", "zero", "weak", "unobservable"]
-KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
-"""Statuses of a parameter that a complete identification may have."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +48,10 @@ class StatusRules:
 RULES = StatusRules()
 
 
-@dataclass(frozen=True)
-class Value:
-    """A parameter's value, standard deviation and status; None where there is nothing."""
-
-    value: float | None
-    std: float | None
-    status: Status
+NOTHING = Estimate(None, None, status="unobservable")
 
 
-NOTHING = Value(None, None, "unobservable")
-
-
-def judged(value: float, std: float, reference: float, sign: Sign = "positive") -> Value:
+def judged(value: float, std: float, reference: float, sign: Sign = "positive") -> Estimate:
     """A value with the status that its standard deviation gives it.
 
     Args:
@@ -82,13 +69,15 @@ def judged(value: float, std: float, reference: float, sign: Sign = "positive") 
     if ratio < RULES.identified_below:
         low = -math.inf if sign == "not negative" else -Z95 * std
         zero = sign != "positive" and low <= value <= Z95 * std
-        return Value(value, std, "zero" if zero else "identified")
-    return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
+        return Estimate(value, std, status="zero" if zero else "identified")
+    return Estimate(
+        value, std, status="weak" if ratio < RULES.unobservable_above else "unobservable"
+    )
 
 
 def doubted(
-    value: Value, parameter: Parameter, r_squared: tuple[float, ...], *, whitened: bool = False
-) -> Value:
+    value: Estimate, parameter: Parameter, r_squared: tuple[float, ...], *, whitened: bool = False
+) -> Estimate:
     """The value, its status lowered where the model explains too little on one of its axes.
 
     Args:

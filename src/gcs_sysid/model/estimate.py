@@ -1,0 +1,136 @@
+"""A number with its uncertainty: the one type that all rooms hand on.
+
+What a status may be is here; which one an estimate has is decided in `judgement` alone.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from gcs_sysid.intervals import Z95, interval95
+
+Status = Literal["identified", "given", "zero", "weak", "unobservable"]
+KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
+"""Statuses of a parameter that a complete identification may have."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter's value with its uncertainty.
+
+    `value` and `std` are None without any information; `std` is 0 for a value given as exact.
+
+    Example:
+        >>> from gcs_sysid import Estimate
+        >>> low, high = Estimate(0.0294, 0.0003, "kg m^2", "identified").ci95
+        >>> round(low, 4), round(high, 4)
+        (0.0288, 0.03)
+    """
+
+    value: float | None
+    std: float | None
+    unit: str = ""
+    """SI; "1" for pure numbers."""
+    status: Status | None = None
+    """How well it is known, in a word; None: not judged."""
+    bound: float | None = None
+    """The least standard deviation that any estimator could have on this flight."""
+    rests_on: str | None = None
+    """What more than half of the knowledge comes from, if not from this flight's data."""
+    std_given: float = 0.0
+    """The part of `std` that comes from what was given or assumed (arm, scale, IMU): the same in
+    every flight analyzed with it, however long. `std` is the root of the sum of both squares."""
+    not_negative: bool = False
+    """Whether physics puts zero as the lower bound: see `bounded`."""
+
+    @property
+    def std_data(self) -> float | None:
+        """The part of `std` that comes from this flight's data."""
+        if self.std is None or not self.std_given:
+            return self.std
+        return math.sqrt(max(self.std**2 - self.std_given**2, 0.0))
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval (normal), or None where there is no value.
+
+        Intervals of what cannot be negative are cut off at zero. No true value lies below, so
+        coverage stays at least 95 %.
+        """
+        return interval95(self.value, self.std, not_negative=self.not_negative)
+
+    @property
+    def bounded(self) -> "Estimate":
+        """The estimate within its physical bound: the nearest possible value.
+
+        At zero the upper limit is that of an estimate of zero, so that no estimate below it makes
+        the interval too short.
+        """
+        if not self.not_negative or self.value is None or not self.value < 0.0:
+            return self
+        return replace(self, value=0.0)
+
+    @property
+    def shown(self) -> bool:
+        """Whether there is a value to show: not if unobservable."""
+        return self.value is not None and self.status != "unobservable"
+
+    @property
+    def limit(self) -> float | None:
+        """Upper limit (95 %) of the magnitude of a value consistent with zero; else None."""
+        if not self.shown or self.status == "given" or self.ci95 is None:
+            return None
+        low, high = self.ci95
+        return max(-low, high) if low <= 0.0 <= high else None
+
+    @property
+    def half(self) -> float | None:
+        """Half-width of the 95 % interval; None if there is none, or the value is not shown."""
+        if self.value is None or self.std is None or (self.status == "given" and not self.std):
+            return None
+        half = Z95 * self.std
+        return half if math.isfinite(half) else None
+
+    @property
+    def relative_half(self) -> float | None:
+        """The same over the value."""
+        half = self.half
+        if half is None or not self.value or not math.isfinite(self.value):
+            return None
+        return half / abs(self.value)
+
+    def as_json(self) -> dict[str, Any]:
+        """The estimate as result and health files write it."""
+        ci = self.ci95
+        out = {
+            "value": _finite(self.value),
+            "std": _finite(self.std),
+            "std_data": _finite(self.std_data),
+            "std_given": None if self.std is None else self.std_given,
+            "ci95": None if ci is None or not all(map(math.isfinite, ci)) else list(ci),
+            "unit": self.unit,
+        }
+        if self.status is not None:
+            out["status"] = self.status
+        if self.bound is not None:
+            out["bound"] = _finite(self.bound)
+        if self.rests_on is not None:
+            out["rests_on"] = self.rests_on
+        return out
+
+
+@dataclass(frozen=True)
+class IdentifiedEstimate(Estimate):
+    """An estimate with value and interval, as `Result.identified` returns it."""
+
+    value: float
+    std: float
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """The 95 % interval, as of `Estimate`."""
+        return interval95(self.value, self.std, not_negative=self.not_negative)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
