@@ -402,15 +402,32 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
         position = np.column_stack([_held(times, column, grid) for column in values[:, 3:6].T])
     reported = held(Stream.IN_AIR)
     armed = held(Stream.ARMED)
-    flying = FlightDetector().update(grid, reported, armed, speeds, position)
+    imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
+    felt = windowed_means(imu_t, imu[:, :6], grid, TUNING.judged_every)
+    thrust = np.column_stack(
+        [_mean_effort(streams.speeds, grid, 2), _mean_effort(streams.commands, grid, 1)]
+    )
+    seen_by_imu = felt[:, 3:], felt[:, :3], thrust
+    flying = FlightDetector().update(grid, reported, armed, speeds, position, *seen_by_imu)
     effort = np.nan_to_num(speeds**2).sum(axis=1)
     carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
     seen = np.count_nonzero(flying & carrying) >= TUNING.least_seen * np.count_nonzero(carrying)
     if not (seen and flying.any()) and not np.isfinite(reported).any():
         # Thrown by hand, or landed lower than it took off: rotors that carry must do.
         nowhere = np.full_like(position, np.nan)
-        flying = FlightDetector().update(grid, reported, armed, speeds, nowhere) & carrying
+        flying = FlightDetector().update(grid, reported, armed, speeds, nowhere, *seen_by_imu)
+        flying &= carrying
     return grid, flying
+
+
+def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:
+    """(n,) what thrust grows with, over all rotors; NaN where it is not known."""
+    if stream is None:
+        return np.full(len(grid), np.nan)
+    half = max(TUNING.judged_every, 1.0 / stream.rate)
+    means = [windowed_means(t, v**power, grid, half)[:, 0] for t, v in stream.samples]
+    out: Array = np.mean(means, axis=0)
+    return out
 
 
 def _held(times: Array, values: Array, grid: Array) -> Array:

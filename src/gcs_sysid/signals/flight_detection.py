@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.signals.ground_test import GroundTest
 from gcs_sysid.signals.recursions import lfilter
 
 TAKE_OFF = 1.0
@@ -30,6 +31,8 @@ _FALL, _FALL_FOR = 4.0, 0.1
 """m/s^2 below which it falls, and s of it."""
 _ONE_G = (7.0, 13.0)
 """m/s^2 that an accelerometer must have read before it may indicate a fall."""
+_LIES = 1.0
+"""rad/s, mean rate up to which it may lie on its back."""
 _CARRIED = np.log([5.0, 2.5])
 """Logarithms of specific force over squared speeds and over commands, against their least in
 flight, from which the ground carries it. Over squared speeds: 9 to 10 with idling rotors, at most
@@ -64,6 +67,7 @@ class FlightDetector:
         self._sensed = self._stood = self._moved = False
         self._weighed = self._weighed_upright = False
         self._still: tuple[float, float, Array] | None = None
+        self._ground_test = GroundTest()
 
     def update(
         self,
@@ -109,7 +113,9 @@ class FlightDetector:
             carried = (ratio > _CARRIED + least).any(axis=1)
             carried &= ~(ratio <= _CARRIED + least).any(axis=1)
             falls = sensed & (force < _FALL) & (force > 0.0)
-            overturned = sensed & (along > _LEAST_FORCE)
+            # A racer's drag may push it so for a while, but not with 1 g and without turning.
+            lies = (smooth[:, 0] > _ONE_G[0]) & (smooth[:, 0] < _ONE_G[1]) & (smooth[:, 1] < _LIES)
+            overturned = sensed & (along > _LEAST_FORCE) & lies
         rests = self._since(t, restless | ~zero, "_restless_at") >= _REST_FOR
         idles = self._since(t, restless | zero | ~carried, "_carried_at") >= _REST_FOR
         falls = self._since(t, ~falls, "_unfallen_at") >= _FALL_FOR
@@ -120,7 +126,9 @@ class FlightDetector:
         # A report of disarmed, of a vehicle that reports flight with all rotors turning, is another
         # sender's.
         disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
+        carried_by_ground = self._ground_test.update(t, force, rates, thrust)
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
+        stands |= carried_by_ground
         down = self._lately(t, position[:, 2])
         stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
         self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)

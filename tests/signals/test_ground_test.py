@@ -1,0 +1,84 @@
+"""Rotors or ground: who carries the vehicle."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.signals.ground_test import GroundTest
+
+G = 9.81
+T = np.arange(0.0, 30.0, 0.02)
+
+
+def stood(effort, force, rate=0.02, *, commands=False, noise=0.1, block=10**6):
+    """Where the ground is found to carry it, from the mean of what thrust grows with."""
+    rng = np.random.default_rng(4)
+    force = np.abs(force + noise * rng.normal(size=len(T)))
+    rates = np.full(len(T), rate)
+    empty = np.full(len(T), np.nan)
+    thrust = np.column_stack([empty, effort] if commands else [effort, empty])
+    test = GroundTest()
+    parts = [slice(i, i + block) for i in range(0, len(T), block)]
+    return np.concatenate([test.update(T[k], force[k], rates[k], thrust[k]) for k in parts])
+
+
+def maneuvers(share=0.05):
+    """Relative thrust of a pilot who holds height, with white jitter of the mixer."""
+    rng = np.random.default_rng(5)
+    return 1.0 + share * np.sin(3.0 * T) + 0.2 * share * rng.normal(size=len(T))
+
+
+def test_a_bench_run_is_carried_by_the_bench():
+    steps = 1e5 * (2.0 + np.sin(0.8 * T))
+    assert stood(steps, G + 0.0 * T)[T > 3.0].all()
+
+
+@pytest.mark.parametrize("commands", [False, True])
+def test_what_hovers_is_carried_by_its_rotors(commands):
+    thrust = maneuvers()
+    effort = np.sqrt(thrust) if commands else 4e5 * thrust
+    assert not stood(effort, G * thrust, commands=commands).any()
+
+
+def test_a_motor_that_lags_still_carries():
+    thrust = maneuvers(0.1)
+    late = np.convolve(thrust, np.full(8, 0.125))[: len(T)]
+    late[:8] = 1.0
+    assert not stood(thrust, G * late).any()
+
+
+def test_constant_thrust_says_nothing():
+    for noise in (0.0, 0.1, 1.0):
+        assert not stood(np.full(len(T), 4e5), G + 0.0 * T, noise=noise).any()
+
+
+def test_a_take_off_is_seen_within_two_seconds():
+    """Spooled up on its feet for five seconds, then it climbs and hovers."""
+    ground = T < 10.0
+    effort = np.where(T < 5.0, 0.1, np.where(ground, 0.1 + 0.16 * (T - 5.0), 1.0)) * 4e5
+    climb = 1.15 * maneuvers(0.1)
+    effort = np.where(ground, effort, 4e5 * climb)
+    found = stood(effort, np.where(ground, G, G * climb))
+    assert found[(T > 7.0) & ground].all()
+    assert not found[T > 12.0].any()
+
+
+@pytest.mark.parametrize(("force", "rate"), [(2.0, 0.1), (25.0, 0.1), (G, 3.0)])
+def test_what_falls_climbs_or_turns_stands_on_nothing(force, rate):
+    steps = 1e5 * (2.0 + np.sin(0.8 * T))
+    assert not stood(steps, force + 0.0 * T, rate).any()
+
+
+@pytest.mark.parametrize("block", [1, 7, 100])
+def test_size_of_blocks_does_not_matter(block):
+    effort = 4e5 * np.where(T < 10.0, 0.3 + 0.05 * T, maneuvers())
+    force = np.where(T < 10.0, G, G * maneuvers())
+    whole = stood(effort, force)
+    assert whole.any()
+    assert not whole.all()
+    np.testing.assert_array_equal(stood(effort, force, block=block), whole)
+
+
+def test_missing_streams_say_nothing():
+    empty = np.full(len(T), np.nan)
+    test = GroundTest()
+    assert not test.update(T, empty, empty, np.column_stack([empty, empty])).any()
