@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from gcs_sysid.cli.program import build_parser, commands_of
+from gcs_sysid.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 SCREEN = ("textual", "textual-serve", "aiohttp")
@@ -98,7 +98,7 @@ def sizes() -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, or the reasons."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.startup")
-    names = [name for name, _ in commands_of(build_parser())]
+    names = [command.name for command in COMMANDS]
     parser.add_argument("--runs", type=int, default=5, metavar="N")
     parser.add_argument("--why", choices=names, metavar="COMMAND")
     parser.add_argument("--sizes", action="store_true")
@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"from gcs_sysid.cli.program import run; run(['{name}', '--help'])", options.runs
         )
         loaded, packages = cost(
-            "from gcs_sysid.cli.program import build_parser; build_parser();"
+            "from gcs_sysid.cli.commands import build_parser; build_parser();"
             f"import gcs_sysid.cli.{name}_command; {show}",
             options.runs,
         )

@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from gcs_sysid.cli.program import build_parser
+from gcs_sysid.cli.commands import build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 REPLACED = ROOT / "tools" / "replaced_words.txt"

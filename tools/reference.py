@@ -16,7 +16,7 @@ import textwrap
 from typing import Any
 
 import gcs_sysid
-from gcs_sysid.cli.program import build_parser
+from gcs_sysid.cli.commands import COMMANDS, build_parser
 
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Example|Examples):$", re.MULTILINE)
 _ENTRY = re.compile(r"^(\*{0,2}\w[\w.]*): ")
@@ -28,7 +28,6 @@ def commands_page() -> str:
     """Every command of `gcs-sysid` with its arguments and options, in Markdown."""
     parser = build_parser()
     (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    summaries = {choice.dest: choice.help or "" for choice in commands._choices_actions}
     lines = [
         "# Commands",
         "",
@@ -38,15 +37,13 @@ def commands_page() -> str:
         "| command | does |",
         "|---|---|",
         *(
-            f"| [`{name}`](#{name}) | {_plain(summaries.get(name, ''))} |"
-            for name in commands.choices
-            if name in summaries
+            f"| [`{command.name}`](#{command.name}) | {_plain(command.summary)} |"
+            for command in COMMANDS
         ),
         "",
     ]
-    for name, command in commands.choices.items():
-        if name in summaries:
-            lines += _command(name, command)
+    for command in COMMANDS:
+        lines += _command(command.name, commands.choices[command.name])
     return "\n".join(lines)
 
 

@@ -52,9 +52,8 @@ def attempt(python: str, wheel: Path, sdist: Path, folder: Path) -> list[str]:
     version = run(inside, "-c", "import platform; print(platform.python_version())", cwd=folder)
     listed = run(
         inside, "-X", "dev", "-W", "error", "-c",
-        "from gcs_sysid.cli.program import build_parser\n"
-        "from gcs_sysid.cli.program import commands_of\n"
-        "print(*(name for name, _ in commands_of(build_parser())))",
+        "from gcs_sysid.cli.commands import COMMANDS\n"
+        "print(*(command.name for command in COMMANDS))",
         cwd=folder,
     ).split()  # fmt: skip
     for name in listed:

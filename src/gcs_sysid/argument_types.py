@@ -1,13 +1,22 @@
-"""What both command lines share: one-line usage errors and checked numbers."""
+"""Text to values, as both command lines and the page's form take them; one-line usage errors.
+
+A parse function takes what a user types and returns the value, or raises
+`argparse.ArgumentTypeError` with what is wrong, to stand after the option's name.
+"""
 
 import argparse
 import math
 import re
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from gcs_sysid.errors import nearest
 from gcs_sysid.sanitize import one_line
+
+if TYPE_CHECKING:
+    from gcs_sysid.model.airframe import Airframe
+
+GivenName = Literal["arm", "mass", "k_T", "T_max"]
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -58,7 +67,7 @@ class AppendNamed(argparse.Action):
 
 
 def number(text: str) -> float:
-    """An argparse type: a finite number."""
+    """A finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -69,14 +78,14 @@ def number(text: str) -> float:
 
 
 def baud(text: str) -> int:
-    """An argparse type: the baud rate of a serial port."""
+    """The baud rate of a serial port."""
     if not text.isdecimal() or not 1 <= len(text) <= 8 or int(text) == 0:
         raise argparse.ArgumentTypeError(f"must be a baud rate such as 57600, got {text!r}")
     return int(text)
 
 
 def positive(text: str) -> float:
-    """An argparse type: a finite number above zero."""
+    """A finite number above zero."""
     value = number(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
@@ -84,7 +93,7 @@ def positive(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """An argparse type: a finite number, zero or more."""
+    """A finite number, zero or more."""
     value = number(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"must not be negative, got {text!r}")
@@ -92,7 +101,7 @@ def not_negative(text: str) -> float:
 
 
 def between(least: float, most: float, unit: str) -> Callable[[str], float]:
-    """An argparse type: a number from `least` to `most` of a unit."""
+    """Parse function of a number from `least` to `most` of a unit."""
 
     def checked(text: str) -> float:
         value = number(text)
@@ -112,10 +121,10 @@ class Measured(float):
 
 
 def measured(check: Callable[[str], float]) -> Callable[[str], Measured]:
-    """An argparse type: VALUE or VALUE±STD, the latter perhaps in percent; +- and +/- do as well.
+    """Parse function of VALUE or VALUE±STD, the latter perhaps in percent; +- and +/- do as well.
 
     Args:
-        check: the type of the value.
+        check: parses the value.
     """
 
     def checked(text: str) -> Measured:
@@ -149,3 +158,129 @@ def split_prior(text: str) -> tuple[str, str, str] | None:
     name, equals, rest = text.partition("=")
     value, plus_minus, std = _plus_minus(rest)
     return (name.strip(), value, std) if equals and plus_minus else None
+
+
+def prior(text: str) -> tuple[str, float, float]:
+    """NAME=VALUE±STD; +- and +/- do as well."""
+    words = split_prior(text)
+    try:
+        if words:
+            return words[0], float(words[1]), float(words[2])
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")
+
+
+def setting(text: str) -> tuple[str, float]:
+    """NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {text!r}")
+    return name.strip(), number(value)
+
+
+def uncertain_setting(text: str) -> tuple[str, float, float]:
+    """NAME=VALUE or NAME=VALUE±STD; +- and +/- do as well."""
+    words = split_prior(text)
+    try:
+        if words:
+            return words[0], number(words[1]), not_negative(words[2])
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE[±STD], got {text!r}") from None
+    name, value = setting(text)
+    return name, value, 0.0
+
+
+def uncertain_delay(text: str) -> tuple[float, float]:
+    """A loop's delay in s, perhaps with ±STD."""
+    _, value, std = uncertain_setting(f"delay={text}")
+    if not 0.0 <= value <= 0.2:
+        raise argparse.ArgumentTypeError(f"must be 0 to 0.2 s, got {text!r}")
+    return value, std
+
+
+def percentage(text: str) -> float:
+    """Per cent, with or without the sign, as a share."""
+    try:
+        value = float(text.strip().removesuffix("%"))
+    except ValueError:
+        value = math.nan
+    if not 0.1 <= value <= 50.0:
+        raise argparse.ArgumentTypeError(f"must lie between 0.1% and 50%, got {text!r}")
+    return 0.01 * value
+
+
+def climb(text: str) -> float:
+    """How far a maneuver may climb and descend in m; 0: not at all."""
+    value = 0.0 if text.strip() in ("0", "0.0") else number(text)
+    if value and not 0.2 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"must be 0 or lie between 0.2 and 1 m, got {text!r}")
+    return value
+
+
+def count(least: int, most: int) -> Callable[[str], int]:
+    """Parse function of a whole number from `least` to `most`."""
+
+    def checked(text: str) -> int:
+        if not text.isdecimal() or not least <= int(text) <= most:
+            raise argparse.ArgumentTypeError(
+                f"must be a whole number from {least} to {most}, got {text!r}"
+            )
+        return int(text)
+
+    return checked
+
+
+def vehicle_address(text: str) -> tuple[int, int | None]:
+    """SYSID or SYSID:COMPID."""
+    system, _, component = text.partition(":")
+    try:
+        address = int(system), int(component) if component else None
+    except ValueError:
+        address = (0, None)
+    if not 1 <= address[0] <= 255 or not (address[1] is None or 0 <= address[1] <= 255):
+        raise argparse.ArgumentTypeError(
+            f"must be SYSID or SYSID:COMPID with numbers up to 255, got {text!r}"
+        )
+    return address
+
+
+def web_address(text: str) -> tuple[str, int]:
+    """[HOST:]PORT; without a host, this machine alone."""
+    host, colon, port = text.rpartition(":")
+    bracketed = host.startswith("[") and host.endswith("]")
+    host = host.strip("[]") if colon else "127.0.0.1"
+    if not host or (":" in host and not bracketed) or not port.isdecimal() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(
+            f"must be [HOST:]PORT, such as 8000 or 0.0.0.0:8000, got {text!r}"
+        )
+    return host, int(port)
+
+
+mass = between(0.001, 1e5, "kg")
+"""Of something that flies."""
+GIVEN: dict[GivenName, Callable[[str], Measured]] = {
+    "arm": measured(positive),
+    "mass": measured(mass),
+    "k_T": measured(positive),
+    "T_max": measured(positive),
+}
+"""What a user gives of an airframe, perhaps with a standard deviation -> its parse function: the
+rotors' mean distance from the center in m, and what sets the scale."""
+
+
+def with_given(airframe: "Airframe", name: GivenName, value: float, by: str) -> "Airframe":
+    """The airframe with its arm or its scale as given, and the deviation given with it, if any.
+
+    Args:
+        airframe: with another size or scale, or none.
+        name: of what is given.
+        value: as parsed.
+        by: the option or field that gave it, for messages.
+
+    Raises:
+        InputError: no vehicle is like that.
+    """
+    given = airframe.with_arm(value) if name == "arm" else airframe.with_anchor(name, value)
+    sigma = getattr(value, "sigma", None)
+    return given if sigma is None else given.with_uncertainty({name: sigma}, by)

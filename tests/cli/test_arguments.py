@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli import arguments
-from gcs_sysid.cli.program import build_parser, run
+from gcs_sysid.argument_types import vehicle_address
+from gcs_sysid.cli.airframe_choice import airframe_of
+from gcs_sysid.cli.commands import ARTICLE_METHODS, build_parser
+from gcs_sysid.cli.program import run
 from gcs_sysid.estimation.record import article_estimator as article
 
 ERROR = "gcs-sysid: error: "
@@ -231,10 +233,9 @@ def test_help_and_version_load_nothing_heavy(argument):
 def test_commands_and_notebooks_load_neither_screen_nor_slow_parts_of_scipy():
     code = (
         "import gcs_sysid, importlib, sys\n"
-        "from gcs_sysid.cli.program import build_parser\n"
-        "from gcs_sysid.cli.program import commands_of\n"
-        "for name, _ in commands_of(build_parser()):\n"
-        "    importlib.import_module(f'gcs_sysid.cli.{name}_command')\n"
+        "from gcs_sysid.cli.commands import COMMANDS\n"
+        "for command in COMMANDS:\n"
+        "    importlib.import_module(f'gcs_sysid.cli.{command.name}_command')\n"
         "gcs_sysid.analyze, gcs_sysid.identify\n"
         "slow = {'textual', 'aiohttp', 'rich', 'scipy.stats', 'scipy.interpolate',"
         " 'scipy.optimize', 'pyarrow', 'distributed'}\n"
@@ -290,23 +291,23 @@ def test_the_default_airframe_is_that_of_the_command(capsys):
 
 
 def test_names_of_the_articles_methods_are_the_estimators():
-    assert article.METHODS == arguments.ARTICLE_METHODS
+    assert article.METHODS == ARTICLE_METHODS
 
 
 @pytest.mark.parametrize(
     ("text", "address"), [("1", (1, None)), ("255:0", (255, 0)), ("7:190", (7, 190))]
 )
 def test_vehicle_address(text, address):
-    assert arguments.vehicle_address(text) == address
+    assert vehicle_address(text) == address
 
 
 @pytest.mark.parametrize("text", ["", "0", "256", "-1", "a", "1:", "1:256", "1:2:3", "1.5"])
 def test_no_vehicle_address(text):
     if text == "1:":
-        assert arguments.vehicle_address(text) == (1, None)
+        assert vehicle_address(text) == (1, None)
         return
     with pytest.raises(argparse.ArgumentTypeError):
-        arguments.vehicle_address(text)
+        vehicle_address(text)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="says it in other words")
@@ -331,13 +332,12 @@ def test_what_the_system_cannot_look_up_is_no_defect_of_the_program(files, capsy
 
 @pytest.mark.parametrize("sign", ["±", "+-", "+/-", " ± "])
 def test_what_is_given_may_have_a_standard_deviation(sign):
-    parser = argparse.ArgumentParser()
-    arguments.add_analyze(parser)
-    words = ["a.tlog", *PAPER, "--arm", f"0.3{sign}3%", "--mass", f"1.6{sign}0.01"]
-    airframe = arguments.airframe_of(parser.parse_args(words))
+    parser = build_parser()
+    words = ["analyze", "a.tlog", *PAPER, "--arm", f"0.3{sign}3%", "--mass", f"1.6{sign}0.01"]
+    airframe = airframe_of(parser.parse_args(words))
     assert airframe.arm == pytest.approx(0.3)
     assert airframe.uncertainty.arm.of(0.3) == pytest.approx(0.009)
     assert airframe.uncertainty.scale_share("mass", 1.6) == pytest.approx(0.01 / 1.6)
     # Nothing said: as the file has it.
-    plain = arguments.airframe_of(parser.parse_args(["a.tlog", *PAPER, "--mass", "1.6"]))
+    plain = airframe_of(parser.parse_args(["analyze", "a.tlog", *PAPER, "--mass", "1.6"]))
     assert plain.uncertainty.scale_share("mass", 1.6) == 0.0

@@ -5,9 +5,8 @@ import subprocess
 
 import pytest
 
+from gcs_sysid.cli.commands import SHELLS, build_parser
 from gcs_sysid.cli.completion_command import _actions, _airframes, script
-from gcs_sysid.cli.option_groups import SHELLS
-from gcs_sysid.cli.program import build_parser
 from gcs_sysid.model.airframe import builtin_names
 
 

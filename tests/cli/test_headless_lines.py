@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.live_command import status_line
+from gcs_sysid.cli.headless import status_line
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.live_estimate import LiveEstimate

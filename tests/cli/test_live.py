@@ -1,6 +1,6 @@
 """The headless output of `live`."""
 
-from gcs_sysid.cli.live_command import events_after
+from gcs_sysid.cli.headless import events_after
 from gcs_sysid.results.snapshot import Event
 
 

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import pytest
 
-from gcs_sysid.cli.program import build_parser, run
+from gcs_sysid.cli.commands import build_parser
+from gcs_sysid.cli.program import run
 from sim_bridge.cli import make_parser
 
 pytestmark = [

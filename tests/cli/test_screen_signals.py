@@ -7,7 +7,7 @@ from signal import SIGTERM, raise_signal
 import pytest
 
 from gcs_sysid.__main__ import main
-from gcs_sysid.cli import live_command as live
+from gcs_sysid.cli import followed_session
 from gcs_sysid.screen.app import SysidApp
 from gcs_sysid.screen.main_view import MainScreen
 
@@ -51,7 +51,7 @@ def test_a_signal_that_comes_early_ends_the_session(when, monkeypatch, capsys):
     def headless(app):
         run(app, headless=True, size=(80, 24))
 
-    monkeypatch.setattr(live, "is_watched", lambda options: True)
+    monkeypatch.setattr(followed_session, "is_watched", lambda options: True)
     monkeypatch.setattr(SysidApp, "run", headless)
     when(monkeypatch, headless)
     lost = []

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import gcs_sysid
-from gcs_sysid.cli.program import build_parser
+from gcs_sysid.cli.commands import build_parser
 
 from .pages import ROOT
 

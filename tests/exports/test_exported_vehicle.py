@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gcs_sysid.cli import arguments
+from gcs_sysid.cli.commands import EXPORT_TARGETS
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.exports.formats import TARGETS
@@ -20,7 +20,7 @@ EVERYTHING = {"rotor_speed_max": FULL_SPEED, "motor_lag": LAG}
 
 
 def test_names_on_the_command_line_are_the_targets():
-    assert tuple(TARGETS) == arguments.EXPORT_TARGETS
+    assert tuple(TARGETS) == EXPORT_TARGETS
 
 
 def test_axes_forward_left_up(vehicle):

@@ -7,7 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from gcs_sysid.cli import reported_airframe
+from gcs_sysid.cli import airframe_choice
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, Rotor, builtin_names, load_airframe
@@ -238,7 +238,7 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     options = argparse.Namespace(
         airframe=None, arm=None, mass=1.5, k_t=None, t_max=None, prior=[], vehicle=None
     )
-    found = reported_airframe.of_log(flight, options)
+    found = airframe_choice.of_log(flight, options)
     assert differences(found, px4(load_airframe("px4-hexa-x").rotors)) == ()
     assert found.anchor() == ("mass", 1.5)
     assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err
@@ -278,7 +278,7 @@ def test_the_first_error_names_all_that_is_missing(tmp_path, capsys, given, lack
 )
 def test_what_other_logs_lack(layout, lacking):
     options = argparse.Namespace(arm=None, mass=None, k_t=None, t_max=None)
-    said = reported_airframe._missing(layout, options, None)
+    said = airframe_choice._missing(layout, options, None)
     assert said.startswith(f"the log does not contain the vehicle's {lacking}: give ")
     assert ("--airframe FILE.toml or one of" in said) is ("layout" in lacking)
     assert ("--arm M" in said) is ("size" in lacking)

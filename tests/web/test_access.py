@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from gcs_sysid.cli.arguments import web_address
+from gcs_sysid.argument_types import web_address
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.web.access import Access, is_loopback

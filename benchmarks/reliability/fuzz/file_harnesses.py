@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reliability.fuzz.harness import Scratch, one_line_errors
-from gcs_sysid.cli.arguments import prior, setting, vehicle_address, web_address
+from gcs_sysid.argument_types import prior, setting, vehicle_address, web_address
 from gcs_sysid.cli.output import read_truth
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import builtin_names, load_airframe

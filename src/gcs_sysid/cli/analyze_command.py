@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output, reported_airframe
+from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
@@ -32,10 +32,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when a log does not allow an answer."""
     if options.end <= options.start:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
-    if arguments.is_auto(options):
-        airframe = reported_airframe.of_log(Path(options.logs[0]), options)
-    else:
-        airframe = arguments.airframe_of(options)
+    airframe = airframe_choice.of_log(Path(options.logs[0]), options)
     truth = output.read_truth(options.truth) if options.truth else None
     reporter = None
     if options.report is not None:
@@ -192,7 +189,7 @@ def _processors() -> int:
 def _pair(options: argparse.Namespace, airframe: Airframe, chain: ChainOptions) -> list[Result]:
     if len(options.logs) != 2:
         raise InputError("--added-mass needs two logs: the light flight, then the heavy one")
-    if any(value is not None for value in (options.mass, options.k_t, options.t_max)):
+    if airframe_choice.given_scale(options):
         raise InputError("--added-mass sets the scale; give no --mass, --k-t or --t-max with it")
     light, heavy = map(Path, options.logs)
     return analyze_pair(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gcs_sysid.cli import arguments
+from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
@@ -79,7 +79,7 @@ def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airf
     for file in dict.fromkeys(files.values()):
         single = argparse.Namespace(**{**vars(options), "airframe": str(file)})
         try:
-            known[file] = arguments.airframe_of(single)
+            known[file] = airframe_of(single)
         except InputError as error:
             prefix = "" if options.airframe or str(file) in str(error) else f"{file}: "
             raise InputError(f"{prefix}{error}") from error

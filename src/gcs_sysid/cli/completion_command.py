@@ -10,8 +10,8 @@ from importlib import resources
 
 import shtab
 
+from gcs_sysid.cli.commands import PROGRAM, build_parser
 from gcs_sysid.cli.output import show
-from gcs_sysid.cli.program import PROGRAM, build_parser
 
 _FILE_SIGNS = ("FILE", "LOG", "DIR", "PATH", "URL", ".json")
 """In the metavar of what may be a file; a URL may be a serial device."""

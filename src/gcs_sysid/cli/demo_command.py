@@ -8,9 +8,8 @@ import time
 from pathlib import Path
 from typing import TextIO
 
-from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.live_command import baseline_of, follow, refit_interval
-from gcs_sysid.cli.option_groups import coach_options
+from gcs_sysid.cli import airframe_choice, output
+from gcs_sysid.cli.followed_session import baseline_of, coach_options, follow, refit_interval
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live.live_options import LiveOptions
@@ -27,7 +26,7 @@ _TRUTH_WAIT = 15.0
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _default_mass(options)
-    airframe = arguments.airframe_of(options)
+    airframe = airframe_choice.airframe_of(options)
     baseline = baseline_of(options)
     record_to = Path(options.record) if options.record else None
     # At full speed TCP holds the emulator back, as far as the session does not read ahead.

@@ -4,14 +4,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from gcs_sysid.cli.arguments import airframe_of
+from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
 from gcs_sysid.cli.output import print_file, progress_bar, save
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle, assemble
 from gcs_sysid.exports.formats import TARGETS, Target
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.files import check_target, log_file, write_whole
-from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.report.signal_table import SignalRecorder, writer_of
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
@@ -27,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
     if path is not None and path.exists() and not options.force and options.ensemble is None:
         raise InputError(f"{path} exists; --force overwrites it")
     result = read_result(Path(options.result))
-    vehicle = assemble(result, airframe_for(options), dict(options.set), options.name)
+    vehicle = assemble(result, beside_result(options), dict(options.set), options.name)
     target = TARGETS[options.to]
     try:
         text = target.write(vehicle)
@@ -52,7 +51,6 @@ def _signals(options: argparse.Namespace) -> int:
     target, log = Path(options.signals), Path(options.result)
     write = writer_of(target)
     check_target(target, replace=options.force, sources=(log_file(log),))
-    options.prior = []
     airframe = airframe_of(options)
     recorder = SignalRecorder(len(airframe.rotors))
     result = analyze_log(
@@ -90,17 +88,3 @@ def _ensemble(
     for note in target.notes(vehicle):
         print(f"gcs-sysid: note: {note}", file=sys.stderr)
     return 0
-
-
-def airframe_for(options: argparse.Namespace) -> Airframe | None:
-    """The airframe of --airframe and --arm; None: not given.
-
-    Raises:
-        InputError: there is no such airframe.
-    """
-    if options.airframe is None:
-        if options.arm is not None:
-            raise InputError("--arm needs --airframe")
-        return None
-    airframe = load_airframe(options.airframe)
-    return airframe if options.arm is None else airframe.with_arm(options.arm)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
 def _given(options: argparse.Namespace) -> Given:
     airframe = None
     if options.airframe is not None:
-        airframe = arguments.layout_of(options)
+        airframe = airframe_choice.layout_of(options)
     elif options.k_t is not None or options.t_max is not None:
         raise InputError("--k-t and --t-max need --airframe; --mass does without")
     baseline = None if options.baseline is None else read_baseline(Path(options.baseline))

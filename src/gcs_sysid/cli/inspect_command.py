@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.output import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file
@@ -105,12 +105,11 @@ def _is_log(target: str) -> bool:
 
 def _airframe(options: argparse.Namespace) -> Airframe | None:
     """As named, or with the given number of rotors; None: by the vehicle's type."""
-    scale = [options.mass, options.k_t, options.t_max]
     if options.airframe is not None:
         if options.rotors is not None:
             raise InputError("--rotors and --airframe exclude each other")
-        return arguments.layout_of(options)
-    if options.arm is not None or scale.count(None) < len(scale):
+        return airframe_choice.layout_of(options)
+    if options.arm is not None or airframe_choice.given_scale(options):
         raise InputError("--arm and a scale need --airframe")
     return None if options.rotors is None else assumed_airframe(options.rotors)
 

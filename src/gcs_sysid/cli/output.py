@@ -22,6 +22,7 @@ from gcs_sysid.files import check_target, read_text, write_whole
 
 if TYPE_CHECKING:
     from gcs_sysid.results.result import Result
+    from gcs_sysid.web.site import Site
 
 TEXT_WIDTH = 79
 """Columns of texts that are printed the same everywhere."""
@@ -219,6 +220,21 @@ def say(text: str) -> None:
     """A line on standard error; a terminal that is gone costs no flight."""
     with contextlib.suppress(OSError, ValueError):
         print(text, file=sys.stderr, flush=True)
+
+
+def say_addresses(site: "Site", host: str) -> None:
+    """Where a page is, for who may do things and for who may only look."""
+    from gcs_sysid.web.access import is_loopback
+
+    far = "" if is_loopback(host) else "; not encrypted: use a network that you trust"
+    say(f"open {site.address('pilot')} in a browser (Ctrl-C ends){far}")
+    say(f"for viewers, who can only look: {site.address('viewer')}")
+
+
+def wait_for(stopped: threading.Event) -> None:
+    """Wait until something is stopped; Windows delivers Ctrl-C only between two looks."""
+    while not stopped.wait(0.5):
+        pass
 
 
 def offline_progress() -> Callable[[str, float], None] | None:

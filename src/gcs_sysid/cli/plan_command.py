@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.cli import arguments
-from gcs_sysid.cli.option_groups import limits_of
+from gcs_sysid.cli.airframe_choice import airframe_of
+from gcs_sysid.cli.followed_session import coach_options
 from gcs_sysid.cli.output import TEXT_WIDTH, Deliveries, check_json, print_file, save, show
 from gcs_sysid.coach.flight_plan import HOVER, Plan, Step, make_plan
 from gcs_sysid.coach.interval_targets import shares
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--json and --svg cannot both go to standard output: give one a file")
     for path in (options.json, options.svg):
         check_json(path, force=options.force)
-    airframe = arguments.airframe_of(options)
+    airframe = airframe_of(options)
     own = airframe.anchor()
     assert own is not None
     wanted = options.rotor_input or airframe.rotor_input
@@ -63,7 +63,8 @@ def run(options: argparse.Namespace) -> int:
         return shares(values, airframe.arm, rotor_input)
 
     known = prior_vehicle(airframe, commands=rotor_input == "command")
-    plan = make_plan(airframe.name, known, judge, options.target, limits_of(options))
+    coach = coach_options(options)
+    plan = make_plan(airframe.name, known, judge, coach.target, coach.limits)
     deliveries = Deliveries()
     if options.json != "-" and options.svg != "-":
         deliveries.give(lambda: show(plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°"))))

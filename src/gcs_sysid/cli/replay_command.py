@@ -4,8 +4,8 @@ import argparse
 import math
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.live_command import baseline_of, follow, is_watched, refit_interval
+from gcs_sysid.cli import airframe_choice, output
+from gcs_sysid.cli.followed_session import baseline_of, follow, is_watched, refit_interval
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live.log_playback import survey
 from gcs_sysid.live.replay_session import ReplaySession
@@ -13,7 +13,7 @@ from gcs_sysid.live.replay_session import ReplaySession
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    airframe = arguments.airframe_of(options)
+    airframe = airframe_choice.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None
     baseline = baseline_of(options)
     stay = is_watched(options)

@@ -1,4 +1,4 @@
-"""What the screen of each kind of session shows and can do, on a terminal or in browsers."""
+"""The screen of a session, on a terminal or in browsers: shown, and what can be done on it."""
 
 import argparse
 import threading
@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import output
-from gcs_sysid.cli.live_command import Session, say_until_end
-from gcs_sysid.cli.live_report import ReportJob, have_written
-from gcs_sysid.cli.output import on_signals, save
-from gcs_sysid.cli.web_command import say_addresses
+from gcs_sysid.cli.airframe_choice import SCALE_OPTIONS
+from gcs_sysid.cli.headless import Session, say_until_end
+from gcs_sysid.cli.output import on_signals, save, say_addresses
+from gcs_sysid.cli.reporting import ReportJob, have_written
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.exports.formats import TARGETS
@@ -24,6 +24,27 @@ from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.web.session_page import SessionPage
 from gcs_sysid.web.site import Site
+
+
+def show(
+    session: Session,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None,
+    announcer: Announcer | None,
+) -> None:
+    """Show a session until it ends; a screen that fails costs no flight.
+
+    A defect of the screen becomes the session's problem, where it has none of its own.
+
+    Raises:
+        InputError: there is no serving a page there.
+    """
+    scene = scene_of(session, truth, options, baseline, announcer)
+    if options.web:
+        _serve(session, scene, options.web)
+    else:
+        _show_on_terminal(session, scene)
 
 
 def scene_of(
@@ -58,9 +79,6 @@ def replay_actions(
         report=lambda: report_session(session, truth, options),
         absent="in a replay",
     )
-
-
-_SCALE_OPTIONS = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
 
 
 def export_result(target: str, result: Result) -> str:
@@ -118,7 +136,7 @@ def _command(
     anchor = airframe.anchor()
     if anchor is not None:
         sigmas = "".join(map(_sigma, (options.mass, options.k_t, options.t_max)))
-        words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{sigmas}"]
+        words += [SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{sigmas}"]
     for name, value, std in options.prior:
         words += ["--prior", f"{name}={value:.9g}+-{std:.9g}"]
     if vehicle is not None:
@@ -148,11 +166,35 @@ def live_actions(
     )
 
 
-_LOOK_EVERY = 0.5
-"""s between polls; Windows delivers Ctrl-C only between them."""
+def _show_on_terminal(session: Session, scene: Scene) -> None:
+    app = scene.app(session)
+    stopped = threading.Event()
+
+    def stop() -> None:
+        stopped.set()
+        app.exit()
+        if app.defect is not None:
+            session.request_stop()
+
+    with on_signals(stop):
+        session.start()
+        try:
+            if not stopped.is_set():
+                app.run()
+            if app.defect is not None and not stopped.is_set():
+                kind = type(app.defect).__name__
+                output.say(
+                    f"the screen failed ({kind}: {app.defect}); the session continues without "
+                    "it until Ctrl-C"
+                )
+                say_until_end(session, scene.announcer)
+        finally:
+            session.stop()
+    if app.defect is not None and session.problem is None:
+        session.problem = app.defect
 
 
-def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
+def _serve(session: Session, scene: Scene, address: tuple[str, int]) -> None:
     """Serve a session until Ctrl-C; the terminal says what it says without a screen.
 
     Args:
@@ -188,8 +230,7 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
             say_until_end(session, scene.announcer)
             if not stopped.is_set():
                 output.say("ended; the page stays until Ctrl-C")
-            while not stopped.wait(_LOOK_EVERY):
-                pass
+            output.wait_for(stopped)
     finally:
         session.stop()
         site.stop()

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from gcs_sysid.cli.export_command import airframe_for
+from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import (
     Deliveries,
     check_json,
@@ -83,7 +83,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
 
 
 def _vehicle(options: argparse.Namespace) -> Vehicle:
-    airframe = airframe_for(options)
+    airframe = beside_result(options)
     given = {name: float(value) for name, value, _ in options.set}
     deviations = {name: std for name, _, std in options.set if std}
     result = read_result(Path(options.result))

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output, reported_airframe
+from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
@@ -41,12 +41,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
     """What is given of the vehicle; None: taken from the result."""
-    given = (options.arm, options.mass, options.k_t, options.t_max)
-    if options.airframe == "auto":
-        return reported_airframe.of_log(log, options)
     if options.airframe is not None:
-        return arguments.airframe_of(options)
-    if options.prior or any(value is not None for value in given):
+        return airframe_choice.of_log(log, options)
+    if options.prior or options.arm is not None or airframe_choice.given_scale(options):
         raise InputError("--arm, --mass, --k-t, --t-max and --prior need --airframe")
     return None
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.argument_types import Measured
+from gcs_sysid.argument_types import with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.limits import MEGABYTE, Limits, OverTime, within
 from gcs_sysid.health.assessment import beside_analysis, health_of_log
@@ -152,20 +152,14 @@ def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
         table = {"name": "drawn", "rotor": list(request.rotors)}
         airframe = parse_airframe(table, "the picture")
     if request.arm is not None:
-        airframe = _with_std(airframe.with_arm(request.arm), "arm", request.arm)
+        airframe = with_given(airframe, "arm", request.arm, "arm")
     if request.scale is not None:
         name, value = request.scale
-        airframe = _with_std(airframe.with_anchor(name, value), name, value)
+        airframe = with_given(airframe, name, value, name)
     if airframe.anchor() is None:
         raise InputError("nothing sets the scale: weigh the vehicle and enter its mass")
     airframe.check_scale_fits()
     return airframe
-
-
-def _with_std(airframe: Airframe, key: str, value: Measured) -> Airframe:
-    if value.sigma is None:
-        return airframe
-    return airframe.with_uncertainty({key: value.sigma}, key)
 
 
 def _reported_airframe(log: Path, arm: float | None) -> Airframe:

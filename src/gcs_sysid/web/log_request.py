@@ -2,27 +2,21 @@
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from gcs_sysid.argument_types import Measured, between, measured, positive
+from gcs_sysid.argument_types import GIVEN, GivenName, Measured
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import MOST_ARM, builtin_names
+from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, AnchorName, builtin_names
 from gcs_sysid.sanitize import printable
 
 Kind = Literal["log", "builtin", "rotors", "file"]
-AnchorName = Literal["mass", "k_T", "T_max"]
 RESULT, REPORT, PICTURE = "result.json", "report.html", "health.svg"
 """Files that an analysis leaves in its folder."""
 _MOST_ROTORS = 32
 _MOST_NAME = 120
 """Characters of a file's name that are kept."""
-_SCALES: dict[AnchorName, Callable[[str], Measured]] = {
-    "mass": measured(between(0.001, 1e5, "kg")),
-    "k_T": measured(positive),
-    "T_max": measured(positive),
-}
 _MEANING = {"mass": "mass (kg)", "k_T": "k_T (N s²)", "T_max": "T_max (N)", "arm": "arm (m)"}
 
 
@@ -73,7 +67,7 @@ def parse_request(document: object) -> AnalysisRequest:
         name or "airframe.toml",
         _text(airframe.get("text", ""), "airframe: text", 60_000),
         tuple(_rotor(rotor, i) for i, rotor in enumerate(rotors, 1)),
-        None if arm in (None, "") else _number(measured(positive), arm, "arm"),
+        None if arm in (None, "") else _number(arm, "arm"),
         _scale(table.get("scale")),
     )
 
@@ -95,10 +89,10 @@ def _scale(entry: object) -> tuple[AnchorName, Measured] | None:
     if entry is None:
         return None
     table = _table(entry, "scale", {"name", "value"})
-    for name, check in _SCALES.items():
+    for name in ANCHORS:
         if table.get("name") == name:
-            return name, _number(check, table.get("value"), name)
-    raise InputError(f"scale: name must be one of {', '.join(_SCALES)}")
+            return name, _number(table.get("value"), name)
+    raise InputError(f"scale: name must be one of {', '.join(ANCHORS)}")
 
 
 def _table(value: object, what: str, known: set[str]) -> Mapping[str, Any]:
@@ -130,8 +124,8 @@ def _rotor(value: object, number: int) -> Mapping[str, Any]:
     return out
 
 
-def _number(check: Callable[[str], Measured], value: object, name: str) -> Measured:
+def _number(value: object, name: GivenName) -> Measured:
     try:
-        return check(_text(str(value) if isinstance(value, int | float) else value, name, 40))
+        return GIVEN[name](_text(str(value) if isinstance(value, int | float) else value, name, 40))
     except argparse.ArgumentTypeError as error:
         raise InputError(f"{_MEANING[name]} {error}") from error

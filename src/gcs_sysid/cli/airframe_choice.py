@@ -1,0 +1,225 @@
+"""Which airframe a command works with: one that is named, the vehicle's own, or a result's."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gcs_sysid.argument_types import GivenName, with_given
+from gcs_sysid.cli import output
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
+
+if TYPE_CHECKING:  # only a log or a link needs these, which take a while to load
+    from gcs_sysid.live.receiver_process import ReceiverProcess
+    from gcs_sysid.live.reception import Item
+    from gcs_sysid.session.reported_layout import ReportedLayout
+
+SCALE_OPTIONS: dict[GivenName, str] = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
+"""What sets the scale -> the option that gives it."""
+_NO_SCALE = (
+    "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
+    "--t-max VALUE with commands); IMU and rotor data alone fix ratios only"
+)
+
+
+def given_scale(options: argparse.Namespace) -> tuple[GivenName, float] | None:
+    """What an option sets the scale to; None: none does."""
+    for name in SCALE_OPTIONS:
+        value = getattr(options, name.lower())
+        if value is not None:
+            return name, value
+    return None
+
+
+def layout_of(options: argparse.Namespace, reported: Airframe | None = None) -> Airframe:
+    """The airframe that is named, or the one reported, with the scale that is given, if any.
+
+    Raises:
+        InputError: there is none of that name, or it is no airframe.
+    """
+    airframe = load_airframe(options.airframe) if reported is None else reported
+    if options.arm is not None:
+        airframe = with_given(airframe, "arm", options.arm, "--arm")
+    scale = given_scale(options)
+    return airframe if scale is None else with_given(airframe, *scale, SCALE_OPTIONS[scale[0]])
+
+
+def airframe_of(options: argparse.Namespace, reported: Airframe | None = None) -> Airframe:
+    """The airframe with its scale and priors, as the options say.
+
+    Args:
+        options: of the command line.
+        reported: the layout that the vehicle reports, which replaces `--airframe`.
+
+    Raises:
+        InputError: there is none, or nothing sets the scale.
+    """
+    if reported is None and is_auto(options):
+        raise InputError(
+            "which airframe? Give --airframe FILE.toml or one of "
+            + ", ".join(builtin_names())
+            + " (with --arm for its size)"
+        )
+    airframe = layout_of(options, reported)
+    if given_scale(options) is None and getattr(options, "added_mass", None) is not None:
+        # Of the two flights; until they are compared any mass does.
+        airframe = airframe.with_anchor("mass", 1.0)
+    for name, value, std in getattr(options, "prior", ()):
+        airframe = airframe.with_prior(name, value, std)
+    if airframe.anchor() is None:
+        raise InputError(_NO_SCALE)
+    airframe.check_scale_fits()
+    return airframe
+
+
+def is_auto(options: argparse.Namespace) -> bool:
+    """Whether the layout comes from the vehicle."""
+    return options.airframe in (None, "auto")
+
+
+def _is_scale_given(options: argparse.Namespace) -> bool:
+    return given_scale(options) is not None or getattr(options, "added_mass", None) is not None
+
+
+def check_scale_given(options: argparse.Namespace) -> None:
+    """See that something sets the scale of an airframe that the vehicle reports.
+
+    Raises:
+        InputError: nothing does.
+    """
+    if not _is_scale_given(options):
+        also = "" if options.arm is not None else "; most vehicles also need --arm M"
+        raise InputError(f"{_NO_SCALE}; without --airframe the layout comes from the vehicle{also}")
+
+
+def of_log(path: Path, options: argparse.Namespace) -> Airframe:
+    """The airframe for a log, named or by the parameters in it.
+
+    Raises:
+        InputError: the log cannot be read; or the line names every option that is missing.
+    """
+    if not is_auto(options):
+        return airframe_of(options)
+    from gcs_sysid.session.reported_layout import reported_layout, suggested_airframe
+    from gcs_sysid.telemetry.logs import open_log
+
+    log = open_log(path, options.vehicle)
+    for _ in log.blocks():
+        pass
+    reported = None if log.vehicle is None else reported_layout(log.vehicle.key, log.parameters)
+    missing = _missing(reported, options, suggested_airframe(log.kind, log.vehicle))
+    if missing:
+        raise InputError(f"{path}: {missing}")
+    return _by_layout(reported, options, str(path))
+
+
+def _missing(
+    reported: "ReportedLayout | None", options: argparse.Namespace, suggestion: str | None
+) -> str:
+    """What a log and the options lack, and all the options that give it; empty if nothing."""
+    lacking, give = [], []
+    if reported is None:
+        lacking.append("layout")
+        give.append(
+            f"--airframe {suggestion} (the firmware's default order of motors; or FILE.toml)"
+            if suggestion
+            else f"--airframe FILE.toml or one of {', '.join(builtin_names())}"
+        )
+    if options.arm is None and not (reported is not None and reported.sized):
+        lacking.append("size")
+        give.append("--arm M (center to each motor)")
+    if not _is_scale_given(options):
+        lacking.append("mass")
+        give.append("--mass KG (weighed; or --k-t, or --t-max with commands)")
+    if not give:
+        return ""
+    return f"the log does not contain the vehicle's {_listed(lacking)}: give {_listed(give)}"
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:
+    """The airframe for a vehicle on a link, by requests; what comes meanwhile is kept.
+
+    Raises:
+        InputError: the vehicle reports no layout; nothing sets the scale.
+        LinkError: the receiver has died.
+    """
+    from gcs_sysid.session.reported_layout import reported_layout
+    from gcs_sysid.telemetry.intake import Intake
+    from gcs_sysid.telemetry.parameter_requests import ParameterRequests
+    from gcs_sysid.telemetry.receiver import Batch
+    from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
+
+    wait = 0.05  # s on the link at a time
+    reply_within = 8.0  # s, once the vehicle is received: some 20 parameters
+    usual_rotors = 4  # are requested until the vehicle reports their number
+    output.say(f"listening on {receiver.url} for the vehicle's own layout (--airframe auto)")
+    intake = Intake(options.vehicle)
+    requests = ParameterRequests(receiver.gate, usual_rotors)
+    taken: list[Item] = []
+    began, heard, beat_at, reported = time.monotonic(), None, -HEARTBEAT_EVERY, None
+    while reported is None:
+        items = receiver.take(wait)
+        taken += items
+        for item in items:
+            if isinstance(item, Batch):
+                intake.frames(item.frames, 1e-6 * item.time_us)
+        now, vehicle = time.monotonic(), intake.vehicle
+        if now - beat_at >= HEARTBEAT_EVERY:
+            receiver.gate.heartbeat()
+            beat_at = now
+        if vehicle is not None:
+            if heard is None:
+                heard = now
+                receiver.follow(vehicle.address)
+            requests.tick(now, vehicle, intake.parameters)
+            found = reported_layout(vehicle.key, intake.parameters)
+            # Its outputs are reported too, or overdue.
+            if found is not None and (
+                len(found.outputs) >= len(found.rotors) or now - heard >= 0.5 * reply_within
+            ):
+                reported = found
+        waited = now - (began if heard is None else heard)
+        limit = options.duration if heard is None else reply_within
+        if receiver.link_report.ended or (limit is not None and waited >= limit):
+            break
+    receiver.put_back(taken)
+    who = (
+        "no vehicle was found" if intake.vehicle is None else f"{intake.vehicle} does not report it"
+    )
+    return _by_layout(reported, options, f"{who}: its layout is not known")
+
+
+def _by_layout(
+    reported: "ReportedLayout | None", options: argparse.Namespace, problem: str
+) -> Airframe:
+    from gcs_sysid.session.reported_layout import airframe_of_layout, proposal
+
+    if reported is None:
+        # Says which airframes there are.
+        try:
+            airframe_of(options)
+        except InputError as error:
+            raise InputError(f"{problem}. {str(error)[:1].upper()}{str(error)[1:]}") from None
+    assert reported is not None
+    airframe = airframe_of(options, airframe_of_layout(reported, options.arm))
+    output.say(f"airframe: {proposal(reported)}")
+    return airframe
+
+
+def beside_result(options: argparse.Namespace) -> Airframe | None:
+    """The airframe that supplies what a result lacks; None: not given.
+
+    Raises:
+        InputError: there is no such airframe.
+    """
+    if options.airframe is None:
+        if options.arm is not None:
+            raise InputError("--arm needs --airframe")
+        return None
+    airframe = load_airframe(options.airframe)
+    return airframe if options.arm is None else airframe.with_arm(options.arm)

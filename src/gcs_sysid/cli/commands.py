@@ -1,0 +1,651 @@
+"""The commands as data: what each is for and which options it has.
+
+Parser, help, completion and the reference of the documentation follow from here. A command NAME
+is run by `run` of the module `NAME_command`, which is imported only then: `--help` and `--version`
+need neither NumPy nor Textual. To add a command: its row here, its module, its tests.
+"""
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid import __version__
+from gcs_sysid.argument_types import (
+    OneLineParser,
+    between,
+    count,
+    mass,
+    not_negative,
+    positive,
+    setting,
+    uncertain_delay,
+    uncertain_setting,
+    web_address,
+)
+from gcs_sysid.cli.options import (
+    ARM,
+    BASELINE,
+    BAUD,
+    COACH,
+    CSV,
+    DISPLAY,
+    DRAWS,
+    DURATION,
+    FORCE,
+    JSON,
+    JSON_INSTEAD,
+    K_T,
+    LINK,
+    LOCAL_PAGE,
+    LOG,
+    LOGS,
+    MASS,
+    NAME,
+    OFFLINE,
+    OUTPUT,
+    PRIOR,
+    RATE,
+    RECORD,
+    REPORTED,
+    RESULT,
+    SEED,
+    SET,
+    SPAN,
+    SPEED,
+    T_MAX,
+    TARGET,
+    TRUTH,
+    VEHICLE,
+    Group,
+    OneOf,
+    Option,
+    airframe,
+    layout,
+    option,
+    other_values,
+)
+
+PROGRAM = "gcs-sysid"
+
+ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
+"""Names of `estimation.record.article_estimator.METHODS`; like the next two not imported, to start
+fast (tests compare)."""
+EXPORT_TARGETS = (
+    "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
+    "indiflight", "paparazzi",
+)  # fmt: skip
+"""Names of `exports.formats.TARGETS`."""
+LAYOUTS = (
+    "px4-quad-x", "ardupilot-quad-x", "px4-quad-plus", "ardupilot-quad-plus",
+    "px4-hexa-x", "ardupilot-hexa-x", "px4-hexa-plus", "ardupilot-hexa-plus",
+    "px4-octo-x", "ardupilot-octo-x", "px4-octo-plus", "ardupilot-octo-plus",
+    "betaflight-quad-x",
+)  # fmt: skip
+"""Names of `setup_help.layouts.LAYOUTS`."""
+SHELLS = ("bash", "zsh", "fish", "powershell")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, or an action of one.
+
+    Attributes:
+        name: as typed.
+        summary: one line of the list of commands.
+        description: what `--help` says.
+        options: in the order of the help.
+        actions: of a command that has some.
+    """
+
+    name: str
+    summary: str
+    description: str
+    options: tuple[Option | OneOf | Group, ...] = ()
+    actions: tuple["Command", ...] = ()
+
+
+_AS_ANALYZE = "as for analyze"
+
+COMMANDS = (
+    Command(
+        "demo",
+        "fly the bundled emulator and identify it",
+        "Starts the emulator and identifies it live. Ends with estimate, truth and error for every "
+        "parameter.",
+        (
+            airframe("default paper", "paper"),
+            SPEED.but(choices=("1", "max"), help="1: real time; max: as fast as possible"),
+            option(
+                "--mission",
+                choices=("paper", "all-axes", "hover"),
+                default="all-axes",
+                help="what the emulator flies: the article's maneuvers, every axis at once, or "
+                "hover alone (default all-axes)",
+            ),
+            option(
+                "--noise",
+                choices=("none", "paper", "white", "mems"),
+                default="mems",
+                help="sensor noise (default mems)",
+            ),
+            option("--sigma", type=not_negative, help="noise of paper and white, rad and rad/s"),
+            RATE.but(help="message rate of IMU and rotors (default 250)"),
+            SEED.but(metavar="N", help="seed of all randomness (default 1)"),
+            DURATION.but(help="length of the flight"),
+            option("--mass-step", metavar="T:FACTOR", help="change the mass in flight"),
+            RECORD.but(help="record the flight to a .tlog"),
+            *DISPLAY,
+            COACH,
+        ),
+    ),
+    Command(
+        "live",
+        "identify a vehicle while it flies",
+        "Identifies live from a MAVLink link, such as udpin:0.0.0.0:14550, udpout:HOST:PORT, "
+        "tcp:HOST:PORT or /dev/ttyUSB0.",
+        (
+            option("url", metavar="URL", help="such as udpin:0.0.0.0:14550"),
+            airframe(REPORTED),
+            RECORD,
+            option("--no-record", action="store_true", help="do not record"),
+            *LINK,
+            VEHICLE,
+            DURATION,
+            TRUTH,
+            *DISPLAY,
+            COACH,
+        ),
+    ),
+    Command(
+        "analyze",
+        "identify from recorded flights",
+        "Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of ArduPilot, "
+        ".bbl of Betaflight, INAV or Indiflight.",
+        (
+            LOGS.but(
+                help=".tlog, .ulg, .bin, .bbl, .csv or .parquet file; several: each by itself"
+            ),
+            CSV,
+            airframe(REPORTED),
+            JSON,
+            option("--report", metavar="FILE.html", help="write an HTML report with figures"),
+            FORCE,
+            *SPAN,
+            VEHICLE,
+            TRUTH,
+            option(
+                "--added-mass",
+                type=mass,
+                metavar="KG",
+                help="set the scale from two flights, the second with KG of added mass",
+            ),
+            OFFLINE.but(
+                help="filter error or maximum likelihood over the whole record, with the "
+                "Cramer-Rao bound (slower)"
+            ),
+            option(
+                "--method",
+                choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
+                default="forward",
+                help="forward: whitened rows, or the window for slow data (default); forward-td, "
+                "forward-window: a tracking differentiator or the window throughout; others: the "
+                "article's method and variants, for study",
+            ),
+        ),
+    ),
+    Command(
+        "replay",
+        "watch a recorded flight",
+        "Plays a recording (.tlog, .ulg, .bin, .bbl) on the live screen in real time, ten times as "
+        "fast or as fast as possible, with pause and seek. The final numbers are those of analyze.",
+        (
+            LOG,
+            CSV,
+            airframe(),
+            VEHICLE,
+            SPEED.but(choices=("1", "10", "max"), help="initial speed (default 1)"),
+            TRUTH,
+            TARGET,
+            *DISPLAY,
+        ),
+    ),
+    Command(
+        "inspect",
+        "show what is in a log or on a link",
+        "Shows what is in a log (.tlog, .ulg, .bin, .bbl) or on a link: systems, messages, rates, "
+        "gaps, clock, rotor input, motion, and whether the vehicle can be identified from it. On a "
+        "link it requests streams as live does, and restores the rates.",
+        (
+            # Left out by `inspect --json LOG`, see the command.
+            option(
+                "target",
+                nargs="?",
+                metavar="LOG|URL",
+                help="a log, or a link such as udpin:0.0.0.0:14550",
+            ),
+            CSV,
+            JSON_INSTEAD,
+            FORCE,
+            VEHICLE,
+            layout(
+                "default: the rotors by the vehicle's type",
+                None,
+                option(
+                    "--rotors",
+                    type=count(3, 32),
+                    metavar="N",
+                    help="number of rotors, if neither --airframe nor the vehicle type defines it",
+                ),
+            ),
+            Group(
+                "link",
+                (
+                    DURATION.but(
+                        default=10.0,
+                        help="listen for S seconds after the first message of the vehicle "
+                        "(default 10)",
+                    ),
+                    *LINK,
+                ),
+            ),
+        ),
+    ),
+    Command(
+        "health",
+        "show CG, rotor loads and margins of any flight with a hover",
+        "Shows center of gravity, thrust share of each rotor, margins and suitable autopilot "
+        "parameters from any log with a hover, at any message rate. Without --airframe the rotor "
+        "positions come from the log.",
+        (
+            LOGS.but(help=".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
+            CSV,
+            layout(
+                "default: by the vehicle's parameters or type",
+                None,
+                option(
+                    "--battery-mass",
+                    type=mass,
+                    metavar="KG",
+                    help="battery mass: shows how far to move it to center the CG",
+                ),
+            ),
+            VEHICLE,
+            BASELINE.but(
+                metavar="HEALTH.json",
+                help="earlier flight, written by --json, to find a rotor that has weakened since "
+                "(default: the first of several logs)",
+            ),
+            option(
+                "--unchanged",
+                action="store_true",
+                help="nothing was moved or loaded since the baseline: a weak rotor is detected "
+                "sooner",
+            ),
+            JSON.but(help="write the findings; - is stdout"),
+            option(
+                "--params",
+                metavar="FILE",
+                help="suggested autopilot parameters: .params for QGroundControl, .param for "
+                "Mission Planner; nothing is sent to a vehicle",
+            ),
+            option("--picture", metavar="FILE.svg", help="the vehicle from above, on a page"),
+            FORCE,
+        ),
+    ),
+    Command(
+        "plan",
+        "plan a flight",
+        "Plans a flight: maneuvers, duration and expected accuracy. Nothing is sent to a vehicle.",
+        (
+            airframe(),
+            option(
+                "--rotor-input",
+                choices=("speed", "command"),
+                help="rotor telemetry to plan for (default: the airframe's, else speed)",
+            ),
+            JSON_INSTEAD.but(
+                help="print JSON instead of text, or also write it to FILE; sim-bridge --mission "
+                "FILE flies it"
+            ),
+            option("--svg", metavar="FILE", help="write a picture of the motion"),
+            FORCE,
+            COACH,
+        ),
+    ),
+    Command(
+        "export",
+        "write an identified vehicle for a simulator, or a flight's signals",
+        "Writes a result as a file for a simulator (PX4's SIH, ArduPilot's SITL, Gazebo, MuJoCo, "
+        "RotorPy, crazyflow, l2f), as URDF, or as effectiveness for INDI; also as an ensemble "
+        "drawn from its covariance. With --signals, the aligned signals and residuals of a log as "
+        "a table.",
+        (
+            RESULT.but(metavar="RESULT.json|LOG", help="written by --json; with --signals, a log"),
+            option("--to", choices=EXPORT_TARGETS, help="target format"),
+            OUTPUT,
+            FORCE.but(help="overwrite FILE"),
+            Group(
+                "signals of a flight, instead of a vehicle",
+                (
+                    option(
+                        "--signals",
+                        metavar="FILE",
+                        help="write aligned signals and residuals of LOG, as .csv, .parquet or "
+                        ".mcap, for PlotJuggler, Foxglove or MATLAB; needs --airframe and a scale",
+                    ),
+                    CSV,
+                    VEHICLE,
+                    OneOf(tuple(each.but(help=_AS_ANALYZE) for each in (MASS, K_T, T_MAX))),
+                ),
+            ),
+            NAME,
+            option(
+                "--ensemble",
+                type=DRAWS,
+                metavar="N",
+                help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
+            ),
+            SEED.but(help="seed of --ensemble (default 1)"),
+            other_values(
+                SET.but(
+                    type=setting,
+                    metavar="NAME=VALUE",
+                    help="a value from elsewhere, SI, such as rotor_speed_max=900 or Ixy=0; may be "
+                    "repeated",
+                )
+            ),
+        ),
+    ),
+    Command(
+        "tune",
+        "show margins of the autopilot's gains, and propose gains",
+        "Shows phase and gain margins of the present gains of PX4 or ArduPilot, over the "
+        "uncertainty of the result, and proposes gains, as a file for QGroundControl or Mission "
+        "Planner. Nothing is sent to a vehicle.",
+        (
+            RESULT,
+            option(
+                "parameters",
+                nargs="?",
+                metavar="LOG|PARAMETERS",
+                help="log, .params or .param file with the autopilot's parameters: its gains and "
+                "filters",
+            ),
+            option(
+                "--with",
+                dest="beside",
+                metavar="RESULT2.json",
+                help="second result of the same flight, from commands if the first is from rotor "
+                "speeds; supplies what the first lacks",
+            ),
+            option("--autopilot", choices=("px4", "ardupilot"), help="default: the vehicle's"),
+            option(
+                "--delay",
+                type=uncertain_delay,
+                metavar="S[±STD]",
+                help="delay from gyro sample to rotor command (default: as identified, else 5 ms)",
+            ),
+            JSON.but(help="write margins and gains; - is stdout"),
+            option("--bode", metavar="FILE.svg", help="Bode diagram with the 95 %% band"),
+            option(
+                "--to",
+                choices=("px4-params", "ardupilot-param", "indi", "paparazzi"),
+                help="format of -o: gains, or G1 and G2 of INDI (Indiflight, Paparazzi)",
+            ),
+            OUTPUT.but(help="file for a ground station"),
+            FORCE,
+            option(
+                "--draws",
+                type=DRAWS,
+                default=100,
+                metavar="N",
+                help="vehicles drawn (default 100)",
+            ),
+            SEED.but(help="seed of the draws (default 1)"),
+            VEHICLE.but(help="whose parameters, if several are in the log"),
+            NAME,
+            other_values(
+                SET.but(
+                    type=uncertain_setting,
+                    metavar="NAME=VALUE[±STD]",
+                    help="a value from elsewhere, SI, such as motor_lag=0.03+-0.005; may be "
+                    "repeated",
+                )
+            ),
+        ),
+    ),
+    Command(
+        "compare",
+        "test whether a vehicle has changed",
+        "Compares two results of one vehicle, parameter by parameter.",
+        (
+            option("before", metavar="A.json", help="result written by --json"),
+            option("after", metavar="B.json", help="another result of the same vehicle"),
+            JSON.but(help="write the comparison; - is stdout"),
+            FORCE,
+        ),
+    ),
+    Command(
+        "twin",
+        "fly the identified model beside the vehicle",
+        "Flies the identified model with a log's inputs, from the measured state, over held-out "
+        "stretches of 0.1, 0.3, 1 and 3 s, and compares its errors in rates, attitude and velocity "
+        "with the predicted band and with constant rates. Without --airframe, vehicle and scale "
+        "are those of the result.",
+        (
+            RESULT.but(
+                metavar="RESULT", help="result written by --json, or another log of the vehicle"
+            ),
+            LOG.but(help="flight to fly the model along"),
+            JSON.but(help="write the errors; - is stdout"),
+            option("--picture", metavar="FILE.svg", help="draw how the errors grow"),
+            FORCE,
+            airframe("default: the result's; auto: the layout in the vehicle's parameters"),
+            VEHICLE,
+            SEED.but(
+                default=0,
+                metavar="N",
+                help="seed of the vehicles drawn from the covariance (default 0)",
+            ),
+        ),
+    ),
+    Command(
+        "batch",
+        "identify from many logs",
+        "Identifies from every log in files and folders, in parallel: one result per log, and a "
+        "Parquet table of all. Run again, it resumes. Without --airframe each log uses the nearest "
+        "airframe.toml, beside it or in a folder above.",
+        (
+            LOGS.but(metavar="PATH", help="a log, or a folder searched for logs"),
+            CSV,
+            OUTPUT.but(metavar="DIR", required=True, help="folder for results and table"),
+            FORCE.but(help="redo every log and overwrite existing files"),
+            OneOf(
+                (
+                    option(
+                        "--workers",
+                        type=count(1, 1024),
+                        metavar="N",
+                        help="number of processes (default: one per processor)",
+                    ),
+                    option(
+                        "--scheduler",
+                        metavar="URL",
+                        help="run on a Dask cluster, such as tcp://10.0.0.1:8786",
+                    ),
+                )
+            ),
+            option(
+                "--log-timeout",
+                type=between(0.01, 1e6, "s"),
+                default=1800.0,
+                metavar="S",
+                help="time limit for one log (default 1800)",
+            ),
+            option(
+                "--log-memory",
+                type=between(10.0, 1e6, "MB"),
+                default=4000.0,
+                metavar="MB",
+                help="memory limit for one log, on Linux (default 4000)",
+            ),
+            airframe("default: the nearest airframe.toml"),
+            VEHICLE,
+            OFFLINE.but(help="maximum likelihood over whole records (slower)"),
+        ),
+    ),
+    Command(
+        "trend",
+        "show how a fleet changes from flight to flight",
+        "Writes an HTML page of a batch: the parameters of every vehicle over its flights, and "
+        "where they changed.",
+        (
+            option("fleet", metavar="DIR|FILE.parquet", help="output of batch"),
+            OUTPUT.but(metavar="FILE.html", required=True, help="output file"),
+            FORCE.but(help="overwrite FILE"),
+        ),
+    ),
+    Command(
+        "web",
+        "analyze logs on a page in the browser",
+        "Serves a page: drop a log on it, check the proposed airframe, enter the mass, read the "
+        "report; compare two results. Works offline. Prints the address, which contains the access "
+        "token.",
+        (
+            option(
+                "address",
+                nargs="?",
+                type=web_address,
+                default=LOCAL_PAGE,
+                metavar="[HOST:]PORT",
+                help="address to serve on (default 8000, this machine only)",
+            ),
+        ),
+    ),
+    Command(
+        "airframe",
+        "write or check the airframe file of a vehicle",
+        "Writes or checks an airframe file, which holds the rotor positions.",
+        actions=(
+            Command(
+                "new",
+                "write an airframe file, from questions or options",
+                "Writes an airframe file. Asks for what the options do not give; with --layout and "
+                "--arm (or --rotor) and --output it asks nothing.",
+                (
+                    option(
+                        "--layout", choices=LAYOUTS, metavar="NAME", help=", ".join(LAYOUTS[::2])
+                    ),
+                    ARM.but(
+                        type=None,
+                        metavar="M",
+                        help="m from the center to each motor; X,Y for a quad X that is not square",
+                    ),
+                    option(
+                        "--rotor",
+                        action="append",
+                        default=[],
+                        metavar="SPIN:X,Y",
+                        help="a motor of a custom layout, such as cw:0.2,-0.2: m forward and "
+                        "right; repeat in motor order",
+                    ),
+                    option(
+                        "--spin",
+                        metavar="LIST",
+                        help="reversed, or the spin of each motor: ccw,ccw,cw,cw",
+                    ),
+                    OneOf(
+                        (
+                            MASS.but(type=mass, metavar="KG", help="weighed mass"),
+                            K_T.but(type=positive, metavar="N_S2", help="known k_T"),
+                            T_MAX.but(type=positive, metavar="N", help="known thrust of a rotor"),
+                        )
+                    ),
+                    option(
+                        "--imu",
+                        metavar="X,Y,Z",
+                        help="IMU position, m forward, right, down of the center: --imu=-0.02,0,0",
+                    ),
+                    PRIOR.but(help="prior; may be repeated"),
+                    NAME.but(metavar=None, help="name of the vehicle (default: the file's name)"),
+                    OUTPUT.but(
+                        metavar="FILE.toml", help="output file, must not exist; - is stdout"
+                    ),
+                ),
+            ),
+            Command(
+                "check",
+                "draw an airframe and check it",
+                "Draws the rotors of an airframe and lists what looks wrong.",
+                (
+                    option(
+                        "file",
+                        metavar="FILE",
+                        type=Path,
+                        help="airframe file, or a built-in airframe's name",
+                    ),
+                    option("--json", action="store_true", help="findings as JSON"),
+                ),
+            ),
+        ),
+    ),
+    Command(
+        "doctor",
+        "check this computer and listen for MAVLink vehicles",
+        "Checks versions, ports, serial devices, terminal and recording folder, and listens for "
+        "vehicles. Sends nothing. Exit status 1 if there is a problem.",
+        (
+            option("urls", nargs="*", metavar="URL", help="also listen here, such as /dev/ttyUSB0"),
+            BAUD,
+            DURATION.but(default=3.0, help="listen for S seconds (default 3); nothing is sent"),
+            option("--json", action="store_true", help="findings as JSON on standard output"),
+        ),
+    ),
+    Command(
+        "completion",
+        "tab completion for bash, zsh, fish and PowerShell",
+        'Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" in ~/.bashrc; '
+        "zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion fish > "
+        "~/.config/fish/completions/gcs-sysid.fish; PowerShell, in $PROFILE: gcs-sysid completion "
+        "powershell | Out-String | Invoke-Expression",
+        (option("shell", choices=SHELLS, metavar="|".join(SHELLS), help="shell"),),
+    ),
+)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    parser = OneLineParser(
+        prog=PROGRAM,
+        description="Identify a multirotor's mass properties and rotor coefficients from "
+        "MAVLink: live, or from a recorded flight.",
+        epilog=f"Start with:  {PROGRAM} demo",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    _add_commands(parser.add_subparsers(dest="command", metavar="COMMAND"), COMMANDS)
+    return parser
+
+
+def _add_commands(parsers: "argparse._SubParsersAction[Any]", commands: Iterable[Command]) -> None:
+    for command in commands:
+        parser = parsers.add_parser(
+            command.name, help=command.summary, description=command.description
+        )
+        _add_options(parser, command.options)
+        if command.actions:
+            actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+            _add_commands(actions, command.actions)
+
+
+def _add_options(
+    place: argparse._ActionsContainer, options: Iterable[Option | OneOf | Group]
+) -> None:
+    for each in options:
+        if isinstance(each, Option):
+            place.add_argument(*each.names, **each.settings)
+        elif isinstance(each, OneOf):
+            _add_options(place.add_mutually_exclusive_group(), each.options)
+        else:
+            _add_options(place.add_argument_group(each.title), each.options)
