@@ -1,6 +1,6 @@
 """Every option and argument of the command line, as data.
 
-An `Option` holds what the parser is told of it. Those that several commands have stand here once;
+An `Option` holds what the parser needs of it. Those that several commands have stand here once;
 what a command says differently it says with `but`, in `commands`.
 """
 
