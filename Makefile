@@ -10,7 +10,7 @@ SPEED_INSTALLED := $(VENV)/.installed-speed
 RELEASE_INSTALLED := $(VENV)/.installed-release
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all test-web quick mutate check bench bench-accuracy bench-truth bench-speed fuzz soak soak-short \
+.PHONY: help demo test test-all test-web quick mutate check accept accept-short bench bench-accuracy bench-truth bench-speed fuzz soak soak-short \
   docs pictures sample dist dist-try release-check \
   bench-public startup lock clean
 .DEFAULT_GOAL := help
@@ -82,9 +82,16 @@ fuzz: $(INSTALLED) ## fuzz every reader with FUZZ_INPUTS inputs, found ones into
 	@$(PIP) --group fuzz || echo "no atheris: inputs are drawn at random"
 	$(BIN)/python -m benchmarks.reliability.fuzz --inputs $(FUZZ_INPUTS)
 
+accept accept-short: export OMP_NUM_THREADS = 1
+accept: $(SIMULATORS_INSTALLED) ## is it still right? digits, and figures beside the stored ones (30 min)
+	$(BIN)/python -m benchmarks.accept
+
+accept-short: $(INSTALLED) ## some rows of each kind, as CI runs them (4 min)
+	$(BIN)/python -m benchmarks.accept --short
+
 bench: $(INSTALLED) ## cost of emulator and chain, and of commands against the last release
 	$(BIN)/python -m benchmarks.cost
-	$(BIN)/python -m benchmarks.against
+	$(BIN)/python -m benchmarks.accept judge --only cost
 
 $(BENCH_INSTALLED): $(INSTALLED)
 	$(PIP) --group bench

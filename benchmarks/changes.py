@@ -22,6 +22,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -178,6 +179,38 @@ def is_change(kind: str) -> bool:
     return kind != "passing"
 
 
+def quiet_flights(name: str, seed: int, count: int) -> dict[str, dict[str, Any]]:
+    """Flights in which nothing changes, by what is the rotors' input.
+
+    Returns:
+        seconds flown and used, how many changes and disturbances were called, and which changes.
+    """
+    mission_name, physics, lands = QUIET[name]
+    mission = ALL_MISSIONS[mission_name]
+    fleet = stack_vehicles(vehicles(count, seed))
+    flown_mission = GroundCycle(mission, 3.0) if lands else mission
+    clean = fly_ensemble(fleet, flown_mission, RATE, seed=seed, physics=physics)
+    flight = clean.with_noise("mems", 0.0, [100 * seed + i for i in range(count)])
+    found: dict[str, dict[str, Any]] = {}
+    for key in INPUTS:
+        row: dict[str, Any] = {"seconds": 0.0, "used": 0.0, "changes": 0, "passing": 0}
+        row["called"] = []
+        for i in range(count):
+            commands = key == "command"
+            samples = samples_of(flight, i, commands=commands)
+            tracker = follow(samples, flight.t, commands=commands)
+            called = [e for e in tracker.events if is_change(e.cause.kind if e.cause else "change")]
+            row["seconds"] += float(flight.t[-1])
+            row["used"] += tracker.fit(quick=True).seconds
+            row["changes"] += len(called)
+            row["passing"] += len(tracker.events) - len(called)
+            row["called"] += [
+                f"{e.cause.kind if e.cause else 'landing'}@{e.onset:.1f}" for e in called
+            ]
+        found[key] = row
+    return found
+
+
 def quiet(hours: float, count: int, only: Sequence[str]) -> int:
     """Print false changes; how many there were."""
     names = [name for name in QUIET if not only or name in only]
@@ -190,41 +223,22 @@ def quiet(hours: float, count: int, only: Sequence[str]) -> int:
     seed = 0
     each = hours / (len(names) * len(INPUTS))
     for name in names:
-        mission_name, physics, lands = QUIET[name]
-        mission = ALL_MISSIONS[mission_name]
-        counts: dict[str, list[float]] = {key: [0.0, 0, 0, 0.0] for key in INPUTS}
-        called: dict[str, list[str]] = {key: [] for key in INPUTS}
-        while counts["speed"][0] < 3600.0 * each:
+        rows: dict[str, list[dict[str, Any]]] = {key: [] for key in INPUTS}
+        while sum(row["seconds"] for row in rows["speed"]) < 3600.0 * each:
             seed += 1
-            fleet = stack_vehicles(vehicles(count, seed))
-            flown_mission = GroundCycle(mission, 3.0) if lands else mission
-            clean = fly_ensemble(fleet, flown_mission, RATE, seed=seed, physics=physics)
-            flight = clean.with_noise("mems", 0.0, [100 * seed + i for i in range(count)])
-            for i in range(count):
-                for key in INPUTS:
-                    commands = key == "command"
-                    samples = samples_of(flight, i, commands=commands)
-                    tracker = follow(samples, flight.t, commands=commands)
-                    changes = [
-                        e
-                        for e in tracker.events
-                        if is_change(e.cause.kind if e.cause else "change")
-                    ]
-                    row = counts[key]
-                    row[0] += float(flight.t[-1])
-                    row[1] += len(changes)
-                    row[2] += len(tracker.events) - len(changes)
-                    row[3] += tracker.fit(quick=True).seconds
-                    called[key] += [
-                        f"{e.cause.kind if e.cause else 'landing'}@{e.onset:.1f}" for e in changes
-                    ]
+            for key, row in quiet_flights(name, seed, count).items():
+                rows[key].append(row)
         for key in INPUTS:
-            seconds, changes_, passing, used = counts[key]
+            seconds, used, changed, passing = (
+                sum(row[what] for row in rows[key])
+                for what in ("seconds", "used", "changes", "passing")
+            )
+            called = [text for row in rows[key] for text in row["called"]]
             flown[key] += seconds
-            false[key] += int(changes_)
+            false[key] += changed
             print(
-                f"{name:<16}{key:<9}{seconds / 3600.0:6.2f}{int(changes_):9d}{int(passing):14d}"
-                f"{100.0 * used / seconds:8.1f}  {' '.join(called[key][:6])}",
+                f"{name:<16}{key:<9}{seconds / 3600.0:6.2f}{changed:9d}{passing:14d}"
+                f"{100.0 * used / seconds:8.1f}  {' '.join(called[:6])}",
                 flush=True,
             )
     for key in INPUTS:
@@ -233,55 +247,70 @@ def quiet(hours: float, count: int, only: Sequence[str]) -> int:
     return sum(false.values())
 
 
+def step_flights(name: str, seeds: int) -> dict[str, Any]:
+    """Flights with a true change.
+
+    Returns:
+        flights; delays in s of the changes found; how many were named right; how many others were
+        called; relative errors of mass and inertia at the end.
+    """
+    step = STEPS[name]
+    fleet = stack_vehicles(vehicles(seeds, 7, step.curve))
+    physics, changes = step.physics, (mass_step(step.at, FACTOR),)
+    if step.rotor:
+        physics = replace(physics, weakening=Weakening(2, step.at, LOSS, 0.0))
+        changes = ()
+    flight = fly_step(fleet, step, physics, changes)
+    flight = flight.with_noise("mems", 0.0, list(range(1, seeds + 1)))
+    out: dict[str, Any] = {"flights": seeds, "named": 0, "others": 0}
+    out |= {"delays": [], "mass": [], "inertia": []}
+    for i in range(seeds):
+        tracker = follow(
+            samples_of(flight, i, commands=step.commands), flight.t, commands=step.commands
+        )
+        found = [e for e in tracker.events if e.cause and is_change(e.cause.kind)]
+        hits = [e for e in found if e.decided is not None and abs(e.onset - step.at) < 1.0]
+        out["others"] += len(found) - len(hits[:1])
+        if not hits or hits[0].decided is None or hits[0].cause is None:
+            continue
+        out["delays"].append(hits[0].decided - step.at)
+        out["named"] += hits[0].cause.kind == ("rotor_failure" if step.rotor else "mass_change")
+        first = tracker.segments[0] if tracker.segments else None
+        before = None if first is None else first.fit.translation
+        fit = tracker.fit()
+        truth = {n: float(np.broadcast_to(getattr(fleet, n), seeds)[i]) for n in _TRUTH}
+        if first is None or fit.translation is None:
+            continue
+        if step.at == EARLY and first.mass_ratio is not None:
+            scale = fit.translation.kappa * first.mass_ratio[0] * truth["mass"]
+        elif before is not None:
+            scale = before.kappa * truth["mass"]
+        else:
+            continue
+        out["mass"].append(float(scale / fit.translation.kappa / (FACTOR * truth["mass"]) - 1.0))
+        if fit.rotation is not None:
+            known = np.array([truth[n] for n in _TRUTH[1:]])
+            worst = np.abs(fit.rotation.theta[:3] * scale / known - 1.0).max()
+            out["inertia"].append(float(worst))
+    return out
+
+
 def steps(seeds: int, only: Sequence[str]) -> None:
     """Print how true changes were found."""
     print(
         f"{'change':<24}{'flights':>8}{'found':>7}{'in 2 s %':>10}{'median s':>10}{'named':>7}"
         f"{'others':>8}{'mass %':>8}{'inertia %':>11}"
     )
-    for name, step in STEPS.items():
+    for name in STEPS:
         if only and name not in only:
             continue
-        fleet = stack_vehicles(vehicles(seeds, 7, step.curve))
-        physics, changes = step.physics, (mass_step(step.at, FACTOR),)
-        if step.rotor:
-            physics = replace(physics, weakening=Weakening(2, step.at, LOSS, 0.0))
-            changes = ()
-        flight = fly_step(fleet, step, physics, changes)
-        flight = flight.with_noise("mems", 0.0, list(range(1, seeds + 1)))
-        delays, named, others, mass, inertia = [], 0, 0, [], []
-        for i in range(seeds):
-            tracker = follow(
-                samples_of(flight, i, commands=step.commands), flight.t, commands=step.commands
-            )
-            found = [e for e in tracker.events if e.cause and is_change(e.cause.kind)]
-            hits = [e for e in found if e.decided is not None and abs(e.onset - step.at) < 1.0]
-            others += len(found) - len(hits[:1])
-            if not hits or hits[0].decided is None or hits[0].cause is None:
-                continue
-            delays.append(hits[0].decided - step.at)
-            named += hits[0].cause.kind == ("rotor_failure" if step.rotor else "mass_change")
-            first = tracker.segments[0] if tracker.segments else None
-            before = None if first is None else first.fit.translation
-            fit = tracker.fit()
-            truth = {n: np.broadcast_to(getattr(fleet, n), seeds)[i] for n in _TRUTH}
-            if first is None or fit.translation is None:
-                continue
-            if step.at == EARLY and first.mass_ratio is not None:
-                scale = fit.translation.kappa * first.mass_ratio[0] * truth["mass"]
-            elif before is not None:
-                scale = before.kappa * truth["mass"]
-            else:
-                continue
-            mass.append(scale / fit.translation.kappa / (FACTOR * truth["mass"]) - 1.0)
-            if fit.rotation is not None:
-                known = np.array([truth[n] for n in _TRUTH[1:]])
-                inertia.append(np.abs(fit.rotation.theta[:3] * scale / known - 1.0).max())
+        found = step_flights(name, seeds)
+        delays = found["delays"]
         soon = 100.0 * sum(d <= SOON for d in delays) / seeds
         print(
             f"{name:<24}{seeds:8d}{len(delays):7d}{soon:10.0f}"
-            f"{float(np.median(delays)) if delays else np.nan:10.2f}{named:7d}{others:8d}"
-            f"{_worst(mass):>8}{_worst(inertia):>11}",
+            f"{float(np.median(delays)) if delays else np.nan:10.2f}{found['named']:7d}"
+            f"{found['others']:8d}{_worst(found['mass']):>8}{_worst(found['inertia']):>11}",
             flush=True,
         )
 

@@ -26,8 +26,36 @@ from gcs_sysid.telemetry.tlog import read_tlog
 
 SUFFIXES = (".tlog", ".ulg", ".bin")
 NAMES = tuple(name for name, parameter in REGISTRY.items() if parameter.of_vehicle)
+_FAMILIES = {"LOG00": "cinerat", "crazyflie": "crazyflie"}
+"""Logs that share an airframe file, by how their names begin."""
 _FAST = {"HIGHRES_IMU": 5, "ESC_STATUS": 5, "ACTUATOR_OUTPUT_STATUS": 5, "SERVO_OUTPUT_RAW": 5}
 _KEPT = ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")
+
+
+def logs_in(paths: list[Path]) -> list[Path]:
+    """The logs themselves, sorted; folders are looked through with all below them."""
+    found = [
+        log
+        for path in paths
+        for log in ([path] if path.is_file() else path.rglob("*"))
+        if log.suffix in SUFFIXES
+    ]
+    return sorted(found)
+
+
+def airframe_for(log: Path) -> Airframe:
+    """The airframe that a log is analyzed with."""
+    shared = [name for begin, name in _FAMILIES.items() if log.name.startswith(begin)]
+    if shared and "_cmd" in log.stem:
+        shared = [f"{shared[0]}_cmd"]
+    for name in (log.stem, *shared):
+        if (file := log.with_name(f"{name}.toml")).exists():
+            return load_airframe(str(file))
+    truth = log.with_suffix(".truth.json")
+    if truth.exists() and "cg_m" in json.loads(truth.read_text()):
+        return airframe_of(log).with_anchor("mass", truth_of(log)["mass"])
+    airframe = load_airframe("paper")
+    return airframe if airframe.anchor() else airframe.with_anchor("mass", 1.5)
 
 
 def truth_of(log: Path) -> dict[str, float]:

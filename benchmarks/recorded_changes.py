@@ -1,6 +1,6 @@
 """Changes, landings and air time found in recorded flights, and what they are to be.
 
-Part of `benchmarks.changes logs`. Airframes are found as by `benchmarks.unchanged`. A .truth.json
+Part of `benchmarks.changes logs`. Airframes are found as by `benchmarks.recorded`. A .truth.json
 beside a log may list a true change: `mass_after` and, under `events`, the Unix time at which
 `mass_after` came into force. Other logs have none.
 """
@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.recorded import truth_of
-from benchmarks.unchanged import airframe_for, logs_in
+from benchmarks.recorded import airframe_for, logs_in, truth_of
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95

@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, kstest
 
+from benchmarks.recorded import airframe_for, logs_in
 from benchmarks.truth.emulated import record, write
 from benchmarks.truth.scenarios import SCENARIOS, Scenario
 from benchmarks.truth.vehicles import draw
-from benchmarks.unchanged import airframe_for, logs_in
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95

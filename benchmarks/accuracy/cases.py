@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from benchmarks import filter_errors
-from benchmarks.accuracy import changes, end_to_end, peers
+from benchmarks.accuracy import changes, end_to_end
 from benchmarks.accuracy.article import NAMES, TABLE_3
 from benchmarks.accuracy.estimators import (
     article_noise,
@@ -190,11 +191,17 @@ def delays(seed: int) -> dict[str, Any]:
     return out
 
 
+def _peers() -> ModuleType:
+    from benchmarks.accuracy import peers  # needs the packages of the group `bench`
+
+    return peers
+
+
 def comparison(seed: int) -> dict[str, Any]:
     samples = measure(fly("paper", 20), "paper", SIGMA, seed)
     fit = online(samples, 0.05)
     return {
-        **peers.all_of(samples, 0.05, fit, "paper"),
+        **_peers().all_of(samples, 0.05, fit, "paper"),
         "ours, online": outcome(fit),
         "ours, offline": outcome(offline(samples, 0.05, fit, ROUNDING_STD)),
     }
@@ -203,7 +210,7 @@ def comparison(seed: int) -> dict[str, Any]:
 def comparison_mems(seed: int) -> dict[str, Any]:
     samples = measure(fly("paper", 250), "mems", 0.0, seed)
     fit = online(samples, 0.004)
-    return {**peers.all_of(samples, 0.004, fit, "mems"), "ours, online": outcome(fit)}
+    return {**_peers().all_of(samples, 0.004, fit, "mems"), "ours, online": outcome(fit)}
 
 
 def speed(seed: int) -> dict[str, float]:
@@ -252,8 +259,8 @@ CASES = (
     Case("mems-offline", 3, mems_offline, _fast),
     Case("course", 200, history, lambda: fly("all-axes", 20)),
     Case("delay", 24, delays, _fly_late),
-    Case("peers", 8, comparison, lambda: peers.tune("paper")),
-    Case("peers-mems", 2, comparison_mems, lambda: peers.tune("mems")),
+    Case("peers", 8, comparison, lambda: _peers().tune("paper")),
+    Case("peers-mems", 2, comparison_mems, lambda: _peers().tune("mems")),
     Case("changes", 30, changes.run, changes.prepare),
     Case("false-alarms", 8, changes.quiet, changes.prepare_quiet),
     Case("filters", 100, filter_errors.measure, filter_errors.prepare, filter_errors.AT_ONCE),

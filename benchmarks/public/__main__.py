@@ -21,9 +21,9 @@ import numpy as np
 
 from benchmarks.public import entries, score
 from benchmarks.public.flight import Claims, Entry, flight_of
+from benchmarks.recorded import airframe_for
 from benchmarks.truth import emulated, independent, practitioner, recorded_flights
 from benchmarks.truth.scenarios import SCENARIOS
-from benchmarks.unchanged import airframe_for
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result

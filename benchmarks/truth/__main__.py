@@ -35,15 +35,22 @@ _BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 _SAYS = {name: says for name, (*_, says) in independent.PLANTS.items()}
 
 
-def fly(name: str, seconds: float | None, number: int) -> dict[str, Any]:
-    """Record one flight of a scenario, analyse it, and hold the result against the truth."""
+def fly(name: str, seconds: float | None, number: int, *, peer: bool = True) -> dict[str, Any]:
+    """Record one flight of a scenario, analyse it, and hold the result against the truth.
+
+    Args:
+        name: of the scenario.
+        seconds: of flight; None for the whole mission.
+        number: of the vehicle.
+        peer: whether to try the practitioner's least squares too.
+    """
     with tempfile.TemporaryDirectory() as folder:
         recording: Recording
         if name in independent.PLANTS:
             recording = independent.record(name, number, Path(folder), seconds)
         else:
             recording = emulated.record(_BY_NAME[name], number, Path(folder), seconds)
-        out = judge(recording.log, recording.airframe, recording.truth)
+        out = judge(recording.log, recording.airframe, recording.truth, peer=peer)
     return {**out, "vehicle": recording.vehicle}
 
 

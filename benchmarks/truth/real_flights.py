@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.unchanged import airframe_for
+from benchmarks.recorded import airframe_for
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95

@@ -10,10 +10,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from benchmarks.recorded import airframe_for, logs_in
 from benchmarks.truth.emulated import Truth
 from benchmarks.truth.judge import judge
 from benchmarks.truth.real_flights import OPEN_LOOP
-from benchmarks.unchanged import airframe_for, logs_in
 
 _FAMILIES = {"LOG00": "cinerat"}
 _WITH_CAMERA = "LOG00340"
