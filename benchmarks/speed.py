@@ -66,7 +66,7 @@ def read_records(path: str) -> None:
 
 
 def read_pymavlink(path: str) -> int:
-    """With the project's dialect, since its own ones lack ESC_STATUS."""
+    """With ESC_STATUS, which pymavlink's own dialects lack."""
     from pymavlink import mavutil
 
     from gcs_sysid.telemetry.dialect import mavlink

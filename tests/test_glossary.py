@@ -35,10 +35,7 @@ PROSE = re.compile(
     re.IGNORECASE,
 )
 SOURCES = sorted(
-    path
-    for folder in ("src/gcs_sysid", "sim_bridge")
-    for path in (ROOT / folder).rglob("*.py")
-    if "dialect" not in path.parts
+    path for folder in ("src/gcs_sysid", "sim_bridge") for path in (ROOT / folder).rglob("*.py")
 )
 ASSETS = sorted((ROOT / "src" / "gcs_sysid" / "web" / "assets").glob("*.[hj]*"))
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])

@@ -37,12 +37,11 @@ MAY_PICKLE = {
 
 @functools.cache
 def modules(*roots):
-    """(name, nodes) of every module but the generated dialect; of the tool alone with TOOL."""
+    """(name, nodes) of every module; of the tool alone with TOOL."""
     return [
         (path.relative_to(root).as_posix(), list(ast.walk(ast.parse(path.read_text("utf-8")))))
         for root in roots or ROOTS
         for path in sorted(root.rglob("*.py"))
-        if path.name not in ("gcs_sysid_dialect.py", "known_messages.py")
     ]
 
 

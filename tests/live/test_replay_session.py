@@ -12,7 +12,7 @@ from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.telemetry.dialect import gcs_sysid_dialect as mavlink
+from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter

@@ -1,14 +1,14 @@
 """MAVLink 1 and signed frames, as pymavlink reads them."""
 
-import xml.etree.ElementTree as ET
+import re
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import sim_bridge
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.cli import main, read_key
 from sim_bridge.missions import MISSIONS
@@ -16,36 +16,24 @@ from sim_bridge.px4 import Px4
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
 from sim_bridge.wire import BASE_LENGTHS, FrameWriter, Signer
+from tests.pymavlink_xml import SIZES, definitions
 
+DEFINED = definitions("minimal", "standard", "common")
 KEY = bytes(range(32))
 NOW_US = 1_700_000_000_000_000
-SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4}
-SIZES |= {"uint32_t": 4, "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}
-
-
-def base_length(message: ET.Element) -> int | None:
-    """Bytes before the extensions; None when there are none."""
-    length = 0
-    for child in message:
-        if child.tag == "extensions":
-            return length
-        if child.tag == "field":
-            kind, _, count = child.attrib["type"].partition("[")
-            length += SIZES[kind.replace("_mavlink_version", "")] * int(count.rstrip("]") or 1)
-    return None
 
 
 def test_lengths_of_version_1_are_those_of_the_definitions() -> None:
-    folder = resources.files("gcs_sysid.telemetry.dialect")
-    root = ET.fromstring((folder / "gcs_sysid.xml").read_text(encoding="utf-8"))
-    lengths = {int(m.attrib["id"]): base_length(m) for m in root.iter("message")}
-    for msgid, length in BASE_LENGTHS.items():
-        assert lengths[msgid] == length, msgid
-    # Of the messages that the emulator sends in version 1, none is left out.
-    others = {i for i, n in lengths.items() if n is not None and i <= 255} - set(BASE_LENGTHS)
-    received_only = {"PARAM_REQUEST_READ", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"}
-    unused = {"MISSION_ACK", "SCALED_IMU3", "RPM"} | received_only
-    assert {mavlink.mavlink_map[i].msgname for i in others} <= unused
+    """Of every message that the emulator makes and that has extension fields."""
+    sources = Path(sim_bridge.__file__).parent.rglob("*.py")
+    made = "".join(path.read_text(encoding="utf-8") for path in sources)
+    names = {name.upper() for name in re.findall(r"mavlink\.MAVLink_(\w+)_message", made)}
+    lengths = {
+        number: sum(SIZES[kind] * max(length, 1) for kind, length, _ in fields)
+        for number, (name, fields, extension) in DEFINED.items()
+        if extension and number <= 255 and name in names
+    }
+    assert lengths == BASE_LENGTHS
 
 
 def read_version_1(path: Path) -> Iterator[Any]:

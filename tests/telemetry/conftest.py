@@ -6,6 +6,8 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.message_table import MESSAGES
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
 
 class Sender:
@@ -57,7 +59,8 @@ def random_message(cls, rng):
     for field, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True):
         count = cls.array_lengths[cls.ordered_fieldnames.index(field)]
         if kind == "char":
-            text = "".join(rng.choices("ABCxyz_09 ", k=rng.randrange(0, max(1, count) + 1)))
+            length = rng.randrange(0, count + 1) if count else 1
+            text = "".join(rng.choices("ABCxyz_09 ", k=length))
             values.append(text.encode())
             continue
         some = [_random_value(kind, rng) for _ in range(max(1, count))]
@@ -95,7 +98,12 @@ def stream():
     """A stretch of telemetry: (bytes, frames), versions mixed."""
     rng = random.Random(7)
     source = Sender()
-    classes = list(mavlink.mavlink_map.values())
+    names = [
+        "HEARTBEAT", "PARAM_VALUE", "MESSAGE_INTERVAL", "EXTENDED_SYS_STATE", "STATUSTEXT",
+        "SYSTEM_TIME", "TIMESYNC", "PING", "VFR_HUD", "GPS_RAW_INT", "COMMAND_ACK",
+        *(message.name for message in MESSAGES),
+    ]  # fmt: skip
+    classes = [mavlink.mavlink_map[MESSAGE_IDS[name]] for name in names]
     raws = []
     for _ in range(60):
         cls = rng.choice(classes)

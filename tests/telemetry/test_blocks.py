@@ -3,6 +3,7 @@
 import math
 import random
 import struct
+from functools import partial
 from itertools import pairwise
 from operator import attrgetter
 
@@ -14,8 +15,11 @@ from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
+from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Stamp
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import SequenceCount
 from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
+from tests.telemetry.conftest import random_message
 from tests.telemetry.scalar_decoder import ScalarIntake
 
 START = 1_750_000_000_000_000
@@ -116,8 +120,18 @@ class Flier:
             ),
             "PING": lambda: m.MAVLink_ping_message(1, 1, 0, 0),
         }
+        for row in MESSAGES:
+            makers.setdefault(row.name, partial(self.anything, row))
         common = rng.choice(["HIGHRES_IMU", "ATTITUDE", "ESC_TELEMETRY_1_TO_4", *makers])
         return makers[common]()
+
+    def anything(self, row):
+        """A message of a type with random values, but a stamp of now."""
+        message = random_message(mavlink.mavlink_map[MESSAGE_IDS[row.name]], self.rng)
+        if row.stamp in STAMP_FIELDS:
+            now = self.ms() if row.stamp is Stamp.MS32 else self.us()
+            setattr(message, STAMP_FIELDS[row.stamp], now)
+        return message
 
     def heartbeat(self):
         armed = self.rng.choice([0, mavlink.MAV_MODE_FLAG_SAFETY_ARMED])

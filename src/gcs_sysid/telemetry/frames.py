@@ -19,7 +19,6 @@ from typing import NamedTuple
 from fastcrc import crc16
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.dialect.known_messages import KNOWN_MESSAGES
 
 MAGIC_1 = 0xFE
 MAGIC_2 = 0xFD
@@ -34,8 +33,8 @@ _mcrf4xx = crc16.mcrf4xx
 _MAGIC = re.compile(b"[\xfd\xfe]")
 
 CRC_EXTRA: dict[int, bytes] = {
-    message_id: bytes([crc_extra]) for message_id, (_, crc_extra, _) in KNOWN_MESSAGES.items()
-} | {message_id: bytes([message.crc_extra]) for message_id, message in mavlink.mavlink_map.items()}
+    message_id: bytes([message.crc_extra]) for message_id, message in mavlink.mavlink_map.items()
+}
 """Message id -> CRC_EXTRA as one byte, ready to be appended to what the checksum covers."""
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.checksums import rows_of
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.dialect.known_messages import KNOWN_MESSAGES
 from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
 
 Value = int | float | str | tuple[int, ...] | tuple[float, ...]
@@ -66,12 +65,7 @@ LAYOUTS: dict[int, Layout] = {
     message_id: _layout(message) for message_id, message in mavlink.mavlink_map.items()
 }
 MESSAGE_IDS: dict[str, int] = {layout.name: message_id for message_id, layout in LAYOUTS.items()}
-_NAMES: dict[int, str] = {i: known[0] for i, known in KNOWN_MESSAGES.items()} | {
-    i: layout.name for i, layout in LAYOUTS.items()
-}
-
-
-NAMED_IDS = np.array(sorted(_NAMES))
+NAMED_IDS = np.array(sorted(LAYOUTS))
 """Ids of all message types that have a name, rising."""
 OTHER_TYPES = 2**24
 """Id for types without a name that are counted together; no message has it."""
@@ -81,7 +75,8 @@ def message_name(message_id: int) -> str:
     """Name of a message type; `UNKNOWN_<id>` when unknown."""
     if message_id == OTHER_TYPES:
         return "UNKNOWN"
-    return _NAMES.get(message_id) or f"UNKNOWN_{message_id}"
+    layout = LAYOUTS.get(message_id)
+    return f"UNKNOWN_{message_id}" if layout is None else layout.name
 
 
 def unpack_flat(message_id: int, payload: bytes) -> tuple[Any, ...]:

@@ -36,7 +36,7 @@ SHORTEST_INTERVAL = 500
 """us. No autopilot sends faster, and one that tried would have no time left to fly."""
 LONGEST_INTERVAL = 60_000_000
 """us. No use for a stream slower than one a minute."""
-_MAY_BE_STOPPED = frozenset(
+_ASKED_FOR = frozenset(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
     for name in (
         "HIGHRES_IMU",
@@ -53,7 +53,7 @@ _MAY_BE_STOPPED = frozenset(
         "SERVO_OUTPUT_RAW",
     )
 )
-"""Messages that this tool asks for, and that it may therefore have to stop again."""
+"""Messages whose rates this tool asks for, and that it may therefore have to stop again."""
 _PARAMETER_NAME = re.compile(r"[A-Z0-9_]{1,16}")
 
 
@@ -75,18 +75,16 @@ def _is_harmless_command(message: Any) -> bool:
     if not all(math.isfinite(value) for value in parameters) or not _is_of_one_vehicle(message):
         return False
     wanted, value, *rest = parameters
-    if wanted not in mavlink.mavlink_map or any(rest) or message.confirmation != 0:
+    if any(rest) or message.confirmation != 0:
+        return False
+    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+        # Only the message with an interval.
+        return bool(wanted == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL and value in _ASKED_FOR)
+    if wanted not in _ASKED_FOR:
         return False
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
         # 0 asks for the vehicle's default, -1 stops what was not sent before either.
-        if value == -1:
-            return wanted in _MAY_BE_STOPPED
-        return bool(value == 0 or SHORTEST_INTERVAL <= value <= LONGEST_INTERVAL)
-    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-        # Only the message with an interval.
-        return bool(
-            wanted == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL and value in mavlink.mavlink_map
-        )
+        return value in (0, -1) or bool(SHORTEST_INTERVAL <= value <= LONGEST_INTERVAL)
     return bool(message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL and value == 0)
 
 
