@@ -13,7 +13,9 @@ from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result_view import figures
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen.verdict_summary import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
@@ -78,7 +80,7 @@ def test_damping_rotor_inertia_and_drag_are_never_negative(name):
     estimate = Estimate(-0.4, 0.73, "", "zero", not_negative=True).bounded
     assert estimate.value == 0.0
     assert estimate.ci95[0] == 0.0
-    assert words.shown(estimate).text == "~0 (< 1.4)"
+    assert figures(estimate).short == "~0 (< 1.4)"
     assert words.REGISTRY[name].sign == "not negative"
 
 

@@ -15,6 +15,8 @@ from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, Provenance, ReportData
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import Event, History
 from gcs_sysid.results.words import STATUS
 
@@ -182,8 +184,7 @@ def test_settings_reproduce_it(page, paper_flight, report):
 
 
 def estimate(value, std, status, **more):
-    ci95 = None if value is None else [value - 1.96 * std, value + 1.96 * std]
-    return {"value": value, "std": std, "ci95": ci95, "unit": "kg m^2", "status": status, **more}
+    return Estimate(value, std, "kg m^2", status, **more)
 
 
 def made_up(text="flight.tlog", rows=2000, instants=50):
@@ -193,33 +194,32 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
     y = rng.normal(size=(rows, 3))
     f = np.linspace(0.1, 18.0, 200)
     axes = dict.fromkeys(AXES, 0.9)
-    result = {
-        "verdict": "partial",
-        "reasons": [text, "not observable from this flight: Izz"],
-        "source": f"/some/where/{text}",
-        "vehicle": {"sysid": 1, "compid": 1, "autopilot": text},
-        "scale": {"anchor": "mass", "value": 1.5, "unit": "kg", "from": text},
-        "estimator": "offline",
-        "rotor_input": "speed",
-        "parameters": {
+    before = estimate(0.016, 1e-4, "identified")
+    result = Result(
+        verdict="partial",
+        reasons=(text, "not observable from this flight: Izz"),
+        source=f"/some/where/{text}",
+        vehicle={"sysid": 1, "compid": 1, "autopilot": text},
+        scale=Scale("mass", 1.5, "kg", origin=text),
+        estimator="offline",
+        rotor_input="speed",
+        parameters={
             "mass": estimate(1.5, 0.0, "given"),
             "Ixx": estimate(0.0165, 1e-4, "identified", bound=5e-5, rests_on=text),
             "Iyy": estimate(0.0165, 4e-3, "weak"),
             "Izz": estimate(None, None, "unobservable"),
             "Ixy": estimate(1e-9, 1e-3, "unobservable"),
         },
-        "timing": {"rotor_delay": estimate(0.01, 1e-4, "identified")},
-        "events": [{"t": 3.0, "kind": "reboot", "text": text}, {"t": 5.0, "kind": text}],
-        "segments": [
-            {"start": 0.0, "end": 5.0, "parameters": {"Ixx": estimate(0.016, 1e-4, "identified")}}
-        ],
-        "validation": {
+        timing={"rotor_delay": estimate(0.01, 1e-4, "identified")},
+        events=({"t": 3.0, "kind": "reboot", "text": text}, {"t": 5.0, "kind": text}),
+        segments=({"start": 0.0, "end": 5.0, "parameters": {"Ixx": before.as_json()}},),
+        validation={
             "fitted_share": 0.6,
             **dict.fromkeys(("r_squared", "theil", "whiteness"), axes),
             "whiteness_p": {"roll": None, "pitch": 0.0, "yaw": 0.5},
         },
-        "priors": {"k_M": {"value": 1e-6, "std": 1e-7}},
-        "telemetry": {
+        priors={"k_M": {"value": 1e-6, "std": 1e-7}},
+        telemetry={
             "systems": [text],
             "imu_outliers": {"spikes": 3, "frozen": 0},
             "fates": {"used": 7, "dropped": 0},
@@ -227,7 +227,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
             "messages": {text: {"count": 10, "rate": None}},
             "rotor_input": {"source": text, "why": text, "refused": {text: text}},
         },
-    }
+    )
     stream = {"stream": "imu", "message": text, "offset": 0, "rate": 20.0, "gaps": 1,
               "longest_gap": 0.5, "missing_percent": 1.0, "repeats_percent": 0.0}  # fmt: skip
     inspection = {
@@ -295,11 +295,10 @@ def test_a_flight_of_hours_makes_a_page_of_bounded_size():
 
 def test_a_refused_recording_has_a_page_too():
     data = made_up("no-imu.tlog")
-    result = dict(data.result) | {
-        **{"verdict": "refused", "validation": {}, "segments": [], "events": [], "timing": {}},
-        **{"parameters": {}, "scale": None, "vehicle": {}, "telemetry": {}},
-        "reasons": ["no IMU data"],
-    }
+    result = Result(
+        verdict="refused", reasons=("no IMU data",), source=data.result.source, vehicle={},
+        scale=None, rotor_input="speed", parameters={},
+    )  # fmt: skip
     bare = ReportData(result, {}, data.airframe, data.provenance, History(np.empty(0), {}, {}))
     page = Page(render(bare))
     assert "Not identified" in page.one("section", id="verdict").text
@@ -322,13 +321,13 @@ def test_counts_that_are_not_zero_are_told():
 
 def test_numbers_beyond_all_measure_do_no_harm():
     data = made_up()
-    parameters = dict(data.result["parameters"]) | {
+    parameters = data.result.parameters | {
         "Ixx": estimate(1e-30, 1e30, "unobservable"),
         "Iyy": estimate(0.0, 1e-12, "identified"),
         "Izz": estimate(-1e200, 0.0, "weak"),
         "rotor_inertia": estimate(0.0, 0.0, "identified"),
     }
-    page = Page(render(replace(data, result=dict(data.result) | {"parameters": parameters})))
+    page = Page(render(replace(data, result=replace(data.result, parameters=parameters))))
     text = page.one("section", id="parameters").text
     assert not re.search(r"\b(nan|inf)\b", text)
     assert all(len(cell) < 120 for row in rows_of(page, "Parameters with") for cell in row)

@@ -38,7 +38,7 @@ def test_agrees_with_the_validation(fly, flight):
     data = analyzed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
     r_squared, theil = agreement(data.prediction)
     for axis, name in enumerate(AXES):
-        told = data.result["validation"]
+        told = data.result.validation
         assert r_squared[axis] == pytest.approx(told["r_squared"][name], abs=5e-4)
         assert theil[axis] == pytest.approx(told["theil"][name], rel=0.02)
     share = data.prediction.held_out.sum() / np.isfinite(data.prediction.predicted[:, 0]).sum()
@@ -60,7 +60,7 @@ def test_agrees_with_the_validation(fly, flight):
 def test_agrees_on_recorded_flights(shared_logs, log, layout, arm, mass):
     airframe = load_airframe(layout).with_arm(arm).with_anchor("mass", mass)
     data = analyzed(shared_logs / log, airframe)
-    told = data.result["validation"]["r_squared"]
+    told = data.result.validation["r_squared"]
     assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=5e-4)
 
 
@@ -72,7 +72,7 @@ def test_after_a_change_the_segment_in_force_is_predicted(fly):
     (segment,) = data.result["segments"]
     there = np.isfinite(data.prediction.predicted[:, 0])
     assert data.prediction.t[there].min() >= segment["end"]
-    told = data.result["validation"]["r_squared"]
+    told = data.result.validation["r_squared"]
     assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=2e-3)
 
 

@@ -17,7 +17,8 @@ from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.results.plausibility import RANGES, capped, objections
-from gcs_sysid.results.words import shown
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result_view import figures
 
 QUAD = load_airframe("px4-quad-x").with_arm(0.25)
 # A 1.5 kg quadrotor of 0.25 m: 10-inch propellers, hover at 5200 rpm.
@@ -154,10 +155,10 @@ def test_consistent_with_zero_has_a_status_and_a_limit():
     assert judged(1e-3, 2e-3, 1.0, "positive").status == "identified"
     assert judged(0.1, 0.2, 1.0, "any").status == "weak"
     estimate = Estimate(1e-3, 2e-3, "m", "zero")
-    assert shown(estimate)[:2] == ("~0", "(< 0.0049)")
-    assert shown(estimate).text == "~0 (< 0.0049)"
-    assert shown(replace(estimate, status="unobservable")).text == "-"
-    assert shown(Estimate(0.0165529, 4.1e-5, "kg m^2", "identified")).text == "0.016553 ±0.49 %"
+    assert figures(estimate).half_text == "(< 0.0049)"
+    assert figures(estimate).short == "~0 (< 0.0049)"
+    assert figures(replace(estimate, status="unobservable")).short == "-"
+    assert figures(Estimate(0.0165529, 4.1e-5, "kg m^2", "identified")).short == "0.016553 ±0.49 %"
 
 
 def test_what_cannot_be_negative_is_not():

@@ -33,7 +33,7 @@ def test_a_snapshot_in_words():
     assert view["verdict"]["headline"] == "PARTIAL"
     assert view["verdict"]["sign"] == "~"
     found = row(view, "Ixx")
-    assert (found["value"], found["half"], found["unit"]) == ("16.553", "± 0.081", "10⁻³ kg m²")
+    assert (found["value"], found["half"], found["unit"]) == ("16.553", "± 0.081", "10⁻³\xa0kg\xa0m²")
     assert (found["status"], found["sign"], found["percent"]) == ("identified", "✓", "0.49\u00a0%")
     assert found["error"] == "+0.32\u00a0%"
     assert 0.9 < found["done"] <= 1.0

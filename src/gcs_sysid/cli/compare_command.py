@@ -10,9 +10,11 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare
-from gcs_sysid.results.number_format import percent_column, rounded, significant
+from gcs_sysid.results.number_format import percent_column, scaled_unit
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.results.words import CHANGE, displayed, shown
+from gcs_sysid.results.result_view import comparison_sentences, figures, number_figures
+from gcs_sysid.results.words import CHANGE
 
 _WIDTH = 100
 
@@ -45,7 +47,11 @@ def report(comparison: Comparison) -> str:
         f"{'unit':<9}verdict",
         *map(_row, comparison.differences.values()),
         "",
-        *_summary(comparison),
+        *(
+            line
+            for sentence in comparison_sentences(comparison)
+            for line in textwrap.wrap(sentence, _WIDTH, break_on_hyphens=False)
+        ),
         "",
     ]
     for note in (*comparison.notes, *_RULES):
@@ -64,27 +70,19 @@ _RULES = (
 
 def _row(found: Difference) -> str:
     parameter = REGISTRY[found.name]
-    values = [
-        shown(estimate and displayed(parameter, estimate), 5).value
-        for estimate in (found.before, found.after)
-    ]
-    difference = displayed(parameter, Estimate(found.value, found.std, found.unit, "identified"))
-    line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
-    if (
-        difference.value is None
-        or difference.std is None
-        or found.value is None
-        or found.before is None
-    ):
+    exponent = parameter.exponent
+    line = f"{found.name:<19}"
+    for estimate in (found.before, found.after):
+        line += f"{figures(estimate, exponent=exponent, digits=5).value:>12}"
+    if found.value is None or found.std is None or found.before is None:
         line += f"{'-':>10}{'-':>9}{'-':>8}"
     else:
-        half = Z95 * difference.std
-        line += (
-            f"{rounded(difference.value, half, 3):>10}{significant(half, 2) if half else '0':>9}"
-        )
-        line += f"{_percent(found.value, found.before):>8}"
+        half = Z95 * found.std
+        shown = number_figures(found.value, half, found.unit, exponent=exponent, digits=3)
+        line += f"{shown.value:>10}{shown.half or '0':>9}{_percent(found.value, found.before):>8}"
+    unit = found.unit if exponent is None else scaled_unit(found.unit, exponent)
     why = f": {found.why}" if found.why else ""
-    return f"{line}  {difference.unit:<9}{CHANGE[found.verdict].meaning}{why}"
+    return f"{line}  {unit:<9}{CHANGE[found.verdict].meaning}{why}"
 
 
 def _percent(difference: float, before: Estimate) -> str:
@@ -93,22 +91,3 @@ def _percent(difference: float, before: Estimate) -> str:
     if before.value is None or low <= 0.0 <= high:
         return "-"
     return percent_column(difference / abs(before.value), signed=True).removesuffix(" %")
-
-
-def _summary(comparison: Comparison) -> list[str]:
-    """The verdict in a sentence or two."""
-    changed = comparison.named("changed")
-    same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
-    if comparison.verdict == "cannot_tell":
-        return ["Undetermined: no parameter is identified in both results."]
-    if changed:
-        sentences = [f"The vehicle has changed: {', '.join(changed)}."]
-    else:
-        sentences = [f"No change seen in {', '.join(same)}."]
-    if unknown:
-        sentences.append(f"Undetermined: {', '.join(unknown)}.")
-    return [
-        line
-        for sentence in sentences
-        for line in textwrap.wrap(sentence, _WIDTH, break_on_hyphens=False)
-    ]

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 from gcs_sysid.cli import output
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_view import figures
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
-from gcs_sysid.results.words import WAITING, WRONG_AIRFRAME, shown
+from gcs_sysid.results.words import WAITING, WRONG_AIRFRAME
 
 if TYPE_CHECKING:
     from gcs_sysid.screen.call_outs import Announcer
@@ -96,7 +97,7 @@ def status_line(snapshot: Snapshot) -> str:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
-        words.append(f"{name} {shown(estimate, 4).text}")
+        words.append(f"{name} {figures(estimate, digits=4).short}")
     reasons = snapshot.result.reasons
     if snapshot.result.verdict == "refused" and reasons:
         words.append(f"({reasons[0]})")

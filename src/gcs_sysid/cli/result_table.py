@@ -4,12 +4,9 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from gcs_sysid.intervals import Z95
-from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.number_format import PLAIN, percent_column, rounded, significant
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.words import event_text, shown
+from gcs_sysid.results.result_view import parameter_rows, result_notes
 
 
 class _Style(NamedTuple):
@@ -30,10 +27,6 @@ _STYLES = (
     _Style(4, 1, frozenset({"%", _GIVEN, "bound 95 %"})),
 )
 """The roomiest first."""
-_MOST_LISTED = 3
-"""Disturbances that are listed one by one."""
-_LISTED = ("rotor_input", "senders")
-"""Kinds of events beside changes of the vehicle that affect the numbers."""
 
 
 def result_table(
@@ -61,7 +54,7 @@ def result_table(
         if width is None or max(map(len, rows)) <= width:
             break
     lines += rows
-    notes = _notes(result)
+    notes = result_notes(result)
     if _GIVEN in rows[0]:
         notes.insert(0, f"{_GIVEN}: the part of ± due to errors of the given arm, scale and IMU, "
                      "which no flight reduces")  # fmt: skip
@@ -74,30 +67,28 @@ def result_table(
 
 
 def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> list[str]:
-    names = list(result.parameters)
-    estimates = list(result.parameters.values())
-    cells = [shown(estimate, style.digits) for estimate in estimates]
+    rows = parameter_rows(result, si=True, digits=style.digits, truth=truth)
+    rows = [row for row in rows if row.name in result.parameters]
     columns: dict[str, list[str]] = {
-        "parameter": names,
-        "value": [cell.value for cell in cells],
-        "± 95 %": [cell.half for cell in cells],
-        "%": ["-" if cell.value == "-" else cell.percent for cell in cells],
+        "parameter": [row.name for row in rows],
+        "value": [row.figures.value for row in rows],
+        "± 95 %": [row.figures.half_text for row in rows],
+        "%": [
+            row.figures.value
+            if row.figures.kind == "nothing"
+            else row.figures.percent.removesuffix(" %")
+            for row in rows
+        ],
     }
-    if any(e.std_given for e in estimates):
-        columns[_GIVEN] = [
-            significant(Z95 * e.std_given, 2) if e.std_given and e.shown else "" for e in estimates
-        ]
-    columns |= {
-        "unit": [PARAMETERS[name].unit for name in names],
-        "status": [e.status or "" for e in estimates],
-    }
-    if any(e.bound is not None for e in estimates):
-        bounds = [Z95 * e.bound if e.bound else None for e in estimates]
-        columns["bound 95 %"] = [PLAIN.number(bound, 2) for bound in bounds]
+    if any(row.estimate.std_given for row in rows):
+        columns[_GIVEN] = [significant(row.given_half, 2) if row.given_half else "" for row in rows]
+    columns |= {"unit": [row.unit for row in rows], "status": [row.status for row in rows]}
+    if any(row.estimate.bound is not None for row in rows):
+        columns["bound 95 %"] = [PLAIN.number(row.bound_half, 2) for row in rows]
     if truth:
-        true = [truth.get(name) for name in names]
-        columns["truth"] = [rounded(value, None, style.digits) for value in true]
-        columns["error %"] = [_error(e, t) for e, t in zip(estimates, true, strict=True)]
+        columns["truth"] = [rounded(row.truth, None, style.digits) for row in rows]
+        errors = [percent_column(row.error, signed=True).removesuffix(" %") for row in rows]
+        columns["error %"] = [error or "-" for error in errors]
     kept = {head: cells for head, cells in columns.items() if head not in style.without}
     padded = [_column(head, cells) for head, cells in kept.items()]
     gap = " " * style.gap
@@ -109,45 +100,6 @@ def _column(head: str, cells: Sequence[str]) -> list[str]:
     wide = max(map(len, (head, *cells)))
     side = "<" if head in ("parameter", "unit", "status") else ">"
     return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
-
-
-def _error(estimate: Estimate, true: float | None) -> str:
-    if not estimate.shown or estimate.value is None or not true:
-        return "-"
-    return percent_column(estimate.value / true - 1.0, signed=True).removesuffix(" %")
-
-
-def _notes(result: Result) -> list[str]:
-    """What is worth knowing beside the numbers, a line each."""
-    leaning: dict[str, list[str]] = {}
-    for name, estimate in result.parameters.items():
-        if estimate.rests_on:
-            leaning.setdefault(estimate.rests_on, []).append(name)
-    notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
-    listed = [e for e in result.events if "detected" in e or e["kind"] in _LISTED]
-    passed = [e for e in listed if e["kind"] == "disturbance" and not e.get("undecided")]
-    many = passed if len(passed) > _MOST_LISTED else []
-    notes += [f"{e['t']:.2f} s: {event_text(e)}" for e in listed if e not in many]
-    if many:
-        notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
-    volts = result.telemetry.get("thrust_voltage")
-    if volts:
-        notes.append(
-            f"T_max refers to {volts:.1f} V, the battery voltage at the start of the flight"
-        )
-    spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
-    if spikes:
-        were = "spike was" if spikes == 1 else "spikes were"
-        notes.append(f"{spikes} gyro {were} replaced by interpolation")
-    found = result.telemetry.get("rotor_input", {}).get("gyro_filter_found")
-    if found:
-        notes.append(
-            f"the gyro is low-passed, late as by a filter of {found:.0f} Hz, and is treated so; "
-            "declare [imu] gyro_filter in the airframe file"
-        )
-    if result.estimator == "offline":
-        notes.insert(0, f"offline estimate: {result.method or 'maximum likelihood'}")
-    return [*notes, *result.reasons]
 
 
 def _scale_lines(result: Result) -> list[str]:

@@ -23,9 +23,10 @@ from gcs_sysid.report.parts import (
     section,
     table,
 )
-from gcs_sysid.report.wording import names_text
 from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
-from gcs_sysid.results.words import VERDICT, displayed
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result_view import names_text, number_figures
+from gcs_sysid.results.words import VERDICT
 
 _LEGEND = (
     ("identified", "identified, with its 95 % interval"),
@@ -207,13 +208,11 @@ def value_text(name: str, estimate: Estimate | None) -> str:
     """An estimate with its interval, in the unit that people read it in."""
     if estimate is None:
         return PAGE.nothing
-    parameter = REGISTRY[name]
-    shown = displayed(parameter, estimate)
-    if shown.value is None or shown.std is None:
+    if estimate.value is None or estimate.std is None:
         return PAGE.nothing
-    exponent = None if parameter.exponent is None else 0
-    value, half, power, _ = PAGE.value_and_half(shown.value, Z95 * shown.std, exponent)
-    return f"({value} ± {half}){power} {PAGE.unit(shown.unit)}".rstrip()
+    exponent = REGISTRY[name].exponent
+    half = Z95 * estimate.std
+    return number_figures(estimate.value, half, estimate.unit, PAGE, exponent=exponent).measure
 
 
 def _flights(vehicle: Vehicle) -> Markup:

@@ -133,7 +133,7 @@ class ReportData:
     """Input of the pages' sections and figures.
 
     Attributes:
-        result: as `Result.as_json`.
+        result: of the analysis.
         inspection: as `Inspection.as_json`; empty where there is none.
         airframe: with its anchor.
         provenance: what reproduces it.
@@ -147,7 +147,7 @@ class ReportData:
         twin_picture: the growth of its errors, as SVG.
     """
 
-    result: Mapping[str, Any]
+    result: Result
     inspection: Mapping[str, Any]
     airframe: Airframe
     provenance: Provenance
@@ -191,7 +191,7 @@ def gather(
     if prediction is not None and recorder.dt is not None:
         spectrum = residual_spectrum(prediction, recorder.dt, result.rotor_input)
     return ReportData(
-        result.as_json(),
+        result,
         inspection,
         airframe,
         provenance,
@@ -216,7 +216,7 @@ def predicted(result: Result, recorder: Recorder, airframe: Airframe) -> Predict
         return None
     validation, model = recorder.validation, None
     if validation is not None:
-        rotors = result.as_json()["telemetry"]["rotor_input"]
+        rotors = result.telemetry["rotor_input"]
         model = Model(
             validation.theta,
             validation.coordinates,

@@ -53,7 +53,7 @@ AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 def prediction(data: ReportData, figures: Figures) -> Markup:
     """Measured against predicted, on what was not fitted."""
-    found = data.result["validation"]
+    found = data.result.validation
     shown = add_prediction(figures, data)
     if not found:
         text = "The flight is too short for validation on held-out data."
@@ -84,7 +84,7 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
 
 
 def _which_flight(data: ReportData) -> str:
-    segments = data.result["segments"]
+    segments = data.result.segments
     return f"the flight since {segments[-1]['end']:.1f} s" if segments else "the flight"
 
 
@@ -151,7 +151,7 @@ def twin(data: ReportData) -> Child:
 
 def residual(data: ReportData, figures: Figures) -> Markup | None:
     """The spectrum of what is left, and whether it is noise."""
-    found = data.result["validation"]
+    found = data.result.validation
     if not found:
         return None
     shown = add_spectrum(figures, data)
@@ -253,7 +253,7 @@ def _enough(axis: str, acceleration: float) -> Markup:
 def events(data: ReportData, figures: Figures) -> Markup:
     """What happened, on the time axis."""
     shown = add_timeline(figures, data)
-    listed = data.result["events"]
+    listed = data.result.events
     rows = [
         [str(number), f"{PAGE.fixed(event['t'], 2)} s", event_text(event, PAGE)]
         for number, event in enumerate(listed, 1)
@@ -277,7 +277,7 @@ def _notes(notes: Iterable[Event]) -> Markup | None:
 
 def telemetry(data: ReportData) -> Markup:
     """How sound the data were."""
-    counts = data.result["telemetry"]
+    counts = data.result.telemetry
     streams = data.inspection.get("streams", ())
     columns = [
         Column("Stream"),

@@ -50,7 +50,7 @@ def render(data: ReportData) -> str:
         "settings": _settings(data),
     }
     style, script = _asset("report.css"), _asset("scales.js") + _asset("report.js")
-    name = _file_name(data.result["source"])
+    name = _file_name(data.result.source)
     head = element(
         "head",
         element("meta", charset="utf-8"),
@@ -58,7 +58,7 @@ def render(data: ReportData) -> str:
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", name="color-scheme", content="light dark"),
         element("meta", name="referrer", content="no-referrer"),
-        element("title", f"{name}: {VERDICT[data.result['verdict']].meaning.lower()} (gcs-sysid)"),
+        element("title", f"{name}: {VERDICT[data.result.verdict].meaning.lower()} (gcs-sysid)"),
         element("style", Markup(style)),
     )
     contents = element(
@@ -91,11 +91,11 @@ def _asset(name: str) -> str:
 
 
 def _heading(data: ReportData, name: str) -> Markup:
-    vehicle = data.result["vehicle"]
+    vehicle = data.result.vehicle
     about = [data.airframe.name]
     if vehicle:
         address = f"{vehicle['sysid']}:{vehicle['compid']}"
-        systems = map(str, data.result["telemetry"].get("systems", ()))
+        systems = map(str, data.result.telemetry.get("systems", ()))
         named = next((name for name in systems if name.endswith(f" {address}")), None)
         about.insert(0, named or f"{vehicle['autopilot']} {address}")
     duration = data.inspection.get("duration")
@@ -113,17 +113,17 @@ def _heading(data: ReportData, name: str) -> Markup:
 def _settings(data: ReportData) -> Markup:
     """What reproduces the report."""
     made, airframe, result = data.provenance, data.airframe, data.result
-    anchor = result["scale"]
+    scale = result.scale
     entries: dict[str, Child] = {
         "Command": element("code", _command_line(made.command)),
-        "Recording": f"{_file_name(result['source'])}, {made.log_bytes} bytes",
+        "Recording": f"{_file_name(result.source)}, {made.log_bytes} bytes",
         "SHA-256": element("code", made.log_sha256, class_="hash"),
-        "Estimate": result["estimator"],
-        "Rotor input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
+        "Estimate": result.estimator,
+        "Rotor input": {"speed": "measured speeds", "command": "commands"}[result.rotor_input],
     }
-    if anchor is not None:
-        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {PAGE.unit(anchor['unit'])}"
-    for name, prior in result["priors"].items():
+    if scale is not None:
+        entries["Scale"] = f"{scale.anchor} = {scale.value:.9g} {PAGE.unit(scale.unit)}"
+    for name, prior in result.priors.items():
         entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
     if airframe.imu_position is not None:

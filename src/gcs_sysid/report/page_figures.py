@@ -5,7 +5,6 @@ Series of numbers are thinned to what a figure can show, and packed for the page
 
 import base64
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +15,8 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_file import segment_estimates
 from gcs_sysid.results.words import event_text
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200
@@ -47,11 +48,11 @@ class Figures:
         return {"arrays": self.arrays, "figures": self.figures}
 
 
-def events_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+def events_of(result: Result) -> list[dict[str, Any]]:
     """Events as marks on a time axis, numbered as in their table."""
     return [
         {"x": event["t"], "label": str(number), "text": event_text(event)}
-        for number, event in enumerate(result["events"], 1)
+        for number, event in enumerate(result.events, 1)
     ]
 
 
@@ -63,8 +64,8 @@ def add_course(figures: Figures, data: ReportData) -> list[str]:
     every = max(1, math.ceil(len(history.t) / MOST_INSTANTS))
     part = slice((len(history.t) - 1) % every, None, every)
     t = figures.array("course.t", history.t[part])
-    for name, estimate in data.result["parameters"].items():
-        if estimate["value"] is None or estimate["status"] == "given" or name not in history.value:
+    for name, estimate in data.result.parameters.items():
+        if estimate.value is None or estimate.status == "given" or name not in history.value:
             continue
         value, std = history.value[name][part], history.std[name][part]
         if np.isfinite(value).sum() < 2:
@@ -103,14 +104,16 @@ def add_course(figures: Figures, data: ReportData) -> list[str]:
     return shown
 
 
-def _intervals(result: Mapping[str, Any], name: str) -> list[list[float]]:
+def _intervals(result: Result, name: str) -> list[tuple[float, float]]:
     """The intervals that a parameter had at the end of each segment."""
-    tables = [result["parameters"], *(s["parameters"] for s in result["segments"])]
-    found = [table[name]["ci95"] for table in tables if name in table]
+    tables = [result.parameters, *(segment_estimates(part) for part in result.segments)]
+    found = [table[name].ci95 for table in tables if name in table]
     return [interval for interval in found if interval is not None]
 
 
-def _settled_range(value: Array, half: Array, ends: list[list[float]]) -> list[float] | None:
+def _settled_range(
+    value: Array, half: Array, ends: list[tuple[float, float]]
+) -> list[float] | None:
     """A range in which the settled estimate and its bands are seen, not the first guesses.
 
     Args:
@@ -238,7 +241,7 @@ def add_timeline(figures: Figures, data: ReportData) -> bool:
             spans = _spans(found.t, mask, found.step)
             if spans:
                 rows.append({"name": name, "class": kind, "spans": spans})
-    for number, segment in enumerate(data.result["segments"], 1):
+    for number, segment in enumerate(data.result.segments, 1):
         span = [segment["start"], segment["end"]]
         rows.append({"name": f"segment {number}", "class": "segment", "spans": [span]})
     if not rows:

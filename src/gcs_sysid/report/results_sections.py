@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Status
-from gcs_sysid.model.parameters import CORE_OF, PARAMETERS, REGISTRY, TIMING
-from gcs_sysid.report import wording
+from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.page_figures import Figures, add_course
 from gcs_sysid.report.parts import (
@@ -26,9 +24,18 @@ from gcs_sysid.report.parts import (
     section,
     table,
 )
-from gcs_sysid.report.wording import half_of
 from gcs_sysid.results import words
-from gcs_sysid.results.number_format import PAGE, decimals_for
+from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_file import segment_estimates
+from gcs_sysid.results.result_view import (
+    ParameterRow,
+    figures,
+    parameter_rows,
+    said_in_sentence,
+    verdict_sentence,
+)
 
 _SIZE = 300.0
 _MARGIN = 46.0
@@ -36,20 +43,20 @@ _MARGIN = 46.0
 
 def verdict(data: ReportData) -> Markup:
     """What is known, how well, and what is missing."""
-    word = data.result["verdict"]
+    result = data.result
     missing = [
         element("li", text, element("span", help_, class_="advice") if help_ else None)
-        for text, help_ in wording.advice(data.result, data.inspection)
+        for text, help_ in limitations(result, data.inspection)
     ]
     text = element(
         "div",
         element(
             "h2",
-            element("span", words.VERDICT[word].sign, class_="sign", aria_hidden="true"),
-            words.VERDICT[word].meaning,
+            element("span", words.VERDICT[result.verdict].sign, class_="sign", aria_hidden="true"),
+            words.VERDICT[result.verdict].meaning,
             id="verdict-title",
         ),
-        element("p", wording.verdict_sentence(data.result), class_="sentence"),
+        element("p", verdict_sentence(result), class_="sentence"),
         element("h3", "Limitations") if missing else None,
         element("ul", *missing, class_="missing") if missing else None,
     )
@@ -58,9 +65,23 @@ def verdict(data: ReportData) -> Markup:
         element("div", text, plan_view(data), class_="columns"),
         _headline(data),
         id="verdict",
-        class_=f"verdict {word}",
+        class_=f"verdict {result.verdict}",
         aria_labelledby="verdict-title",
     )
+
+
+def limitations(result: Result, inspection: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What is missing or stands in the way, and what would help."""
+    out = [(reason, "") for reason in result.reasons if not said_in_sentence(reason)]
+    said = {text for text, _ in out}
+    for finding in inspection.get("reasons", ()):
+        if finding["level"] != "note" and finding["text"] not in said:
+            out.append((finding["text"], finding["advice"]))
+    # Advice that several share is given once, with the last of them.
+    last = {help_: place for place, (_, help_) in enumerate(out)}
+    return [
+        (text, help_ if last[help_] == place else "") for place, (text, help_) in enumerate(out)
+    ]
 
 
 _TILES = {
@@ -72,26 +93,21 @@ _TILES = {
 
 def _headline(data: ReportData) -> Markup:
     """The few numbers that a pilot looks for first."""
-    result = data.result
-    scale, telemetry = result["scale"], result["telemetry"]
+    scale, telemetry = data.result.scale, data.result.telemetry
     tiles: dict[str, Child] = {}
     if scale is not None:
-        origin = f"from {scale['from']}" if scale.get("from") else "given: sets the scale"
-        what = _TILES[scale["anchor"]]
-        tiles[what] = _tile(f"{PAGE.number(scale['value'], 4)} {PAGE.unit(scale['unit'])}", origin)
+        origin = f"from {scale.origin}" if scale.origin else "given: sets the scale"
+        value = f"{PAGE.number(scale.value, 4)} {PAGE.unit(scale.unit)}"
+        tiles[_TILES[scale.anchor]] = _tile(value, origin)
     for name, what in _TILES.items():
-        estimate = result["parameters"].get(name)
-        if estimate and estimate["value"] is not None and estimate["status"] == "identified":
-            share = (wording.half_of(estimate) or 0.0) / abs(estimate["value"])
-            unit = PAGE.unit(estimate["unit"])
-            tiles.setdefault(
-                what,
-                _tile(f"{PAGE.number(estimate['value'], 4)} {unit}", f"± {PAGE.percent(share)}"),
-            )
+        estimate = data.result.parameters.get(name)
+        if estimate and estimate.value is not None and estimate.status == "identified":
+            value = f"{PAGE.number(estimate.value, 4)} {PAGE.unit(estimate.unit)}"
+            tiles.setdefault(what, _tile(value, f"± {PAGE.percent(estimate.relative_half)}"))
     seconds = telemetry.get("used_seconds")
     if seconds:
         tiles["Flight used"] = _tile(f"{PAGE.fixed(seconds, 1)} s", _of_flight(data))
-    found = [v for v in result["validation"].get("r_squared", {}).values() if v is not None]
+    found = [v for v in data.result.validation.get("r_squared", {}).values() if v is not None]
     if found:
         # Cut, not rounded: 0.99996 is not 1.
         worst = math.floor(1e4 * min(found)) / 1e4
@@ -117,8 +133,14 @@ def _of_flight(data: ReportData) -> str:
 def parameters(data: ReportData) -> Markup:
     """The table of values, intervals, status and what each rests on."""
     result = data.result
-    entries: Mapping[str, Any] = result["parameters"]
-    bounded = any("bound" in e for e in entries.values())
+    core = CORE_OF[result.rotor_input]
+    found = [
+        row
+        for row in parameter_rows(result, PAGE, si=True, truth=data.truth)
+        if row.parameter.section == "parameters"
+    ]
+    found.sort(key=lambda row: row.name not in core)
+    bounded = any(row.estimate.bound is not None for row in found)
     columns = [
         Column("Parameter"),
         Column("Value ± 95 %", numbers=True),
@@ -127,35 +149,27 @@ def parameters(data: ReportData) -> Markup:
         Column("Based on"),
     ]
     # What no flight reduces, where there is any.
-    limited = any(e.get("std_given") for e in entries.values())
+    limited = any(row.estimate.std_given for row in found)
     columns += [Column("Of it given, 95 %", numbers=True)] if limited else []
     columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
     columns += [Column("Truth", numbers=True)] if data.truth else []
-    core = CORE_OF[result["rotor_input"]]
-    rows = []
-    for name in sorted(entries, key=lambda n: n not in core):
-        estimate = entries[name]
-        status: Status = estimate["status"]
-        known = status != "unobservable"
-        cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
-        cells.append(words.source_of(name, estimate, result["scale"]))
-        if limited:
-            cells.append(_half_of(estimate.get("std_given") if known else None))
-        if bounded:
-            cells.append(_half_of(estimate.get("bound")))
-        if data.truth:
-            cells.append(_truth(estimate, data.truth.get(name)))
-        rows.append(cells)
-    shown = dict.fromkeys(e["status"] for e in entries.values())
+    cells = []
+    for row in found:
+        line = [_name(row), *_numbers(row.estimate), _status(row.estimate.status), row.source]
+        line += [_half(row.given_half)] if limited else []
+        line += [_half(row.bound_half)] if bounded else []
+        line += [_truth(row)] if data.truth else []
+        cells.append(line)
+    shown = {row.status for row in found}
     meanings = [
-        element("li", _status(status, word), " ", word.with_advice)
+        element("li", _status(status), " ", word.with_advice)
         for status, word in words.STATUS.items()
         if status in shown
     ]
     return section(
         "parameters",
         "Parameters",
-        table("Parameters with their 95 % intervals, SI units", columns, rows),
+        table("Parameters with their 95 % intervals, SI units", columns, cells),
         element("ul", *meanings, class_="meanings"),
         note(
             "Of it given: the part due to errors of the given arm, scale and IMU, which no "
@@ -168,86 +182,63 @@ def parameters(data: ReportData) -> Markup:
     )
 
 
-def _name(name: str) -> Markup:
+def _name(row: ParameterRow) -> Markup:
     return joined(
-        element("span", name, class_="symbol"),
-        element("span", PARAMETERS[name].meaning, class_="meaning"),
+        element("span", row.name, class_="symbol"),
+        element("span", row.parameter.meaning, class_="meaning"),
     )
 
 
-def _status(status: Status | None, word: words.Word) -> Markup:
-    sign = element("span", word.sign, class_="sign", aria_hidden="true")
+def _status(status: Status) -> Markup:
+    sign = element("span", words.STATUS[status].sign, class_="sign", aria_hidden="true")
     return element("span", sign, status, class_=f"status {status}")
 
 
-def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
+def _numbers(estimate: Estimate) -> list[Child]:
     """Value with its uncertainty, and the interval."""
-    half = wording.half_of(estimate)
-    value, unit = estimate["value"], PAGE.unit(estimate["unit"])
-    if value is None or half is None or estimate["status"] == "unobservable":
-        return [PAGE.nothing] * 2
-    text, half_text, power, exponent = PAGE.value_and_half(value, half)
-    if estimate["status"] == "given" and not half:
-        return [f"{PAGE.number(value, 6)} {unit}", PAGE.nothing]
-    decimals = decimals_for(half / 10.0**exponent, abs(value) / 10.0**exponent)
-    ends = [PAGE.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
-    interval = f"{ends[0]} … {ends[1]}{power}" if ends else PAGE.nothing
-    if estimate["ci95"] and estimate["ci95"][0] <= 0.0 <= estimate["ci95"][1]:
-        limit = PAGE.number(max(map(abs, estimate["ci95"])), 2)
-        return [f"~0 (< {limit} {unit})".replace(" )", ")"), interval]
-    share = half / abs(value) if value else math.inf
-    relative = f"± {PAGE.percent(share)}" if half and share <= 1.0 else ""
-    both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
-    shown = joined(
-        element("span", f"{both} {unit}".rstrip()),
-        element("span", relative, class_="share") if relative else None,
-    )
-    return [shown, interval]
-
-
-def _half_of(std: float | None) -> str:
-    """Half of a 95 % interval; nothing where there is none."""
-    return f"± {PAGE.number(Z95 * std, 2)}" if std else PAGE.nothing
-
-
-def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
-    if true is None:
-        return PAGE.nothing
-    value = estimate["value"]
-    error = None if value is None or not true else value / true - 1.0
-    return joined(
-        PAGE.number(true, 5),
-        None if error is None
-        else element("span", f"error {PAGE.percent(error)}", class_="share"),
-    )  # fmt: skip
-
-
-def _timing(result: Mapping[str, Any]) -> Markup | None:
-    entries: dict[str, Child] = {}
-    for name, estimate in result["timing"].items():
-        if estimate["value"] is None or estimate["status"] == "unobservable":
-            continue
-        half = wording.half_of(estimate)
-        text = PAGE.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
-        if estimate["status"] == "zero":
-            text = f"~0 (< {PAGE.number(1e3 * max(map(abs, estimate['ci95'])), 2)} ms)"
-        entries[name.replace("_", " ").capitalize()] = joined(
-            text, element("span", TIMING[name].meaning, class_="share")
+    shown = figures(estimate, PAGE)
+    value: Child = shown.measure
+    share = estimate.relative_half
+    if shown.kind == "interval" and share is not None and share <= 1.0:
+        value = joined(
+            element("span", shown.measure), element("span", f"± {shown.percent}", class_="share")
         )
+    return [value, shown.interval or PAGE.nothing]
+
+
+def _half(half: float | None) -> str:
+    """Half of a 95 % interval; nothing where there is none."""
+    return f"± {PAGE.number(half, 2)}" if half else PAGE.nothing
+
+
+def _truth(row: ParameterRow) -> Child:
+    error = None
+    if row.error is not None:
+        error = element("span", f"error {PAGE.percent(row.error)}", class_="share")
+    return PAGE.nothing if row.truth is None else joined(PAGE.number(row.truth, 5), error)
+
+
+def _timing(result: Result) -> Markup | None:
+    entries: dict[str, Child] = {}
+    for row in parameter_rows(result, PAGE):
+        if row.parameter.section == "timing" and row.estimate.shown:
+            meaning = element("span", row.parameter.meaning, class_="share")
+            name = row.name.replace("_", " ").capitalize()
+            entries[name] = joined(row.figures.measure, meaning)
     return facts(entries) if entries else None
 
 
-def _segments(result: Mapping[str, Any]) -> Markup | None:
+def _segments(result: Result) -> Markup | None:
     """What held before each change, where the vehicle changed."""
-    segments = result["segments"]
+    segments = result.segments
     if not segments:
         return None
-    parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", s["parameters"]) for s in segments]
-    parts.append((f"from {segments[-1]['end']:.1f} s on", result["parameters"]))
+    parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", segment_estimates(s)) for s in segments]
+    parts.append((f"from {segments[-1]['end']:.1f} s on", result.parameters))
     columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
     rows = [
         [name, *(_numbers(held[name])[0] if name in held else PAGE.nothing for _, held in parts)]
-        for name in result["parameters"]
+        for name in result.parameters
     ]
     return joined(
         element("h3", "Before and after the changes"),
@@ -263,9 +254,9 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
     entries = [("estimate", "estimate"), ("band", "95 % band")]
     if data.truth:
         entries.append(("level", "truth"))
-    if data.result["events"]:
+    if data.result.events:
         entries.append(("mark", "event, numbered as below"))
-    by_name = data.result["parameters"]
+    by_name = data.result.parameters
     return section(
         "convergence",
         "Convergence",
@@ -278,7 +269,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
             "three",
             (
                 figure(
-                    f"course-{name}", name, by_name[name]["status"],
+                    f"course-{name}", name, by_name[name].status,
                     size="small",
                 )
                 for name in names
@@ -289,9 +280,10 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
 
 def plan_view(data: ReportData) -> Markup | None:
     """Rotors in the autopilot's order and the CG; None where the CG is not known at all."""
-    cg = [data.result["parameters"].get(name) for name in ("cg_x", "cg_y")]
-    if any(e is None or e["value"] is None or e["status"] == "unobservable" for e in cg):
+    cg = [data.result.parameters.get(name) for name in ("cg_x", "cg_y")]
+    if not all(e is not None and e.shown for e in cg):
         return None
+    along, across = (float(e.value or 0.0) for e in cg if e is not None)
     x, y, spin = data.geometry
     reach = float(max(np.abs(x).max(), np.abs(y).max()))
     scale = (0.5 * _SIZE - _MARGIN) / reach
@@ -314,8 +306,8 @@ def plan_view(data: ReportData) -> Markup | None:
         parts.append(element("text", str(i), x=u, y=v + 4.5, class_="motor"))
     front = _SIZE / 2
     parts.append(element("path", d=f"M{front} 6 l7 12 h-14 z", class_="front"))
-    u, v = at(float(cg[0]["value"]), float(cg[1]["value"]))
-    halves = [half_of(e) or 0.0 for e in cg]
+    u, v = at(along, across)
+    halves = [e.half or 0.0 for e in cg if e is not None]
     parts.append(
         element(
             "ellipse",
@@ -329,7 +321,7 @@ def plan_view(data: ReportData) -> Markup | None:
     parts.append(_line(u - 9, v, u + 9, v, "cg"))
     parts.append(_line(u, v - 9, u, v + 9, "cg"))
     parts.append(element("circle", cx=u, cy=v, r=5, class_="cg"))
-    text = cg_text(cg)
+    text = cg_text(along, across)
     picture = element(
         "svg",
         element("title", f"Plan view. {text}"),
@@ -349,11 +341,10 @@ def plan_view(data: ReportData) -> Markup | None:
     )
 
 
-def cg_text(cg: list[Any]) -> str:
-    """Where the center of gravity is, in words."""
-    forward, right = (1e3 * float(e["value"]) for e in cg)
-    along = f"{PAGE.fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
-    across = f"{PAGE.fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"
+def cg_text(x: float, y: float) -> str:
+    """Where the center of gravity is, in words; m forward and right of the geometric center."""
+    along = f"{PAGE.fixed(abs(1e3 * x), 1)} mm {'ahead' if x >= 0.0 else 'behind'}"
+    across = f"{PAGE.fixed(abs(1e3 * y), 1)} mm {'right' if y >= 0.0 else 'left'}"
     return f"The center of gravity (⊕) is {along} and {across} of the geometric center."
 
 

@@ -14,7 +14,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.results.number_format import pretty_unit
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.words import STATUS, VERDICT, displayed, rows, shown
+from gcs_sysid.results.result_view import parameter_rows, rows
+from gcs_sysid.results.words import VERDICT
 
 if TYPE_CHECKING:
     import pandas
@@ -59,26 +60,22 @@ def text(result: Result) -> str:
     if len(result.reasons) > _MOST_REASONS:
         lines.append(f"- and {len(result.reasons) - _MOST_REASONS} more in .reasons")
     lines.append(f"{'parameter':<19}{'value':>12}{'± 95 %':>13}  {'unit':<9}status")
-    for parameter, estimate in rows(result):
-        estimate = displayed(parameter, estimate)
-        cell = shown(estimate)
-        lines.append(
-            f"{parameter.name:<19}{cell.value:>12}{cell.half:>13}  {estimate.unit:<9}"
-            f"{estimate.status}"
-        )
+    lines += [
+        f"{row.name:<19}{row.figures.value:>12}{row.figures.half_text:>13}  {row.unit:<9}"
+        f"{row.status}"
+        for row in parameter_rows(result)
+    ]
     return "\n".join(lines)
 
 
 def html(result: Result) -> str:
     """The same as a table; nothing is loaded, and all text is escaped."""
     body = "".join(
-        f"<tr><td>{escape(parameter.name)}</td><td>{escape(cell.value)}</td>"
-        f"<td>{escape(cell.half)}</td><td>{escape(pretty_unit(estimate.unit))}</td>"
-        f"<td>{STATUS[estimate.status].sign} {estimate.status}</td>"
-        f"<td>{escape(parameter.meaning)}</td></tr>"
-        for parameter, in_si in rows(result)
-        for estimate in (displayed(parameter, in_si),)
-        for cell in (shown(estimate),)
+        f"<tr><td>{escape(row.name)}</td><td>{escape(row.figures.value)}</td>"
+        f"<td>{escape(row.figures.half_text)}</td><td>{escape(pretty_unit(row.unit))}</td>"
+        f"<td>{row.sign} {row.status}</td>"
+        f"<td>{escape(row.parameter.meaning)}</td></tr>"
+        for row in parameter_rows(result)
     )
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in result.reasons)
     verdict = VERDICT[result.verdict]

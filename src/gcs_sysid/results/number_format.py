@@ -155,9 +155,11 @@ class Notation:
             shown = (math.floor(shown * 10.0**decimals) + 1.0) / 10.0**decimals
         return f"{self.fixed(shown, decimals)}{self.space}%"
 
-    def unit(self, unit: str) -> str:
-        """A unit; nothing for pure numbers."""
-        return pretty_unit(unit).replace(" ", self.space) if self.raised else unit.strip("1")
+    def unit(self, unit: str, exponent: int = 0) -> str:
+        """A unit with its power of ten; nothing for pure numbers."""
+        if not self.raised and exponent == 0:
+            return unit.strip("1")
+        return scaled_unit(unit, exponent).replace(" ", self.space)
 
     def measure(self, value: float, half: float | None, unit: str) -> str:
         """A value in a unit that suits its size, with the half of its interval if it has one."""

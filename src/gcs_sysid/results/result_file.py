@@ -93,6 +93,11 @@ def parse_result(document: object, where: str) -> Result:
     )
 
 
+def segment_estimates(segment: Mapping[str, Any]) -> dict[str, Estimate]:
+    """The parameters that held in one of a result's segments."""
+    return _estimates(_Table(segment["parameters"], "a segment"), PARAMETERS)
+
+
 class _Table:
     """A JSON object whose entries are checked as they are taken."""
 

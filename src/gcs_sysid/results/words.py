@@ -5,22 +5,14 @@ Parameters have the names of the JSON everywhere; what they are and what makes t
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
-from gcs_sysid.estimation.parameters.status import RULES
-from gcs_sysid.model.estimate import Estimate, Status
-from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
+from gcs_sysid.estimation.parameters.status import RULES, Status
+from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
 from gcs_sysid.results.comparison import Change
-from gcs_sysid.results.number_format import (
-    PLAIN,
-    Notation,
-    percent_column,
-    rounded,
-    scaled_unit,
-    significant,
-)
-from gcs_sysid.results.result import Result, Verdict
+from gcs_sysid.results.number_format import PLAIN, Notation
+from gcs_sysid.results.result import Verdict
 
 
 @dataclass(frozen=True)
@@ -65,85 +57,9 @@ CHANGE: dict[Change, Word] = {
 }
 
 
-class Shown(NamedTuple):
-    """An estimate as a terminal writes it; see `shown`."""
-
-    value: str
-    half: str
-    """Half of the 95 % interval, or the limit of a value consistent with zero."""
-    percent: str
-    """The half interval over the value, without the sign."""
-
-    @property
-    def text(self) -> str:
-        """Value and relative interval: `0.016553 ±0.49 %`, `~0 (< 0.00021)`, `-`."""
-        if self.percent:
-            return f"{self.value} ±{self.percent} %"
-        return f"{self.value} {self.half}".rstrip(" -") or self.value
-
-
-def shown(estimate: Estimate | None, digits: int = 6) -> Shown:
-    """An estimate for terminals: rounded to its interval, nothing where it is unobservable.
-
-    Args:
-        estimate: None: not in the result.
-        digits: of the value, at most.
-    """
-    if estimate is None or not estimate.shown or estimate.std is None:
-        return Shown("-", "-", "")
-    if estimate.limit is not None:
-        return Shown("~0", f"(< {significant(estimate.limit, 2)})", "")
-    if estimate.half is None:
-        return Shown(rounded(estimate.value, None, digits), "", "")
-    share = percent_column(estimate.relative_half).removesuffix(" %")
-    return Shown(
-        rounded(estimate.value, estimate.half, digits), significant(estimate.half, 2), share
-    )
-
-
 def label(name: str) -> str:
     """A parameter's name in at most thirteen letters: the result's own name where it fits."""
     return REGISTRY[name].label or name if name in REGISTRY else name
-
-
-def rows(result: Result) -> list[tuple[Parameter, Estimate]]:
-    """The parameters and timing values of a result, in the order of all tables."""
-    there = result.parameters | result.timing
-    return [(p, there[name]) for name, p in REGISTRY.items() if name in there]
-
-
-def displayed(parameter: Parameter, estimate: Estimate) -> Estimate:
-    """An estimate in the unit that people read it in, where the registry fixes one: ms."""
-    if parameter.exponent is None:
-        return estimate
-    scale = 10.0**-parameter.exponent
-    return replace(
-        estimate,
-        value=None if estimate.value is None else scale * estimate.value,
-        std=None if estimate.std is None else scale * estimate.std,
-        std_given=scale * estimate.std_given,
-        bound=None if estimate.bound is None else scale * estimate.bound,
-        unit=scaled_unit(parameter.unit, parameter.exponent),
-    )
-
-
-def exponent_key(parameter: Parameter) -> str:
-    """What shares one power of ten: a unit; a rotor's inertia is too small for the body's."""
-    body = INERTIA if parameter.unit == REGISTRY["Ixx"].unit else ()
-    return parameter.name if body and parameter.name not in body else parameter.unit
-
-
-def source_of(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | None) -> str:
-    """What an estimate is based on, from its entry in a result's JSON."""
-    if estimate["status"] == "given":
-        return "given: sets the scale"
-    if estimate.get("rests_on"):
-        return f"mostly from {estimate['rests_on']}"
-    if estimate["status"] == "unobservable":
-        return f"needs {PARAMETERS[name].excited_by}"
-    if scale and name == scale["anchor"] and scale.get("from"):
-        return f"from {scale['from']}"
-    return PARAMETERS[name].excited_by
 
 
 _DISTURBANCES = {

@@ -14,6 +14,7 @@ from textual.theme import Theme
 from gcs_sysid.errors import InputError
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison, compare
+from gcs_sysid.results.result_view import rows
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
@@ -216,13 +217,13 @@ class SysidApp(ActingApp):
     def _names(self) -> list[str]:
         if self._snapshot is None:
             return []
-        return [parameter.name for parameter, _ in words.rows(self._snapshot.result)]
+        return [parameter.name for parameter, _ in rows(self._snapshot.result)]
 
     def _first_choice(self) -> str:
         """The first parameter that is being identified: a given one has no history to watch."""
         if self._snapshot is None:
             return ""
-        found = words.rows(self._snapshot.result)
+        found = rows(self._snapshot.result)
         free = [p.name for p, estimate in found if estimate.status != "given"]
         return (free or self._names() or [""])[0]
 

@@ -7,10 +7,11 @@ from typing import Protocol
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_view import ParameterRow, parameter_rows, rows
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
-from gcs_sysid.results.words import rows
 from gcs_sysid.screen import formatting
 
 
@@ -107,6 +108,13 @@ class View:
     def ended(self) -> bool:
         """Whether nothing more will come."""
         return self.snapshot is not None and self.snapshot.link.state is LinkState.ENDED
+
+    def rows(self) -> list[ParameterRow]:
+        """The parameters, in the order of all tables."""
+        if self.snapshot is None:
+            return []
+        result = self.snapshot.result
+        return parameter_rows(result, truth=self.truth, waiting=self.waiting, ended=self.ended)
 
     def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
         """A parameter of the result by name."""

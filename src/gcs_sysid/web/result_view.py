@@ -6,11 +6,19 @@ from typing import Any
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.report.wording import verdict_sentence
 from gcs_sysid.results.comparison import Comparison, Difference
-from gcs_sysid.results.number_format import PAGE, decimals_for, scaled_unit
+from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.words import CHANGE, STATUS, VERDICT, WAITING, rows
+from gcs_sysid.results.result_view import (
+    Figures,
+    comparison_sentences,
+    figures,
+    number_figures,
+    parameter_rows,
+    verdict_sentence,
+)
+from gcs_sysid.results.words import CHANGE, VERDICT
 
 
 def verdict_view(result: Result) -> dict[str, Any]:
@@ -20,7 +28,7 @@ def verdict_view(result: Result) -> dict[str, Any]:
         "word": result.verdict,
         "sign": word.sign,
         "meaning": word.meaning,
-        "sentence": verdict_sentence(result.as_json()),
+        "sentence": verdict_sentence(result),
         "reasons": list(result.reasons),
     }
 
@@ -37,85 +45,49 @@ def why_no_health(document: Mapping[str, Any]) -> list[str]:
     return [f"no health: {reason}" for reason in found["reasons"]]
 
 
-def value_view(estimate: Estimate, exponent: int | None = None) -> dict[str, str]:
-    """Value, half of the 95 % interval and unit of an estimate, on one power of ten.
-
-    Args:
-        estimate: in SI.
-        exponent: that power; None: by the size.
-    """
-    nothing = {"value": PAGE.nothing, "half": "", "unit": "", "percent": ""}
-    if not estimate.shown or estimate.value is None:
-        return nothing
-    scale, unit = 1.0, PAGE.unit(estimate.unit)
-    if exponent is not None:
-        scale, unit = 10.0**-exponent, scaled_unit(estimate.unit, exponent)
-    if estimate.limit is not None:
-        limit = scale * estimate.limit
-        text = PAGE.number(limit, 2)
-        if exponent is not None:
-            text = PAGE.fixed(limit, decimals_for(limit))
-        return {**nothing, "value": "~0", "half": f"({f'< {text} {unit}'.rstrip()})"}
-    if not estimate.half:
-        return {
-            **nothing,
-            "value": PAGE.number(scale * estimate.value, 6),
-            "unit": unit,
-        }
-    value, half, _, exponent = PAGE.value_and_half(estimate.value, estimate.half, exponent)
-    return {
-        "value": value,
-        "half": f"± {half}",
-        "unit": scaled_unit(estimate.unit, exponent).strip(),
-        "percent": PAGE.percent(estimate.relative_half),
-    }
+def value_view(shown: Figures) -> dict[str, str]:
+    """Value, half of the 95 % interval and unit."""
+    out = {"value": shown.value, "half": "", "unit": shown.scaled_unit, "percent": shown.percent}
+    if shown.kind == "limit":
+        return {**out, "half": shown.limit, "unit": ""}
+    return {**out, "half": f"± {shown.half}" if shown.half else ""}
 
 
 def result_rows(
-    result: Result, *, waiting: bool = False, ended: bool = False
+    result: Result,
+    truth: Mapping[str, float] | None = None,
+    *,
+    waiting: bool = False,
+    ended: bool = False,
 ) -> list[dict[str, Any]]:
-    """The parameters in the order of all tables.
+    """The parameters in the order of all tables; arguments as of `parameter_rows`."""
+    found = parameter_rows(result, PAGE, truth=truth, waiting=waiting, ended=ended)
+    return [
+        {
+            "name": row.name,
+            "meaning": row.parameter.meaning,
+            "status": row.status,
+            "sign": row.sign,
+            "hint": row.hint,
+            "error": _error(row.error),
+            **value_view(row.figures),
+        }
+        for row in found
+    ]
 
-    Args:
-        result: theirs.
-        waiting: whether what is not observable may still become so by flying.
-        ended: whether the flight is over, so that there is nothing more to fly.
-    """
-    out = []
-    for parameter, estimate in rows(result):
-        status, word = estimate.status, STATUS[estimate.status]
-        if waiting and status == "unobservable":
-            word, shown = WAITING, WAITING.meaning
-        else:
-            shown = status or ""
-        out.append(
-            {
-                "name": parameter.name,
-                "meaning": parameter.meaning,
-                "status": shown,
-                "sign": word.sign,
-                "hint": word.meaning if ended else word.with_advice,
-                **value_view(estimate, parameter.exponent),
-            }
-        )
-    return out
+
+def _error(error: float | None) -> str:
+    if error is None:
+        return ""
+    return f"{'+' if error > 0.0 else ''}{PAGE.percent(error)}"
 
 
 def comparison_rows(comparison: Comparison) -> dict[str, Any]:
     """Two results side by side."""
-    changed, unknown = comparison.named("changed"), comparison.named("cannot_tell")
-    if comparison.verdict == "cannot_tell":
-        sentence = "Undetermined: no parameter is identified in both results."
-    elif changed:
-        sentence = f"The vehicle has changed: {', '.join(changed)}."
-    else:
-        sentence = f"No change seen in {', '.join(comparison.named('no_change_seen'))}."
-    if unknown and comparison.verdict != "cannot_tell":
-        sentence += f" Undetermined: {', '.join(unknown)}."
     return {
         "verdict": comparison.verdict,
         "sign": CHANGE[comparison.verdict].sign,
-        "sentence": sentence,
+        "sentence": " ".join(comparison_sentences(comparison)),
         "rows": [_difference(found) for found in comparison.differences.values()],
         "notes": list(comparison.notes),
     }
@@ -133,16 +105,15 @@ def _difference(found: Difference) -> dict[str, Any]:
         "why": found.why,
     }
     if found.value is not None and found.std:
-        value, half, _, exponent = PAGE.value_and_half(
-            found.value, Z95 * found.std, REGISTRY[found.name].exponent
-        )
-        unit = scaled_unit(found.unit, exponent).strip()
-        out["difference"] = f"{value} ± {half} {unit}".rstrip()
+        half, exponent = Z95 * found.std, REGISTRY[found.name].exponent
+        shown = value_view(number_figures(found.value, half, found.unit, PAGE, exponent=exponent))
+        out["difference"] = _in_one(shown)
     return out
 
 
 def _both(estimate: Estimate | None, exponent: int | None) -> str:
-    if estimate is None:
-        return PAGE.nothing
-    shown: Mapping[str, str] = value_view(estimate, exponent)
+    return _in_one(value_view(figures(estimate, PAGE, exponent=exponent)))
+
+
+def _in_one(shown: Mapping[str, str]) -> str:
     return " ".join(filter(None, (shown["value"], shown["half"], shown["unit"])))

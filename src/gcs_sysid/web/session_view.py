@@ -49,13 +49,12 @@ def session_view(
     standing = standing_of(snapshot)
     reached = shares(snapshot.result)
     ended = snapshot.link.state is LinkState.ENDED
-    parameters = result_rows(snapshot.result, waiting=waiting, ended=ended)
+    parameters = result_rows(snapshot.result, truth, waiting=waiting, ended=ended)
     for row in parameters:
         share = reached.get(row["name"])
         row["done"] = (
             round(fmt.converged(share, snapshot.target), 2) if row["name"] in reached else None
         )
-        row["error"] = _error(snapshot, row["name"], truth)
     return {
         "t": fmt.clock(snapshot.t),
         "used": fmt.duration(snapshot.used_seconds),
@@ -118,17 +117,6 @@ def history_view(snapshot: Snapshot, name: str) -> dict[str, Any]:
         "value": rounded(scale * value[known]),
         "half": rounded(scale * half[known]),
     }
-
-
-def _error(snapshot: Snapshot, name: str, truth: Mapping[str, float]) -> str:
-    estimate = snapshot.result.parameters.get(name)
-    true = truth.get(name)
-    if estimate is None or not true or estimate.value is None:
-        return ""
-    if estimate.status in ("given", "unobservable"):
-        return ""
-    error = estimate.value / true - 1.0
-    return f"{'+' if error > 0.0 else ''}{PAGE.percent(error)}"
 
 
 def _baseline(snapshot: Snapshot, baseline: Baseline | None) -> dict[str, str] | None:

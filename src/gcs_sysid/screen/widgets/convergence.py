@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from gcs_sysid.intervals import Z95
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import scaled_unit
+from gcs_sysid.results.result_view import exponent_key
 from gcs_sysid.results.snapshot import History
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
@@ -145,7 +146,7 @@ class Convergence(RationedPlot):
         if self.view is None or found is None:
             return ""
         parameter, estimate = found
-        exponent = self.view.exponents.get(words.exponent_key(parameter), 0)
+        exponent = self.view.exponents.get(exponent_key(parameter), 0)
         text = " ".join(fmt.value_with_half(estimate, exponent).split())
         unit = scaled_unit(parameter.unit, exponent) if estimate.shown else ""
         return f"{words.label(parameter.name)} = {text} {unit}".rstrip()
@@ -158,7 +159,7 @@ class Convergence(RationedPlot):
             return []
         found = view.estimate(view.selected)
         history, truth = view.snapshot.history, view.truth.get(view.selected)
-        key = "" if found is None else words.exponent_key(found[0])
+        key = "" if found is None else exponent_key(found[0])
         scale = 10.0 ** -view.exponents.get(key, 0)
         whole = reduce_course(history, view.selected, text_drawing.DOTS_WIDE * width, scale)
         if whole is None:

@@ -16,6 +16,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import percent_column, scaled_unit
+from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
@@ -25,67 +26,62 @@ Cell = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column: its head, and how to write its cell for a parameter."""
 
     head: str
-    cell: Callable[[View, Parameter, Estimate], Cell]
+    cell: Callable[[View, ParameterRow], Cell]
     rank: int = 0
     """Where there is no room for all columns, those of the highest rank go first."""
     wanted: Callable[[View], bool] = lambda view: True
 
 
-def _exponent(view: View, parameter: Parameter) -> int:
-    return view.exponents.get(words.exponent_key(parameter), 0)
+def _exponent(view: View, row: ParameterRow) -> int:
+    return view.exponents.get(exponent_key(row.parameter), 0)
 
 
-def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    return fmt.value_with_half(estimate, _exponent(view, parameter)), "bold" * estimate.shown
+def _value(view: View, row: ParameterRow) -> Cell:
+    text = fmt.value_with_half(row.estimate, _exponent(view, row))
+    return text, "bold" * row.estimate.shown
 
 
-def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    return scaled_unit(parameter.unit, _exponent(view, parameter)).ljust(11), ""
+def _unit(view: View, row: ParameterRow) -> Cell:
+    return scaled_unit(row.parameter.unit, _exponent(view, row)).ljust(11), ""
 
 
-def _percent(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    if not estimate.shown or estimate.limit is not None:
-        return " " * 6, ""
-    return percent_column(estimate.relative_half).rjust(6), ""
+def _percent(view: View, row: ParameterRow) -> Cell:
+    return row.figures.percent.rjust(6), ""
 
 
-def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    status = estimate.status
-    if status == "unobservable" and view.waiting:
-        return f"{words.WAITING.sign} {words.WAITING.meaning}".ljust(14), fmt.MUTED
-    return f"{words.STATUS[status].sign} {status}".ljust(14), fmt.STATUS_STYLE[status]
+def _status(view: View, row: ParameterRow) -> Cell:
+    known = row.status == row.estimate.status
+    style = fmt.STATUS_STYLE[row.estimate.status] if known else fmt.MUTED
+    return f"{row.sign} {row.status}".ljust(14), style
 
 
-def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    if estimate.status == "given":
+def _converged(view: View, row: ParameterRow) -> Cell:
+    if row.estimate.status == "given":
         done = 1.0
-    elif parameter.name in view.shares and view.snapshot is not None:
-        done = fmt.converged(view.shares[parameter.name], view.snapshot.target)
+    elif row.name in view.shares and view.snapshot is not None:
+        done = fmt.converged(view.shares[row.name], view.snapshot.target)
     else:
         return " " * BAR, ""  # not requested
-    return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
+    return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[row.estimate.status]} on $panel"
 
 
-def _truth(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    if parameter.name not in view.truth:
+def _truth(view: View, row: ParameterRow) -> Cell:
+    if row.truth is None:
         return " " * fmt.NUMBER_WIDTH, ""
-    return fmt.aligned(view.truth[parameter.name] / 10.0 ** _exponent(view, parameter), 3), ""
+    return fmt.aligned(row.truth / 10.0 ** _exponent(view, row), 3), ""
 
 
-def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    truth = view.truth.get(parameter.name)
-    if not truth or estimate.value is None or estimate.status in ("given", "unobservable"):
-        return " " * 7, ""
-    return percent_column(estimate.value / truth - 1.0, signed=True).rjust(7), ""
+def _error(view: View, row: ParameterRow) -> Cell:
+    return percent_column(row.error, signed=True).rjust(7), ""
 
 
-def _change(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    found = None if view.comparison is None else view.comparison.differences.get(parameter.name)
-    if found is None or estimate.status == "given":
+def _change(view: View, row: ParameterRow) -> Cell:
+    found = None if view.comparison is None else view.comparison.differences.get(row.name)
+    if found is None or row.estimate.status == "given":
         return " " * 8, ""
     share = None
     if found.value is not None and found.before is not None and found.before.value:
@@ -104,20 +100,20 @@ def _has_baseline(view: View) -> bool:
 
 BAR = 7
 COLUMNS = (
-    Column("   value ± 95 %    ", _value),
-    Column("unit       ", _unit),
-    Column("  ± % ", _percent, 1),
-    Column("status        ", _status),
-    Column("target ", _converged, 3),
-    Column(" change ", _change, 2, _has_baseline),
-    Column("   truth", _truth, 5, _has_truth),
-    Column("  error", _error, 4, _has_truth),
+    TableColumn("   value ± 95 %    ", _value),
+    TableColumn("unit       ", _unit),
+    TableColumn("  ± % ", _percent, 1),
+    TableColumn("status        ", _status),
+    TableColumn("target ", _converged, 3),
+    TableColumn(" change ", _change, 2, _has_baseline),
+    TableColumn("   truth", _truth, 5, _has_truth),
+    TableColumn("  error", _error, 4, _has_truth),
 )
 """In this order from left to right."""
 NAME_HEAD = f" {'name':<{fmt.LABEL_WIDTH}}"
 
 
-def _columns(view: View, width: int) -> list[Column]:
+def _columns(view: View, width: int) -> list[TableColumn]:
     wanted = [column for column in COLUMNS if column.wanted(view)]
     while len(NAME_HEAD) + sum(len(c.head) + 1 for c in wanted) > width:
         least = max(wanted, key=lambda column: column.rank)
@@ -156,19 +152,17 @@ class ParameterRows(Lines):
         """From top to bottom."""
         self._pointed: Parameter | None = None
 
-    def show(self, view: View, columns: list[Column]) -> None:
+    def show(self, view: View, columns: list[TableColumn]) -> None:
         """Write the cells again."""
-        found = [] if view.snapshot is None else words.rows(view.snapshot.result)
-        self.parameters = [parameter for parameter, _ in found]
-        lines = [self._row(view, columns, *pair) for pair in found]
+        found = view.rows()
+        self.parameters = [row.parameter for row in found]
+        lines = [self._row(view, columns, row) for row in found]
         self.put(lines or [[(" No estimate yet.", fmt.MUTED)]])
 
-    def _row(
-        self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
-    ) -> Line:
-        chosen = view.selected == parameter.name
-        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(fmt.LABEL_WIDTH)
-        cells = [column.cell(view, parameter, estimate) for column in columns]
+    def _row(self, view: View, columns: list[TableColumn], row: ParameterRow) -> Line:
+        chosen = view.selected == row.name
+        name = ("▸" if chosen else " ") + words.label(row.name).ljust(fmt.LABEL_WIDTH)
+        cells = [column.cell(view, row) for column in columns]
         line = _line((name, "bold" * chosen), cells)
         return _lit(line, self.content_size.width) if chosen else line
 
@@ -197,7 +191,7 @@ class ParameterTable(Widget):
         self._why = Static(id="reasons")
         self._rows = ParameterRows()
         self._view: View | None = None
-        self._columns: list[Column] = []
+        self._columns: list[TableColumn] = []
         self._reasons = ""
 
     def compose(self) -> ComposeResult:
