@@ -158,10 +158,10 @@ def test_validation_is_that_of_the_result(page, report):
 
 def test_course_ends_with_the_result(page, report):
     for name in ("Ixx", "cg_x", "k_M"):
-        end = unpacked(page, f"course.{name}")[-1]
+        end = unpacked(page, f"history.{name}")[-1]
         std = report.result["parameters"][name]["std"]
         assert abs(end - report.result["parameters"][name]["value"]) < std
-        low, high = (unpacked(page, f"course.{name}.{k}") for k in ("low", "high"))
+        low, high = (unpacked(page, f"history.{name}.{k}") for k in ("low", "high"))
         assert np.nanmin(high - low) > 0.0
 
 
@@ -262,7 +262,7 @@ def test_hostile_texts_stay_texts():
     ]
     assert page.words.count("<img src=x onerror=alert(2)>") >= 10
     assert not re.search("[\u202e\x1b]", page.html)
-    marks = page.data["figures"]["course-Ixx"]["marks"]
+    marks = page.data["figures"]["history-Ixx"]["marks"]
     assert HOSTILE in [mark["text"] for mark in marks]
     assert "<" not in page.all("script")[0].text
 
@@ -338,4 +338,4 @@ def test_json_has_no_numbers_that_json_lacks():
     value = dict(data.history.value) | {"Ixx": np.full(50, math.nan)}
     page = Page(render(replace(data, history=replace(data.history, value=value))))
     json.loads(page.all("script")[0].text, parse_constant=lambda word: pytest.fail(word))
-    assert "course-Ixx" not in page.data["figures"]
+    assert "history-Ixx" not in page.data["figures"]

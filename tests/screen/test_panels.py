@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.results.estimate_history import known_history, settled_range
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
 from gcs_sysid.screen import text_drawing
@@ -14,7 +15,7 @@ from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
 from gcs_sysid.screen.widgets.coach_panel import advice_lines, gain_text
-from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
+from gcs_sysid.screen.widgets.convergence import nice_ticks, reduced_history, shade
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
 from gcs_sysid.screen.widgets.verdict import verdict_lines
@@ -35,14 +36,14 @@ def test_decimation_keeps_a_single_spike():
     value = np.ones(5000)
     value[1234] = 7.0
     value[4321] = -3.0
-    curve = reduce_course(history(value), "m", 70)
+    curve = reduced_history(history(value), "m", 70)
     assert curve.t.size == 70
     assert curve.high.max() == 7.0
     assert curve.low.min() == -3.0
 
 
 def test_decimation_spans_the_course():
-    curve = reduce_course(history(np.arange(1000.0)), "m", 40)
+    curve = reduced_history(history(np.arange(1000.0)), "m", 40)
     assert curve.t[0] == 0.0
     assert curve.t[-1] == pytest.approx(10.0)
     assert curve.low[0] == 0.0
@@ -50,7 +51,7 @@ def test_decimation_spans_the_course():
 
 
 def test_decimation_scales_value_and_band():
-    curve = reduce_course(history(np.full(10, 2.0), std=0.5), "m", 5, scale=1000.0)
+    curve = reduced_history(history(np.full(10, 2.0), std=0.5), "m", 5, scale=1000.0)
     assert curve.high.max() == pytest.approx(2000.0)
     assert curve.band_high.max() == pytest.approx(2000.0 + 1.96 * 500.0, rel=1e-4)
 
@@ -58,7 +59,7 @@ def test_decimation_scales_value_and_band():
 def test_gaps_and_unknown_values_are_left_out():
     value = np.ones(100)
     value[:50] = np.nan
-    curve = reduce_course(history(value, std=math.inf), "m", 20)
+    curve = reduced_history(history(value, std=math.inf), "m", 20)
     assert curve.t[0] >= 5.0
     assert np.isnan(curve.band_low).all()
     assert not shade(curve, (0.0, 10.0), (0.0, 2.0), (20, 10)).any()
@@ -66,32 +67,37 @@ def test_gaps_and_unknown_values_are_left_out():
 
 @pytest.mark.parametrize("value", [[], [np.nan, np.nan]])
 def test_no_values_no_curve(value):
-    assert reduce_course(history(value), "m", 20) is None
+    assert reduced_history(history(value), "m", 20) is None
 
 
 def test_an_unknown_name_has_no_curve():
-    assert reduce_course(history([1.0]), "Ixx", 20) is None
+    assert reduced_history(history([1.0]), "Ixx", 20) is None
+
+
+def range_of(values, std, *also):
+    t, value, half = known_history(history(values, std=std), "m")
+    return settled_range(t, (value, value), (value - half, value + half), also)
 
 
 def test_range_follows_the_later_half_and_the_truth():
     value = np.concatenate([np.linspace(100.0, 1.0, 500), np.full(600, 1.0)])
-    low, high = value_range(reduce_course(history(value, std=0.01), "m", 60), truth=1.5)
+    low, high = range_of(value, 0.01, 1.5)
     assert 0.5 < low < 1.0
     assert 1.5 < high < 2.0
 
 
 def test_range_of_a_constant_is_not_empty():
-    low, high = value_range(reduce_course(history([0.0, 0.0], std=0.0), "m", 60), None)
+    low, high = range_of([0.0, 0.0], 0.0)
     assert low < 0.0 < high
 
 
 def test_a_vast_band_does_not_hide_the_value():
-    low, high = value_range(reduce_course(history([1.0, 1.1], std=1e9), "m", 60), None)
+    low, high = range_of([1.0, 1.1], 1e9)
     assert high - low < 20.0
 
 
 def test_the_band_covers_its_cells_and_no_others():
-    curve = reduce_course(history(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
+    curve = reduced_history(history(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
     covered = shade(curve, (0.0, 10.0), (0.0, 10.0), (8, 10))
     # Three instants: the band from 4 to 6 is there from edge to edge, and nowhere else.
     assert np.flatnonzero(covered.all(axis=1)).tolist() == [4, 5]
@@ -99,7 +105,7 @@ def test_the_band_covers_its_cells_and_no_others():
 
 
 def test_the_band_has_no_stripes_where_instants_are_few():
-    curve = reduce_course(history(np.full(4, 5.0)), "m", 100)
+    curve = reduced_history(history(np.full(4, 5.0)), "m", 100)
     assert shade(curve, (0.0, 10.0), (0.0, 10.0), (50, 5)).any(axis=0).all()
 
 

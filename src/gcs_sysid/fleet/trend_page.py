@@ -54,6 +54,7 @@ def render(title: str, vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> st
     style = "".join(
         (resources.files(package) / name).read_text(encoding="utf-8")
         for package, name in (
+            ("gcs_sysid.report", "assets/charts.css"),
             ("gcs_sysid.report", "assets/report.css"),
             ("gcs_sysid.fleet", "trend.css"),
         )

@@ -49,7 +49,8 @@ def render(data: ReportData) -> str:
         "telemetry": evidence_sections.telemetry(data),
         "settings": _settings(data),
     }
-    style, script = _asset("report.css"), _asset("scales.js") + _asset("report.js")
+    style = asset("charts.css") + asset("report.css")
+    script = asset("charts.js") + asset("report.js")
     name = _file_name(data.result.source)
     head = element(
         "head",
@@ -84,8 +85,8 @@ def render(data: ReportData) -> str:
     return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
-def _asset(name: str) -> str:
-    """A file of the page, with the line ends of every system."""
+def asset(name: str) -> str:
+    """A file of the report's page, with the line ends of every system."""
     asset = resources.files("gcs_sysid.report") / "assets" / name
     return asset.read_text(encoding="utf-8").replace("\r\n", "\n")
 

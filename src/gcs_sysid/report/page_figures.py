@@ -5,6 +5,7 @@ Series of numbers are thinned to what a figure can show, and packed for the page
 
 import base64
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,17 +13,18 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.results.estimate_history import known_history, settled_range
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
+from gcs_sysid.results.snapshot import History
 from gcs_sysid.results.words import event_text
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200
 """Points of a series of rows, and of the estimates' history."""
 _MOST_SPANS = 400
-_Z = Z95
 SECONDS = {"label": "Time since the first record", "unit": "s"}
 
 
@@ -56,79 +58,77 @@ def events_of(result: Result) -> list[dict[str, Any]]:
     ]
 
 
-def add_course(figures: Figures, data: ReportData) -> list[str]:
+def add_histories(figures: Figures, data: ReportData) -> list[str]:
     """Every parameter's estimate over the flight, with its band; the names that have one."""
-    history, shown = data.history, []
-    if len(history.t) < 2:
-        return []
-    every = max(1, math.ceil(len(history.t) / MOST_INSTANTS))
-    part = slice((len(history.t) - 1) % every, None, every)
-    t = figures.array("course.t", history.t[part])
+    segments = [segment_estimates(part) for part in data.result.segments]
+    shown = []
     for name, estimate in data.result.parameters.items():
-        if estimate.value is None or estimate.status == "given" or name not in history.value:
+        if estimate.value is None or estimate.status == "given":
             continue
-        value, std = history.value[name][part], history.std[name][part]
-        if np.isfinite(value).sum() < 2:
-            continue
-        half = _Z * std
-        shown.append(name)
-        levels = []
-        if name in data.truth:
-            levels.append({"y": data.truth[name], "text": "truth"})
-        figures.figures[f"course-{name}"] = {
-            "group": "course",
-            "title": f"{name} over the flight",
-            "x": SECONDS,
-            "y": {
-                "unit": PAGE.unit(PARAMETERS[name].unit),
-                "range": _settled_range(value, half, _intervals(data.result, name)),
-            },
-            "bands": [
-                {
-                    "x": t,
-                    "low": figures.array(f"course.{name}.low", value - half),
-                    "high": figures.array(f"course.{name}.high", value + half),
-                }
-            ],
-            "lines": [
-                {
-                    "x": t,
-                    "y": figures.array(f"course.{name}", value),
-                    "class": "estimate",
-                    "name": name,
-                }
-            ],
-            "levels": levels,
-            "marks": events_of(data.result),
-        }
+        # What held at the end of each segment is seen.
+        held = [estimates[name] for estimates in (*segments, data.result.parameters)
+                if name in estimates]  # fmt: skip
+        ends = [end for each in held for end in each.ci95 or ()]
+        if add_history(figures, data.history, name, MOST_INSTANTS, data.truth.get(name), ends):
+            figures.figures[f"history-{name}"]["marks"] = events_of(data.result)
+            shown.append(name)
     return shown
 
 
-def _intervals(result: Result, name: str) -> list[tuple[float, float]]:
-    """The intervals that a parameter had at the end of each segment."""
-    tables = [result.parameters, *(segment_estimates(part) for part in result.segments)]
-    found = [table[name].ci95 for table in tables if name in table]
-    return [interval for interval in found if interval is not None]
-
-
-def _settled_range(
-    value: Array, half: Array, ends: list[tuple[float, float]]
-) -> list[float] | None:
-    """A range in which the settled estimate and its bands are seen, not the first guesses.
+def add_history(
+    figures: Figures,
+    history: History,
+    name: str,
+    most: int,
+    truth: float | None = None,
+    also: Iterable[float] = (),
+) -> bool:
+    """One parameter's estimate over the flight; whether there is one.
 
     Args:
-        value: (n,) over the flight.
-        half: (n,) of its intervals.
-        ends: the intervals of every segment's end.
+        figures: to add `history-NAME` to.
+        history: of all.
+        name: of the parameter.
+        most: instants that are drawn.
+        truth: drawn as a level; None: unknown.
+        also: values that must be seen.
     """
-    there = np.isfinite(value) & np.isfinite(half)
-    if not there.any():
-        return None
-    low = float(np.quantile((value - half)[there], 0.25))
-    high = float(np.quantile((value + half)[there], 0.75))
-    low, high = min([low, *(end[0] for end in ends)]), max([high, *(end[1] for end in ends)])
-    room = 0.2 * (high - low) or 0.1 * abs(high) or 1.0
-    return [low - room, high + room]
+    t, value, half = known_history(history, name)
+    if len(t) < 2:
+        return False
+    seen = [*also] if truth is None else [*also, truth]
+    low, high = settled_range(t, (value, value), (value - half, value + half), seen)
+    # All figures share the instants; where there is no estimate they are empty.
+    every = math.ceil(len(history.t) / most)
+    part = slice((len(history.t) - 1) % every, None, every)
+    value, half = history.value[name][part], Z95 * history.std[name][part]
+    x = figures.array("history.t", history.t[part])
+    figures.figures[f"history-{name}"] = {
+        "group": "history",
+        "title": f"{name} over the flight",
+        "x": SECONDS,
+        "y": {
+            "unit": PAGE.unit(REGISTRY[name].unit),
+            "range": [low, high],
+        },
+        "bands": [
+            {
+                "x": x,
+                "low": figures.array(f"history.{name}.low", value - half),
+                "high": figures.array(f"history.{name}.high", value + half),
+            }
+        ],
+        "lines": [
+            {
+                "x": x,
+                "y": figures.array(f"history.{name}", value),
+                "class": "estimate",
+                "name": name,
+            }
+        ],
+        "levels": [] if truth is None else [{"y": truth, "text": "truth"}],
+    }
+    return True
 
 
 def add_prediction(figures: Figures, data: ReportData) -> bool:

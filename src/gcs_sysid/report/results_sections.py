@@ -9,7 +9,7 @@ import numpy as np
 from gcs_sysid.model.estimate import Status
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.report.data import ReportData
-from gcs_sysid.report.page_figures import Figures, add_course
+from gcs_sysid.report.page_figures import Figures, add_histories
 from gcs_sysid.report.parts import (
     Child,
     Column,
@@ -248,7 +248,7 @@ def _segments(result: Result) -> Markup | None:
 
 def convergence(data: ReportData, figures: Figures) -> Markup:
     """How every estimate settled."""
-    names = add_course(figures, data)
+    names = add_histories(figures, data)
     if not names:
         return section("convergence", "Convergence", note("Too little flight."))
     entries = [("estimate", "estimate"), ("band", "95 % band")]
@@ -269,7 +269,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
             "three",
             (
                 figure(
-                    f"course-{name}", name, by_name[name].status,
+                    f"history-{name}", name, by_name[name].status,
                     size="small",
                 )
                 for name in names

@@ -145,7 +145,7 @@ class SessionPage:
         if self._known is None:
             raise InputError("no estimate yet")
         if name not in self._plots:
-            made = history_view(self._known, name)
+            made = history_view(self._known, name, self._scene.truth)
             if len(self._plots) >= _KEPT_PLOTS:
                 self._plots.clear()
             self._plots[name] = json.dumps(made, allow_nan=False).encode()

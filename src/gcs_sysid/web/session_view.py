@@ -4,13 +4,13 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.report.page_figures import Figures, add_history
 from gcs_sysid.results.comparison import compare
-from gcs_sysid.results.number_format import PAGE, engineering_exponent, scaled_unit
+from gcs_sysid.results.estimate_history import known_history
+from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.result_view import number_figures
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
 from gcs_sysid.results.summary import before_data
 from gcs_sysid.screen import formatting as fmt
@@ -29,7 +29,7 @@ from gcs_sysid.screen.widgets.transport import state_of
 from gcs_sysid.web.result_view import result_rows
 
 MOST_POINTS = 240
-"""Of a plot: more than a phone has columns for."""
+"""Of a plot."""
 _EVENTS = 40
 _SLOW = 0.7
 """Share of the rate asked for below which a message comes too slowly."""
@@ -86,8 +86,10 @@ def session_view(
     }
 
 
-def history_view(snapshot: Snapshot, name: str) -> dict[str, Any]:
-    """The plot of one parameter: times, values and halves of 95 % intervals in a unit.
+def history_view(
+    snapshot: Snapshot, name: str, truth: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """The plot of one parameter over the flight, in words and as the figure of a report.
 
     Raises:
         InputError: there is no such parameter.
@@ -95,28 +97,16 @@ def history_view(snapshot: Snapshot, name: str) -> dict[str, Any]:
     parameter = REGISTRY.get(name)
     if parameter is None:
         raise InputError(f"no parameter {name!r}")
-    history = snapshot.history
-    value = history.value.get(name, np.empty(0))
-    half = Z95 * history.std.get(name, np.full(value.shape, np.nan))
-    known = np.flatnonzero(np.isfinite(value))
-    if len(known) > MOST_POINTS:
-        known = known[np.linspace(0, len(known) - 1, MOST_POINTS).round().astype(int)]
-    exponent = parameter.exponent
-    if exponent is None:
-        exponent = engineering_exponent(float(np.abs(value[known]).max())) if len(known) else 0
-    scale = 10.0**-exponent
-
-    def rounded(column: "np.ndarray[Any, Any]") -> list[float | None]:
-        return [float(f"{v:.5g}") if math.isfinite(v) else None for v in column.tolist()]
-
-    return {
-        "name": name,
-        "meaning": parameter.meaning,
-        "unit": scaled_unit(parameter.unit, exponent).strip(),
-        "t": rounded(history.t[known]),
-        "value": rounded(scale * value[known]),
-        "half": rounded(scale * half[known]),
-    }
+    plot, text = Figures(), f"{name}: no estimate yet."
+    t, value, half = known_history(snapshot.history, name)
+    if len(t):
+        last = 0.0 if math.isnan(half[-1]) else float(half[-1])
+        shown = number_figures(
+            float(value[-1]), last, parameter.unit, PAGE, exponent=parameter.exponent
+        )
+        text = f"{name}, {parameter.meaning}: {shown.measure}"
+    add_history(plot, snapshot.history, name, MOST_POINTS, (truth or {}).get(name))
+    return {"name": name, "text": text, **plot.as_json()}
 
 
 def _baseline(snapshot: Snapshot, baseline: Baseline | None) -> dict[str, str] | None:

@@ -12,6 +12,7 @@ from typing import Protocol
 from aiohttp import web
 
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.report.page import asset as report_asset
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.web.access import Access, Handler, Role, authority, present_role, refuse
 
@@ -19,6 +20,8 @@ MOST_BODY = 64 << 10
 """Bytes of a request, but for uploads, which are counted as they come."""
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _ASSETS = ("page.css", "common.js", "analysis.js", "live.js")
+_CHARTS = ("charts.css", "charts.js")
+"""Those of the report."""
 _SHUTDOWN = 2.0
 """s that responses under way have to end."""
 
@@ -118,9 +121,10 @@ class Site:
 
         async def file(request: web.Request) -> web.StreamResponse:
             name = request.match_info["name"]
-            if name not in _ASSETS:
+            if name not in (*_ASSETS, *_CHARTS):
                 raise web.HTTPNotFound
-            return web.Response(text=asset(name), content_type=_TYPES[name.rpartition(".")[2]])
+            text = report_asset(name) if name in _CHARTS else asset(name)
+            return web.Response(text=text, content_type=_TYPES[name.rpartition(".")[2]])
 
         async def role(_: web.Request) -> web.StreamResponse:
             return web.json_response({"role": present_role()})

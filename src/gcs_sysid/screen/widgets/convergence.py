@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.results import words
+from gcs_sysid.results.estimate_history import known_history, settled_range
 from gcs_sysid.results.number_format import scaled_unit
 from gcs_sysid.results.result_view import exponent_key
 from gcs_sysid.results.snapshot import History
@@ -42,7 +42,7 @@ def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlottedHistory:
     """A history reduced to the columns of a plot: extremes in each, so that no spike is lost."""
 
     t: Floats
@@ -55,21 +55,20 @@ class Curve:
     """(k,) outermost edges of the 95 % band in the column, NaN where there is none."""
 
 
-def reduce_course(history: History, name: str, columns: int, scale: float = 1.0) -> Curve | None:
+def reduced_history(
+    history: History, name: str, columns: int, scale: float = 1.0
+) -> PlottedHistory | None:
     """Min-max decimation of one parameter to plot columns, or None where it has no values."""
     if name not in history.value or columns < 1:
         return None
-    value = scale * history.value[name]
-    half = scale * Z95 * history.std.get(name, np.full_like(value, np.nan))
-    known = np.isfinite(value)
-    t, value, half = history.t[known], value[known], half[known]
+    t, value, half = known_history(history, name)
+    value, half = scale * value, scale * half
     if t.size == 0:
         return None
-    half[~np.isfinite(half)] = np.nan
     width = max(float(t[-1] - t[0]), 1e-9) / max(1, columns - 1)
     column = np.rint((t - t[0]) / width).astype(np.int64)
     starts = np.flatnonzero(np.diff(column, prepend=-1))
-    return Curve(
+    return PlottedHistory(
         t=t[0] + column[starts] * width,
         low=np.minimum.reduceat(value, starts),
         high=np.maximum.reduceat(value, starts),
@@ -78,29 +77,11 @@ def reduce_course(history: History, name: str, columns: int, scale: float = 1.0)
     )
 
 
-def value_range(curve: Curve, truth: float | None) -> tuple[float, float]:
-    """The range worth looking at: all of the later half, the truth, and a margin.
-
-    The start of a history is far off and its band is wider than the picture; letting it set the
-    scale would flatten what matters.
-    """
-    late = curve.t >= curve.t[0] + 0.5 * (curve.t[-1] - curve.t[0])
-    low, high = float(np.min(curve.low[late])), float(np.max(curve.high[late]))
-    edges = np.concatenate([curve.band_low[late], curve.band_high[late]])
-    edges = edges[np.isfinite(edges)]
-    if edges.size:
-        # A band far wider than the value (nothing known yet) must not hide the value's history.
-        reach = 3.0 * max(abs(low), abs(high), high - low)
-        low = min(low, max(float(edges.min()), low - reach))
-        high = max(high, min(float(edges.max()), high + reach))
-    if truth is not None:
-        low, high = min(low, truth), max(high, truth)
-    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    return low - margin, high + margin
-
-
 def shade(
-    curve: Curve, span: tuple[float, float], bounds: tuple[float, float], size: tuple[int, int]
+    curve: PlottedHistory,
+    span: tuple[float, float],
+    bounds: tuple[float, float],
+    size: tuple[int, int],
 ) -> NDArray[np.bool_]:
     """(lines, columns) which character cells the band covers.
 
@@ -161,20 +142,26 @@ class Convergence(RationedPlot):
         history, truth = view.snapshot.history, view.truth.get(view.selected)
         key = "" if found is None else exponent_key(found[0])
         scale = 10.0 ** -view.exponents.get(key, 0)
-        whole = reduce_course(history, view.selected, text_drawing.DOTS_WIDE * width, scale)
+        whole = reduced_history(history, view.selected, text_drawing.DOTS_WIDE * width, scale)
         if whole is None:
             missing = "history" if found is not None and found[1].shown else "estimate"
             yet = "" if view.ended else " yet"
             return [[(f"{words.label(view.selected)}: no {missing}{yet}", "")]]
         truth = None if truth is None else scale * truth
-        bounds = value_range(whole, truth)
+        bounds = settled_range(
+            whole.t,
+            (whole.low, whole.high),
+            (whole.band_low, whole.band_high),
+            () if truth is None else (truth,),
+        )
         # Headline, time axis with its numbers, and legend take four lines.
         lines = height - 4
         ticks = nice_ticks(*bounds, lines // 3)
         margin = max(map(len, ticks[1]), default=0) + 1
         columns = width - margin
         curve = (
-            reduce_course(history, view.selected, text_drawing.DOTS_WIDE * columns, scale) or whole
+            reduced_history(history, view.selected, text_drawing.DOTS_WIDE * columns, scale)
+            or whole
         )
         rows = self._rows(curve, bounds, truth, (columns, lines))
         cell = (bounds[1] - bounds[0]) / lines
@@ -189,7 +176,11 @@ class Convergence(RationedPlot):
         return drawn
 
     def _rows(
-        self, curve: Curve, bounds: tuple[float, float], truth: float | None, size: tuple[int, int]
+        self,
+        curve: PlottedHistory,
+        bounds: tuple[float, float],
+        truth: float | None,
+        size: tuple[int, int],
     ) -> list[Line]:
         """The lines of the picture: band, truth and value, each over the one before."""
         columns, lines = size
@@ -214,7 +205,7 @@ class Convergence(RationedPlot):
             )
         return out
 
-    def _time_axis(self, curve: Curve, margin: int, columns: int) -> list[Line]:
+    def _time_axis(self, curve: PlottedHistory, margin: int, columns: int) -> list[Line]:
         """The axis below the picture, and its numbers."""
         start, end = _span(curve)
         line, numbers = ["─"] * columns, [" "] * (columns + margin)
@@ -235,6 +226,6 @@ def _choices(view: View) -> tuple[object, ...]:
     return view.selected, view.exponents, view.ended
 
 
-def _span(curve: Curve) -> tuple[float, float]:
+def _span(curve: PlottedHistory) -> tuple[float, float]:
     """S at the left and the right edge of the picture."""
     return float(curve.t[0]), max(float(curve.t[-1]), float(curve.t[0]) + 1e-3)

@@ -5,6 +5,7 @@ let chosen = ""; // the parameter in the plot
 let offered = []; // what may be done
 let newest = null; // the snapshot shown
 let plotting = 0; // the timer of the next plot
+let drawn = null; // the plot
 let said = {}; // what was spoken last, by kind
 let counted = 0; // when the verdict was
 let toastTimer = 0;
@@ -168,60 +169,12 @@ async function plot() {
   let history;
   try { history = await ask(`/live/history?name=${encodeURIComponent(chosen)}`); } catch { return; }
   if (history.name !== chosen) return;
-  const last = history.value.length - 1;
-  const text = last < 0 ? `${history.name}: no estimate yet.`
-    : `${history.name}, ${history.meaning}: ${history.value[last].toPrecision(4)}${history.half[last] === null ? "" : ` ± ${history.half[last].toPrecision(2)}`} ${history.unit}`;
-  setText(byId("plot-text"), text);
-  fill(byId("plot"), ...(last < 1 ? [] : [drawPlot(history, text)]));
-}
-
-function niceStep(span, count) {
-  const rough = span / count;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  return [1, 2, 5, 10].find((step) => step * power >= rough) * power;
-}
-
-function ticks(low, high, count) {
-  const step = niceStep(high - low, count);
-  const digits = Math.max(0, -Math.floor(Math.log10(step)));
-  const out = [];
-  for (let at = Math.ceil(low / step) * step; at <= high + 1e-9 * step; at += step) out.push([at, at.toFixed(digits).replace("-", "−")]);
-  return out;
-}
-
-function drawPlot({ t, value, half, unit }, text) {
-  const width = Math.max(320, byId("plot").clientWidth), height = 260, left = 64, right = 12, top = 24, bottom = 34;
-  /* The last two thirds decide the range: the first guesses may be anywhere. */
-  const from = Math.floor(value.length / 3);
-  const lows = value.slice(from).map((v, i) => v - Math.min(half[from + i] ?? 0, 3 * Math.abs(v) + 1e-12));
-  const highs = value.slice(from).map((v, i) => v + Math.min(half[from + i] ?? 0, 3 * Math.abs(v) + 1e-12));
-  let low = Math.min(...lows), high = Math.max(...highs);
-  const room = 0.08 * (high - low) || 0.5 * Math.abs(high) || 1;
-  low -= room; high += room;
-  const [t0, t1] = [t[0], t.at(-1) > t[0] ? t.at(-1) : t[0] + 1];
-  const x = (at) => left + (width - left - right) * (at - t0) / (t1 - t0);
-  const y = (v) => top + (height - top - bottom) * (1 - (Math.min(Math.max(v, low - room), high + room) - low) / (high - low));
-  const at = (u, v) => `${x(u).toFixed(1)} ${y(v).toFixed(1)}`;
-  const picture = make("svg:svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${text}. Plot over flight time with its 95 % interval.` });
-  const clip = make("svg:clipPath", { id: "area" }, make("svg:rect", { x: left, y: top, width: width - left - right, height: height - top - bottom }));
-  picture.append(make("svg:defs", {}, clip));
-  for (const [at_, label] of ticks(t0, t1, Math.max(2, Math.floor(width / 110)))) picture.append(make("svg:text", { x: x(at_), y: height - 12, "text-anchor": "middle" }, label));
-  picture.append(make("svg:text", { x: 4, y: 14 }, unit || "1"),
-    make("svg:text", { x: width - right, y: 14, "text-anchor": "end" }, "time, s"));
-  const inside = make("svg:g", { "clip-path": "url(#area)" });
-  const known = t.map((_, i) => i).filter((i) => half[i] !== null);
-  if (known.length > 1) {
-    const upper = known.map((i) => at(t[i], value[i] + half[i]));
-    const lower = known.toReversed().map((i) => at(t[i], value[i] - half[i]));
-    inside.append(make("svg:path", { class: "band", d: `M${upper.join("L")}L${lower.join("L")}z` }));
-  }
-  inside.append(make("svg:path", { class: "line", d: `M${t.map((u, i) => at(u, value[i])).join("L")}` }));
-  picture.append(inside);
-  for (const [v, label] of ticks(low, high, 4)) {
-    picture.append(make("svg:line", { class: "grid", x1: left, x2: width - right, y1: y(v), y2: y(v) }),
-      make("svg:text", { x: left - 8, y: y(v) + 5, "text-anchor": "end" }, label));
-  }
-  return picture;
+  setText(byId("plot-text"), history.text);
+  const figure = charts.unpack(history)[`history-${chosen}`];
+  toggle(byId("plotted"), Boolean(figure));
+  if (!figure) return;
+  if (drawn) drawn.update(figure);
+  else [drawn] = charts.show([[byId("plot"), figure]]);
 }
 
 /* --- acting */
