@@ -13,7 +13,6 @@ from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.result_view import figures
 from gcs_sysid.results.snapshot import LinkState

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, Provenance, ReportData
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import Event, History
 from gcs_sysid.results.words import STATUS

@@ -17,7 +17,6 @@ from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.results.plausibility import RANGES, capped, objections
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result_view import figures
 
 QUAD = load_airframe("px4-quad-x").with_arm(0.25)

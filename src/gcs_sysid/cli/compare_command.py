@@ -11,7 +11,6 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.number_format import percent_column, scaled_unit
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.result_view import comparison_sentences, figures, number_figures
 from gcs_sysid.results.words import CHANGE

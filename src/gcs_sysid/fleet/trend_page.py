@@ -24,7 +24,6 @@ from gcs_sysid.report.parts import (
     table,
 )
 from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result_view import names_text, number_figures
 from gcs_sysid.results.words import VERDICT
 

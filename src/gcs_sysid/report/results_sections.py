@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.model.estimate import Status
+from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.page_figures import Figures, add_histories
@@ -26,7 +26,6 @@ from gcs_sysid.report.parts import (
 )
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PAGE
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
 from gcs_sysid.results.result_view import (
@@ -189,7 +188,7 @@ def _name(row: ParameterRow) -> Markup:
     )
 
 
-def _status(status: Status) -> Markup:
+def _status(status: Status | None) -> Markup:
     sign = element("span", words.STATUS[status].sign, class_="sign", aria_hidden="true")
     return element("span", sign, status, class_=f"status {status}")
 
@@ -269,7 +268,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
             "three",
             (
                 figure(
-                    f"history-{name}", name, by_name[name].status,
+                    f"history-{name}", name, by_name[name].status or "",
                     size="small",
                 )
                 for name in names

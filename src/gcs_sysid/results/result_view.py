@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, INERTIA, REGISTRY, Parameter, grouped
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import (
@@ -23,7 +24,6 @@ from gcs_sysid.results.number_format import (
     significant,
     times_power,
 )
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.words import STATUS, WAITING, event_text
 
@@ -247,7 +247,7 @@ def parameter_rows(
                 estimate,
                 figures(estimate, notation, exponent=exponent, digits=digits),
                 unit,
-                WAITING.meaning if unknown else estimate.status,
+                WAITING.meaning if unknown else estimate.status or "",
                 word.sign,
                 word.meaning if ended else word.with_advice,
                 source_of(parameter, estimate, result.scale),

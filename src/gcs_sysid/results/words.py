@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.estimation.parameters.status import RULES, Status
+from gcs_sysid.estimation.parameters.status import RULES
+from gcs_sysid.model.estimate import Status
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import PLAIN, Notation

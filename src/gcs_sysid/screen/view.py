@@ -7,7 +7,6 @@ from typing import Protocol
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import ParameterRow, parameter_rows, rows
 from gcs_sysid.results.snapshot import LinkState, Snapshot

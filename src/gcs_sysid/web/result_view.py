@@ -8,7 +8,6 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference
 from gcs_sysid.results.number_format import PAGE
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import (
     Figures,

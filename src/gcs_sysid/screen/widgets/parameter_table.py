@@ -12,7 +12,6 @@ from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Static
 
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import percent_column, scaled_unit
