@@ -16,7 +16,7 @@ from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.result_view import figures
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.screen.verdict_summary import headline, level_of, named, short_headline, sign_of
+from gcs_sysid.screen.snapshot_view import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
 from tests.screen import fake
 

@@ -17,7 +17,7 @@ from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
-from gcs_sysid.web.result_view import why_no_health
+from gcs_sysid.web.result_json import why_no_health
 
 RATE = 100.0
 PX4 = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)

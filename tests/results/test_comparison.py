@@ -12,7 +12,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result, Scale
-from gcs_sysid.web.result_view import comparison_rows
+from gcs_sysid.web.result_json import comparison_rows
 
 STD = 0.01
 MASS = Scale("mass", 1.5, "kg")

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.results.snapshot import Advice, LinkState
-from gcs_sysid.screen.call_outs import Announcer, Speaker, call_outs, spoken
+from gcs_sysid.screen.call_outs import Announcer, Speaker
+from gcs_sysid.screen.snapshot_view import call_outs, spoken
 
 from . import fake
 

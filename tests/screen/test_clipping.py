@@ -9,7 +9,7 @@ from textual.widgets._footer import FooterKey
 
 from gcs_sysid.results.snapshot import Advice, LinkState
 from gcs_sysid.screen.main_view import PAGES, PageBar
-from gcs_sysid.screen.verdict_summary import headline
+from gcs_sysid.screen.snapshot_view import headline
 from gcs_sysid.screen.widgets.lines import Lines
 from gcs_sysid.screen.widgets.verdict import VerdictPanel, verdict_lines
 

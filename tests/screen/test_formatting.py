@@ -3,7 +3,9 @@ import math
 import pytest
 
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.number_format import clock, clock_tenths, duration
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.snapshot_view import converged
 
 from . import fake
 
@@ -56,11 +58,11 @@ def test_bar_fills_in_eighths_and_keeps_its_width():
     ("relative", "fraction"), [(None, 0.0), (2.0, 0.0), (1.0, 0.0), (0.1, 0.5), (0.001, 1.0)]
 )
 def test_converged_is_logarithmic(relative, fraction):
-    assert fmt.converged(relative, 0.01) == pytest.approx(fraction)
+    assert converged(relative, 0.01) == pytest.approx(fraction)
 
 
 def test_times():
-    assert fmt.clock(62.9) == "01:02"
-    assert fmt.clock_tenths(59.96) == "01:00.0"
-    assert fmt.duration(125.4) == "2 min 5 s"
-    assert fmt.duration(4.9) == "4 s"
+    assert clock(62.9) == "01:02"
+    assert clock_tenths(59.96) == "01:00.0"
+    assert duration(125.4) == "2 min 5 s"
+    assert duration(4.9) == "4 s"

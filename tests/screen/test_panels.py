@@ -9,12 +9,20 @@ from gcs_sysid.results.estimate_history import known_history, settled_range
 from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
 from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.pilot_view import blocks
+from gcs_sysid.screen.snapshot_view import (
+    MessageRate,
+    gain_text,
+    headline,
+    level_of,
+    named,
+    shares,
+    standing_of,
+)
 from gcs_sysid.screen.text_drawing import HEIGHT, big
-from gcs_sysid.screen.verdict_summary import headline, level_of, named, shares, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
-from gcs_sysid.screen.widgets.coach_panel import advice_lines, gain_text
+from gcs_sysid.screen.widgets.coach_panel import advice_lines
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduced_history, shade
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
@@ -305,7 +313,7 @@ def test_deflection_shows_the_side():
 
 def test_a_slow_message_is_marked_by_a_sign():
     def write(got):
-        return "".join(text for text, _ in message_line("HIGHRES_IMU", got, 250.0, 36))
+        return "".join(text for text, _ in message_line(MessageRate("HIGHRES_IMU", got, 250.0), 36))
 
     assert write(249.0).endswith("✓")
     assert write(120.0).endswith("!")
@@ -313,7 +321,7 @@ def test_a_slow_message_is_marked_by_a_sign():
 
 
 def test_a_long_message_name_is_cut():
-    line = "".join(text for text, _ in message_line("X" * 40, 1.0, None, 36))
+    line = "".join(text for text, _ in message_line(MessageRate("X" * 40, 1.0, None), 36))
     assert len(line) == 34  # two columns less: nothing was asked, so there is no sign
     assert "…" in line
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gcs_sysid.screen.dialogs import HelpScreen
-from gcs_sysid.screen.widgets.transport import state_of
+from gcs_sysid.screen.snapshot_view import playback_text
 
 from .fake import PLAYING
 
@@ -73,7 +73,7 @@ async def test_the_bar_says_where_it_stands(run_replay, size):
     ],
 )
 def test_what_it_does_is_a_sign_and_a_word(changes, expected):
-    assert state_of(replace(PLAYING, **changes)) == expected
+    assert playback_text(replace(PLAYING, **changes)) == expected
 
 
 @pytest.mark.slow

@@ -208,3 +208,34 @@ def percent_column(share: float | None, *, signed: bool = False) -> str:
         return ""
     text = PLAIN.percent(share, 2)
     return f"+{text}" if signed and text[0].isdigit() else text
+
+
+def clock(seconds: float) -> str:
+    """Flight time as `mm:ss` (minutes run past 59)."""
+    minutes, rest = divmod(max(0, math.floor(seconds)), 60)
+    return f"{minutes:02d}:{rest:02d}"
+
+
+def clock_tenths(seconds: float) -> str:
+    """Event time as `mm:ss.s`."""
+    tenths = max(0, round(10.0 * seconds))
+    minutes, rest = divmod(tenths, 600)
+    return f"{minutes:02d}:{rest // 10:02d}.{rest % 10}"
+
+
+def duration(seconds: float) -> str:
+    """A short span in words: `4 s`, `2 min 5 s`."""
+    whole = max(0, math.floor(seconds))
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
+
+
+def grouped(count: int) -> str:
+    """A count with its thousands apart: `12 345`."""
+    return f"{count:,}".replace(",", " ")
+
+
+def data_rate(bytes_per_second: float) -> str:
+    """A data rate: `870 B/s`, `23.4 kB/s`."""
+    if bytes_per_second < 1000.0:
+        return f"{bytes_per_second:.0f} B/s"
+    return f"{bytes_per_second / 1000.0:.1f} kB/s"

@@ -22,8 +22,8 @@ from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.dialogs import HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen, PageBar
 from gcs_sysid.screen.pilot_view import PilotScreen
+from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
-from gcs_sysid.screen.verdict_summary import shares
 from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource, View
 from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 

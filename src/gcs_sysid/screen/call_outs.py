@@ -1,19 +1,18 @@
 """Spoken call-outs about a session, because a pilot's eyes are on the vehicle.
 
-Their texts are made here for the terminal and for the page, which has its own speech synthesis. In
-the terminal the system's speech program says them, or the bell rings.
+The system's speech program says them, or the bell rings; the page has a speech synthesis of its
+own.
 """
 
 import contextlib
-import re
 import shutil
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from gcs_sysid.results.snapshot import Advice, LinkState, Snapshot
-from gcs_sysid.screen.verdict_summary import headline, level_of, standing_of
+from gcs_sysid.results.snapshot import Snapshot
+from gcs_sysid.screen.snapshot_view import call_outs
 
 Mode = Literal["off", "voice", "bell"]
 
@@ -27,64 +26,10 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
 _CANCEL = {"spd-say": ("--cancel",)}
 """Of a daemon, which talks on when its client is gone."""
 INSTALL = "install speech-dispatcher or espeak-ng"
-LAST_SECONDS = 5
-"""s left of a maneuver when that is said."""
 _GAPS = {"link": 0.0, "coach": 0.0, "time": 0.0, "verdict": 15.0}
 """Least s from one call-out to the next of a kind, in order of urgency."""
 _URGENT = ("link", "coach")
 """Kinds that cut short what is being said, and ring the bell."""
-_SPOKEN = (
-    (r"±\s*", "plus or minus "), (r"°", " degrees"), (r"\bHz\b", "hertz"), (r"\s*%", " percent"),
-    (r"\bI([xyz])([xyz])\b", r"I \1 \2"), (r"_", " "), (r"(\d) m\b", r"\1 meters"),
-)  # fmt: skip
-
-
-def spoken(text: str) -> str:
-    """A text as a speech program says it right: symbols and names of parameters as words."""
-    for written, said in _SPOKEN:
-        text = re.sub(written, said, text)
-    return text
-
-
-def call_outs(snapshot: Snapshot) -> dict[str, str]:
-    """What could be said now: kind -> words, empty where there is nothing to say."""
-    link = {
-        LinkState.CONNECTED: "Link is up.",
-        LinkState.LOST: "Link lost.",
-        LinkState.ENDED: "Stream ended, numbers are final.",
-    }
-    standing = standing_of(snapshot)
-    counted = (
-        snapshot.used_seconds > 0.0
-        and level_of(snapshot) != "waiting"
-        and snapshot.link.state is not LinkState.LOST
-    )
-    return {
-        "link": link.get(snapshot.link.state, ""),
-        "coach": "" if snapshot.advice is None else spoken(_order(snapshot.advice)),
-        "time": "" if snapshot.advice is None else _time_left(snapshot.advice),
-        "verdict": f"{headline(snapshot).capitalize()}, {standing.reached} of {standing.total}."
-        if counted
-        else "",
-    }
-
-
-def _order(advice: Advice) -> str:
-    if advice.enough:
-        return "Enough. Every interval is within the target."
-    if not advice.manoeuvre:
-        return ""
-    return f"Fly {', '.join(advice.axes) or advice.manoeuvre}, for {advice.seconds:.0f} seconds."
-
-
-def _time_left(advice: Advice) -> str:
-    left = seconds_left(advice)
-    return f"{LAST_SECONDS} seconds left." if 0.0 < left <= LAST_SECONDS < advice.seconds else ""
-
-
-def seconds_left(advice: Advice) -> float:
-    """Seconds of the maneuver that are still to be flown."""
-    return max(0.0, (1.0 - advice.progress) * advice.seconds)
 
 
 class Speaker:
@@ -207,11 +152,11 @@ class Announcer:
             return
         if snapshot is not self._seen:
             self._seen = snapshot
-            self._take(call_outs(snapshot))
+            self._note(call_outs(snapshot))
         if self.mode == "voice" and not self.speaker.busy:
             self._say_next()
 
-    def _take(self, found: Mapping[str, str]) -> None:
+    def _note(self, found: Mapping[str, str]) -> None:
         new = {kind for kind, text in found.items() if text != self._called.get(kind, "")}
         self._called.update(found)
         for kind in new:

@@ -35,13 +35,6 @@ STATUS_STYLE: dict[Status | None, str] = {
     "weak": "$text-warning",
     "unobservable": "$text-error",
 }
-LINK_SIGN: dict[LinkState, str] = {
-    LinkState.WAITING: "○",
-    LinkState.CONNECTED: "●",
-    LinkState.REPLAY: "▶",
-    LinkState.LOST: "✗",
-    LinkState.ENDED: "■",
-}
 LINK_STYLE: dict[LinkState, str] = {
     LinkState.WAITING: "$text-warning",
     LinkState.CONNECTED: "$text-success",
@@ -129,44 +122,6 @@ def bar(fraction: float, width: int) -> str:
     eighths = round(min(1.0, max(0.0, fraction)) * width * 8)
     full, rest = divmod(eighths, 8)
     return ("█" * full + (_EIGHTHS[rest] if rest else "")).ljust(width)
-
-
-def converged(share: float | None, target: float) -> float:
-    """How far a parameter has come, on a logarithmic scale: 0 at ±100 %, 1 at the target."""
-    if share is None or share <= 0.0:
-        return 0.0
-    return min(1.0, max(0.0, math.log(share) / math.log(min(target, 0.99))))
-
-
-def clock(seconds: float) -> str:
-    """Flight time as `mm:ss` (minutes run past 59)."""
-    minutes, rest = divmod(max(0, math.floor(seconds)), 60)
-    return f"{minutes:02d}:{rest:02d}"
-
-
-def clock_tenths(seconds: float) -> str:
-    """Event time as `mm:ss.s`."""
-    tenths = max(0, round(10.0 * seconds))
-    minutes, rest = divmod(tenths, 600)
-    return f"{minutes:02d}:{rest // 10:02d}.{rest % 10}"
-
-
-def duration(seconds: float) -> str:
-    """A short span in words: `4 s`, `2 min 5 s`."""
-    whole = max(0, math.floor(seconds))
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
-
-
-def grouped(count: int) -> str:
-    """A count with its thousands apart: `12 345`."""
-    return f"{count:,}".replace(",", " ")
-
-
-def data_rate(bytes_per_second: float) -> str:
-    """A data rate: `870 B/s`, `23.4 kB/s`."""
-    if bytes_per_second < 1000.0:
-        return f"{bytes_per_second:.0f} B/s"
-    return f"{bytes_per_second / 1000.0:.1f} kB/s"
 
 
 def one_line(parts: Iterable[str]) -> str:

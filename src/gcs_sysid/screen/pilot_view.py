@@ -8,12 +8,18 @@ from textual.binding import Binding, BindingType
 from textual.screen import Screen
 from textual.widgets import Footer
 
+from gcs_sysid.results.number_format import clock
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import contradicted
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.call_outs import seconds_left
+from gcs_sysid.screen.snapshot_view import (
+    Known,
+    headline,
+    seconds_left,
+    short_headline,
+    standing_of,
+)
 from gcs_sysid.screen.text_drawing import big, height_of
-from gcs_sysid.screen.verdict_summary import Known, headline, short_headline, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.screen.widgets.status_bar import AnswerLine
@@ -42,7 +48,7 @@ def blocks(view: View) -> tuple[list[Block], float | None]:
     if state is LinkState.LOST:
         timed = [f"{link} {view.silence:.0f} S", link]
     elif state is LinkState.CONNECTED:
-        timed = [f"{link} {fmt.clock(snapshot.t)}", link]
+        timed = [f"{link} {clock(snapshot.t)}", link]
     else:
         timed = [link]
     out: list[Block] = [(timed, fmt.LINK_STYLE[state])]

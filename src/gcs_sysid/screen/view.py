@@ -11,7 +11,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import ParameterRow, parameter_rows, rows
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
-from gcs_sysid.screen import formatting
+from gcs_sysid.screen.snapshot_view import notice
 
 
 class SnapshotSource(Protocol):
@@ -128,24 +128,12 @@ class View:
         """The sentence for the banner and its level (`info`, `warning` or `error`), if any."""
         if self.snapshot is None:
             return "Opening the link ...", "info"
-        link = self.snapshot.link
         if self.paused:
             return "Display paused, identification continues. p: resume", "info"
-        if link.state is LinkState.WAITING:
-            return (
-                f"Listening on {link.url}: no vehicle yet. "
-                "Is the vehicle on, or telemetry forwarding enabled?",
-                "warning",
-            )
-        if link.state is LinkState.LOST:
-            return (
-                f"Link lost: no data for {formatting.duration(self.silence)}. "
-                "Estimates are kept; still listening.",
-                "error",
-            )
-        if link.state is LinkState.ENDED:
-            return "Stream ended, numbers are final. q: quit", "info"
-        return None
+        found = notice(self.snapshot.link, self.silence)
+        if found is not None and self.ended:
+            return f"{found[0]} q: quit", found[1]
+        return found
 
 
 class Panel(Protocol):

@@ -23,7 +23,7 @@ from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.view import SnapshotSource
 from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
-from gcs_sysid.web.session_view import history_view, session_view
+from gcs_sysid.web.session_json import history_view, session_view
 from gcs_sysid.web.worker_process import WorkerPool
 
 Command = Callable[[Mapping[str, Any]], Any]

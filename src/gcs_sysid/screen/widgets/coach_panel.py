@@ -3,23 +3,13 @@
 from textual.content import Content
 from textual.widgets import Static
 
-from gcs_sysid.results import words
-from gcs_sysid.results.number_format import PLAIN
-from gcs_sysid.results.snapshot import Advice, Gain
+from gcs_sysid.results.snapshot import Advice
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.call_outs import seconds_left
+from gcs_sysid.screen.snapshot_view import gain_text, seconds_left
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
 BAR = 20
-
-
-def gain_text(gain: Gain) -> str:
-    """What a maneuver does to one parameter: `Izz 12 % → 3 %`; `Izz 3 % ✓` once it is there."""
-    now = "?" if gain.now is None else PLAIN.percent(gain.now, 1)
-    if gain.now is not None and gain.now <= gain.expected:
-        return f"{words.label(gain.name)} {now} ✓"
-    return f"{words.label(gain.name)} {now} → {PLAIN.percent(gain.expected, 1)}"
 
 
 def advice_lines(advice: Advice, width: int) -> list[Line]:

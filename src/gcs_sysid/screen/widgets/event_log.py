@@ -5,6 +5,7 @@ import textwrap
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 
+from gcs_sysid.results.number_format import clock_tenths
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -13,7 +14,7 @@ from gcs_sysid.screen.widgets.lines import Line, Lines
 
 def event_lines(event: Event, width: int) -> list[Line]:
     """An event, its text wrapped beside its time."""
-    stamp = f"{fmt.clock_tenths(event.t)}  "
+    stamp = f"{clock_tenths(event.t)}  "
     texts = textwrap.wrap(event.text, max(1, width - len(stamp))) or [""]
     stamps = [stamp, *[" " * len(stamp)] * (len(texts) - 1)]
     return [[(time, fmt.MUTED), (text, "")] for time, text in zip(stamps, texts, strict=True)]

@@ -3,16 +3,15 @@
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 
+from gcs_sysid.results.number_format import data_rate, grouped
 from gcs_sysid.results.snapshot import LinkStatus
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 
 SCROLLBAR = 2
 """Columns that the scroll bar takes when there are many messages."""
-ENOUGH = 0.9
-"""A message that comes at less than this fraction of the rate asked for is marked."""
-
 _WARNING = "$text-warning"
 _MOST_PPM = 10_000.0
 """No clock drifts by a hundredth; a computer that falls behind makes it seem so."""
@@ -20,15 +19,15 @@ _MOST_PPM = 10_000.0
 
 def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     """Name, text and style of each line above the messages."""
-    rejected = f"rejected {fmt.grouped(link.rejected)}"
-    lost = f"{fmt.grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
+    rejected = f"rejected {grouped(link.rejected)}"
+    lost = f"{grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
     gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
     drift = link.clock_ppm
     known = drift is not None and abs(drift) <= _MOST_PPM
     clock = f"{drift:+.0f} ppm" if known else "unknown"
     return [
-        ("link", f"{fmt.LINK_SIGN[link.state]} {link.url}", ""),
-        ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),
+        ("link", f"{LINK_SIGN[link.state]} {link.url}", ""),
+        ("received", f"{grouped(link.received)}, {data_rate(link.bytes_per_second)}", ""),
         ("lost", lost, _WARNING if link.lost_percent >= 1.0 or link.rejected else ""),
         ("IMU gaps", gaps, _WARNING if link.gaps else ""),
         ("clock", clock, ""),
@@ -38,27 +37,26 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
             else []
         ),
         *(
-            [("dropped", f"{fmt.grouped(link.dropped)} by the system", _WARNING)]
+            [("dropped", f"{grouped(link.dropped)} by the system", _WARNING)]
             if link.dropped
             else []
         ),
-        *([("unknown", f"{fmt.grouped(link.unknown)} frames", "")] if link.unknown else []),
+        *([("unknown", f"{grouped(link.unknown)} frames", "")] if link.unknown else []),
         ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
     ]
 
 
-def message_line(name: str, got: float, asked: float | None, width: int) -> Line:
+def message_line(message: MessageRate, width: int) -> Line:
     """One message with its rates; a sign says whether it comes as asked."""
-    room = max(8, width - 14)
+    name, room = message.name, max(8, width - 14)
     shown = name if len(name) <= room else name[: room - 1] + "…"
-    parts = [(f"{shown:<{room}}{got:6.1f}", "")]
-    if asked is None:
+    parts = [(f"{shown:<{room}}{message.got:6.1f}", "")]
+    if message.asked is None:
         return [*parts, (" " * 6, "")]
-    low = got < ENOUGH * asked
     return [
         *parts,
-        (f"{asked:6.0f}", fmt.MUTED),
-        (" !" if low else " ✓", "bold $text-warning" if low else "$text-success"),
+        (f"{message.asked:6.0f}", fmt.MUTED),
+        (" !", "bold $text-warning") if message.slow else (" ✓", "bold $text-success"),
     ]
 
 
@@ -101,12 +99,8 @@ class LinkPanel(VerticalScroll, can_focus=False):
             # The end of a path or an address says more than its beginning.
             shown = text if len(text) <= room - 9 else "…" + text[max(1, len(text) - room + 10) :]
             lines.append([(f"{name:<9}", fmt.MUTED), (shown, style)])
-        # What was asked for first: the identification needs it.
-        names = sorted(set(link.rates) | set(link.asked), key=lambda n: (n not in link.asked, n))
-        if names:
+        messages = message_rates(link)
+        if messages:
             lines.append([(f"{'message':<{max(8, width - 14)}}{'Hz':>6}{'asked':>6}", fmt.MUTED)])
-        lines += [
-            message_line(name, link.rates.get(name, 0.0), link.asked.get(name), width)
-            for name in names
-        ]
+        lines += [message_line(message, width) for message in messages]
         return lines

@@ -17,6 +17,7 @@ from gcs_sysid.results import words
 from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.snapshot_view import converged
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 
@@ -62,7 +63,7 @@ def _converged(view: View, row: ParameterRow) -> Cell:
     if row.estimate.status == "given":
         done = 1.0
     elif row.name in view.shares and view.snapshot is not None:
-        done = fmt.converged(view.shares[row.name], view.snapshot.target)
+        done = converged(view.shares[row.name], view.snapshot.target)
     else:
         return " " * BAR, ""  # not requested
     return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[row.estimate.status]} on $panel"

@@ -3,9 +3,10 @@
 from textual.content import Content
 from textual.widgets import Static
 
-from gcs_sysid.results.number_format import pretty_unit
+from gcs_sysid.results.number_format import clock, clock_tenths, pretty_unit
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.snapshot_view import LINK_SIGN
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
@@ -30,15 +31,15 @@ class StatusLine(Static):
         if snapshot is None:
             return [(self.title_text, "bold"), ("○ opening", "$text-warning")]
         link, result = snapshot.link, snapshot.result
-        state = (f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state])
+        state = (f"{LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state])
         if link.state is LinkState.WAITING:  # no flight and no verdict yet
             return [(self.title_text, "bold"), state]
         flight = "flying" if snapshot.flying else "on ground"
         parts = [
             (link.vehicle or self.title_text, "bold"),
             state,
-            (f"{fmt.clock(snapshot.t)} {flight}", ""),
-            (f"used {fmt.clock(snapshot.used_seconds)}", ""),
+            (f"{clock(snapshot.t)} {flight}", ""),
+            (f"used {clock(snapshot.used_seconds)}", ""),
         ]
         if result.scale is not None:
             scale = result.scale
@@ -105,5 +106,5 @@ class AnswerLine(Static):
     def say(self, text: str, t: float | None = None) -> None:
         """Put a sentence on the line, with the session's time where there is one."""
         self.text = text
-        stamp = "" if t is None else f"{fmt.clock_tenths(t)} "
+        stamp = "" if t is None else f"{clock_tenths(t)} "
         self.update(Content.assemble((stamp, fmt.MUTED), text), layout=False)

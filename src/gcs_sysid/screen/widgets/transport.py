@@ -8,8 +8,10 @@ from textual.content import Content
 from textual.message import Message
 from textual.widget import Widget
 
-from gcs_sysid.results.snapshot import Playback, speed_text
+from gcs_sysid.results.number_format import clock
+from gcs_sysid.results.snapshot import Playback
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.snapshot_view import playback_text
 
 KEYS = "space · ← → 10 s · [ ] speed"
 _LEAST_BAR = 10
@@ -33,16 +35,6 @@ class Transport:
     change_speed: Callable[[int], str]
     seek: Callable[[float], str]
     skip: Callable[[float], str]
-
-
-def state_of(playback: Playback) -> str:
-    """What a replay does now, in a sign and a word or two."""
-    if playback.seeking is not None:
-        return f"» to {fmt.clock(playback.seeking)}"
-    if playback.ended:
-        return "■ end"
-    speed = speed_text(playback.speed)
-    return f"‖ paused ({speed})" if playback.paused else f"▶ {speed}"
 
 
 class TransportBar(Widget):
@@ -75,10 +67,10 @@ class TransportBar(Widget):
         if playback is None:
             return [], 0, 0, []
         before: list[Part] = [
-            (f"{state_of(playback):<14} ", "bold $text-primary"),
-            (f"{fmt.clock(playback.position)} ", ""),
+            (f"{playback_text(playback):<14} ", "bold $text-primary"),
+            (f"{clock(playback.position)} ", ""),
         ]
-        after: list[Part] = [(f" {fmt.clock(playback.duration)}", "")]
+        after: list[Part] = [(f" {clock(playback.duration)}", "")]
         if self.size.width >= 76:
             after.append((f"  {KEYS}", fmt.MUTED))
         start = sum(len(text) for text, _ in before)

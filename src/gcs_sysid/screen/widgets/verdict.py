@@ -7,8 +7,7 @@ from textual.widgets import Static
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
-from gcs_sysid.screen.text_drawing import HEIGHT, big
-from gcs_sysid.screen.verdict_summary import (
+from gcs_sysid.screen.snapshot_view import (
     Level,
     Standing,
     compared,
@@ -19,6 +18,7 @@ from gcs_sysid.screen.verdict_summary import (
     sign_of,
     standing_of,
 )
+from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 

@@ -9,7 +9,6 @@ let drawn = null; // the plot
 let said = {}; // what was spoken last, by kind
 let counted = 0; // when the verdict was
 let toastTimer = 0;
-const SIGNS = { waiting: "○", connected: "●", replay: "▶", lost: "✗", ended: "■" };
 
 function toast(text) {
   setText(byId("toast"), text);
@@ -41,11 +40,10 @@ function show(session) {
   setText(byId("vehicle"), link.vehicle || "gcs-sysid");
   const state = byId("state");
   state.className = `chip ${link.state}`;
-  setText(state, `${SIGNS[link.state]} ${link.state}`);
+  setText(state, `${link.sign} ${link.state}`);
   setText(byId("clock"), `${session.t}${link.state === "ended" ? "" : session.flying ? ", flying" : ", on the ground"}, ${session.used} used${link.recording ? `, recording ${link.recording}` : ""}`);
-  const notice = link.notice || (link.too_slow ? "This computer is too slow: data are queued, advice is delayed." : "");
-  setText(byId("notice"), notice);
-  toggle(byId("notice"), Boolean(notice));
+  setText(byId("notice"), link.notice);
+  toggle(byId("notice"), Boolean(link.notice));
   byId("headline").className = verdict.level;
   setText(byId("headline"), `${verdict.sign} ${verdict.headline}`);
   setText(byId("count"), `${verdict.reached}/${verdict.total}`);

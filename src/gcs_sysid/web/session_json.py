@@ -9,30 +9,32 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.page_figures import Figures, add_history
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.estimate_history import known_history
-from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.number_format import PAGE, clock, clock_tenths, duration
 from gcs_sysid.results.result_view import number_figures
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
 from gcs_sysid.results.summary import before_data
-from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.call_outs import call_outs, seconds_left
-from gcs_sysid.screen.verdict_summary import (
+from gcs_sysid.screen.snapshot_view import (
+    LINK_SIGN,
+    call_outs,
     compared,
+    converged,
+    gain_text,
     headline,
     level_of,
+    message_rates,
+    notice,
+    playback_text,
+    seconds_left,
     shares,
     sign_of,
     standing_of,
 )
 from gcs_sysid.screen.view import Baseline
-from gcs_sysid.screen.widgets.coach_panel import gain_text
-from gcs_sysid.screen.widgets.transport import state_of
-from gcs_sysid.web.result_view import result_rows
+from gcs_sysid.web.result_json import result_rows
 
 MOST_POINTS = 240
 """Of a plot."""
 _EVENTS = 40
-_SLOW = 0.7
-"""Share of the rate asked for below which a message comes too slowly."""
 
 
 def session_view(
@@ -53,11 +55,11 @@ def session_view(
     for row in parameters:
         share = reached.get(row["name"])
         row["done"] = (
-            round(fmt.converged(share, snapshot.target), 2) if row["name"] in reached else None
+            round(converged(share, snapshot.target), 2) if row["name"] in reached else None
         )
     return {
-        "t": fmt.clock(snapshot.t),
-        "used": fmt.duration(snapshot.used_seconds),
+        "t": clock(snapshot.t),
+        "used": duration(snapshot.used_seconds),
         "flying": snapshot.flying,
         "target": PAGE.percent(snapshot.target),
         "verdict": {
@@ -79,8 +81,7 @@ def session_view(
         if snapshot.attitude is None
         else [round(math.degrees(angle), 1) for angle in snapshot.attitude],
         "events": [
-            {"t": fmt.clock_tenths(event.t), "text": event.text}
-            for event in snapshot.events[-_EVENTS:]
+            {"t": clock_tenths(event.t), "text": event.text} for event in snapshot.events[-_EVENTS:]
         ],
         "playback": None if snapshot.playback is None else _playback(snapshot.playback),
     }
@@ -120,30 +121,26 @@ def _baseline(snapshot: Snapshot, baseline: Baseline | None) -> dict[str, str] |
 
 
 def _link(link: LinkStatus) -> dict[str, Any]:
+    found = notice(link)
+    slow = "This computer is too slow: data are queued, advice is delayed." if link.too_slow else ""
     rates = [
         {
-            "name": name,
-            "rate": f"{link.rates.get(name, 0.0):.0f}",
-            "asked": f"{asked:.0f}",
-            "slow": link.rates.get(name, 0.0) < _SLOW * asked,
+            "name": each.name,
+            "rate": f"{each.got:.0f}",
+            "asked": f"{each.asked:.0f}",
+            "slow": each.slow,
         }
-        for name, asked in link.asked.items()
+        for each in message_rates(link)
+        if each.asked is not None
     ]
-    words = {
-        LinkState.WAITING: f"Listening on {link.url}: no vehicle yet. Is it on, and does it "
-        "forward telemetry?",
-        LinkState.LOST: "Link lost. Estimates are kept; still listening.",
-        LinkState.ENDED: "Stream ended: the numbers are final.",
-    }
     return {
         "state": link.state.value,
-        "notice": words.get(link.state, ""),
+        "sign": LINK_SIGN[link.state],
+        "notice": slow if found is None else found[0],
         "vehicle": link.vehicle,
         "rates": rates,
         "lost": f"{PAGE.fixed(link.lost_percent, 1)} %",
         "gaps": link.gaps,
-        "waiting": link.waiting,
-        "too_slow": link.too_slow,
         "recording": link.recording.replace("\\", "/").rpartition("/")[2],
         "vehicles": [
             {"address": list(one.address), "name": one.name, "chosen": one.chosen}
@@ -186,9 +183,9 @@ def _rotors(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 def _playback(playback: Playback) -> dict[str, Any]:
     return {
-        "state": state_of(playback),
+        "state": playback_text(playback),
         "position": round(playback.position, 1),
         "duration": round(playback.duration, 1),
-        "clock": f"{fmt.clock(playback.position)} / {fmt.clock(playback.duration)}",
+        "clock": f"{clock(playback.position)} / {clock(playback.duration)}",
         "paused": playback.paused,
     }

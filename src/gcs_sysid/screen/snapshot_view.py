@@ -1,6 +1,10 @@
-"""What is known, how well, and what is missing. Pure functions, no Textual."""
+"""What a person is shown of a running session, for screen, page and loudspeaker; no Textual.
+
+The verdict in a word, what is known and missing, orders of the coach, notices of the link.
+"""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -11,9 +15,17 @@ from gcs_sysid.model.estimate import KNOWN, Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
-from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.results.number_format import PLAIN, clock, duration
 from gcs_sysid.results.result import Result, Verdict
-from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.snapshot import (
+    Advice,
+    Gain,
+    LinkState,
+    LinkStatus,
+    Playback,
+    Snapshot,
+    speed_text,
+)
 from gcs_sysid.results.summary import before_data, contradicted
 
 Known = tuple[str, float | None]
@@ -162,3 +174,145 @@ def compared(comparison: Comparison, room: int) -> tuple[str, str]:
         names = named(groups["changed"], max(8, room - len(tail) - 11), shares=False)
         return "≠", f"changed: {names}; {tail}"
     return "=", tail
+
+
+# The link ---------------------------------------------------------------------------------------
+
+LINK_SIGN: dict[LinkState, str] = {
+    LinkState.WAITING: "○",
+    LinkState.CONNECTED: "●",
+    LinkState.REPLAY: "▶",
+    LinkState.LOST: "✗",
+    LinkState.ENDED: "■",
+}
+
+
+def notice(link: LinkStatus, silence: float = 0.0) -> tuple[str, str] | None:
+    """What should be known before reading on, and its level; None while all is well.
+
+    Args:
+        link: its state.
+        silence: s since it last brought something; 0: unknown.
+    """
+    if link.state is LinkState.WAITING:
+        return (
+            f"Listening on {link.url}: no vehicle yet. Is the vehicle on, or telemetry forwarding "
+            "enabled?",
+            "warning",
+        )
+    if link.state is LinkState.LOST:
+        since = f": no data for {duration(silence)}" if silence else ""
+        return f"Link lost{since}. Estimates are kept; still listening.", "error"
+    if link.state is LinkState.ENDED:
+        return "Stream ended, numbers are final.", "info"
+    return None
+
+
+@dataclass(frozen=True)
+class MessageRate:
+    """How often a message comes, and was asked for.
+
+    Attributes:
+        name: of the message.
+        got: Hz.
+        asked: Hz; None: not asked for.
+    """
+
+    name: str
+    got: float
+    asked: float | None
+
+    @property
+    def slow(self) -> bool:
+        """Whether it comes at less than nine tenths of the rate asked for."""
+        return self.asked is not None and self.got < 0.9 * self.asked
+
+
+def message_rates(link: LinkStatus) -> list[MessageRate]:
+    """Every message; first what was asked for, which the identification needs."""
+    names = sorted(set(link.rates) | set(link.asked), key=lambda n: (n not in link.asked, n))
+    return [MessageRate(name, link.rates.get(name, 0.0), link.asked.get(name)) for name in names]
+
+
+# Coach, replay and call-outs --------------------------------------------------------------------
+
+
+def gain_text(gain: Gain) -> str:
+    """What a maneuver does to one parameter: `Izz 12 % → 3 %`; `Izz 3 % ✓` once it is there."""
+    now = "?" if gain.now is None else PLAIN.percent(gain.now, 1)
+    if gain.now is not None and gain.now <= gain.expected:
+        return f"{words.label(gain.name)} {now} ✓"
+    return f"{words.label(gain.name)} {now} → {PLAIN.percent(gain.expected, 1)}"
+
+
+def converged(share: float | None, target: float) -> float:
+    """How far a parameter has come, on a logarithmic scale: 0 at ±100 %, 1 at the target."""
+    if share is None or share <= 0.0:
+        return 0.0
+    return min(1.0, max(0.0, math.log(share) / math.log(min(target, 0.99))))
+
+
+def playback_text(playback: Playback) -> str:
+    """What a replay does now, in a sign and a word or two."""
+    if playback.seeking is not None:
+        return f"» to {clock(playback.seeking)}"
+    if playback.ended:
+        return "■ end"
+    speed = speed_text(playback.speed)
+    return f"‖ paused ({speed})" if playback.paused else f"▶ {speed}"
+
+
+LAST_SECONDS = 5
+"""s left of a maneuver when that is said."""
+_SPOKEN = (
+    (r"±\s*", "plus or minus "), (r"°", " degrees"), (r"\bHz\b", "hertz"), (r"\s*%", " percent"),
+    (r"\bI([xyz])([xyz])\b", r"I \1 \2"), (r"_", " "), (r"(\d) m\b", r"\1 meters"),
+)  # fmt: skip
+
+
+def spoken(text: str) -> str:
+    """A text as a speech program says it right: symbols and names of parameters as words."""
+    for written, said in _SPOKEN:
+        text = re.sub(written, said, text)
+    return text
+
+
+def call_outs(snapshot: Snapshot) -> dict[str, str]:
+    """What could be said now: kind -> words, empty where there is nothing to say."""
+    link = {
+        LinkState.CONNECTED: "Link is up.",
+        LinkState.LOST: "Link lost.",
+        LinkState.ENDED: "Stream ended, numbers are final.",
+    }
+    standing = standing_of(snapshot)
+    counted = (
+        snapshot.used_seconds > 0.0
+        and level_of(snapshot) != "waiting"
+        and snapshot.link.state is not LinkState.LOST
+    )
+    return {
+        "link": link.get(snapshot.link.state, ""),
+        "coach": "" if snapshot.advice is None else spoken(_order(snapshot.advice)),
+        "time": "" if snapshot.advice is None else _time_left(snapshot.advice),
+        "verdict": f"{headline(snapshot).capitalize()}, {standing.reached} of {standing.total}."
+        if counted
+        else "",
+    }
+
+
+def _order(advice: Advice) -> str:
+    if advice.enough:
+        return "Enough. Every interval is within the target."
+    if not advice.manoeuvre:
+        return ""
+    return f"Fly {', '.join(advice.axes) or advice.manoeuvre}, for {advice.seconds:.0f} seconds."
+
+
+def _time_left(advice: Advice) -> str:
+    left = seconds_left(advice)
+    return f"{LAST_SECONDS} seconds left." if 0.0 < left <= LAST_SECONDS < advice.seconds else ""
+
+
+def seconds_left(advice: Advice) -> float:
+    """Seconds of the maneuver that are still to be flown."""
+    return max(0.0, (1.0 - advice.progress) * advice.seconds)
