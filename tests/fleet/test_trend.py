@@ -205,4 +205,4 @@ def test_a_fleet_that_tells_nothing_and_no_fleet(tmp_path, capsys):
 def test_a_changed_lag_is_in_milliseconds():
     for value, text in ((0.05, "50.0 ± 2.0 ms"), (5e-5, "0.1 ± 2.0 ms")):
         assert value_text("motor_lag", Estimate(value, 0.001, "s", "identified")) == text
-    assert value_text("mass", Estimate(1.5, 0.01, "kg", "identified")) == "(1.500 ± 0.020) kg"
+    assert value_text("mass", Estimate(1.5, 0.01, "kg", "identified")) == "1.500 ± 0.020 kg"
