@@ -7,19 +7,20 @@ from typing import Any
 
 from gcs_sysid.health.health_trend import Series
 from gcs_sysid.intervals import Z95
-from gcs_sysid.report.health_trend_picture import height_of, trend_panels
+from gcs_sysid.report.drawing import (
+    BLUE,
+    INK,
+    RED,
+    SOFT,
+    FlightsChart,
+    IntervalPoint,
+    PlanView,
+    text,
+)
 from gcs_sysid.report.parts import Markup, element, joined, note, section
 from gcs_sysid.results.number_format import PAGE
 
 _WIDTH, _HEIGHT = 900.0, 632.0
-_CENTER = (250.0, 312.0)
-_REACH = 165.0
-"""Of the outermost rotor from the center, on the page."""
-_MOST_DISC = 62.0
-_TEXT_X, _TEXT_TOP, _LINE = 520.0, 92.0, 23.0
-_ADVICE_COLUMNS = 100
-_LEAST_ARROW = 6.0
-_INK, _PALE, _BLUE, _RED = "#222222", "#b8b8b8", "#1f6fb4", "#c2571a"
 
 
 def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -> str:
@@ -29,29 +30,24 @@ def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -
         document: a health file's content, in which something hovers.
         series: numbers over several flights, drawn below it.
     """
-    rotors = document["airframe"]["rotors"]
-    reach = max(max(abs(r["x"]), abs(r["y"])) for r in rotors)
-    scale = _REACH / reach
+    rotors = [(r["x"], r["y"]) for r in document["airframe"]["rotors"]]
+    view = PlanView(rotors, (250.0, 304.0), 162.0, 60.0)
     name = str(document["source"]).replace("\\", "/").rpartition("/")[2]
+    about = f"{document['seconds_of_hover']:.0f} s of hover; seen from above, nose up"
     parts = [
         element("rect", width="100%", height="100%", fill="#ffffff"),
-        _text(40.0, 44.0, f"Health of {name}", size=21),
-        _text(
-            40.0,
-            68.0,
-            f"{document['seconds_of_hover']:.0f} s of hover; seen from above, nose up",
-            fill="#666666",
-        ),
-        *_vehicle(document, rotors, scale),
-        *_cg(document, scale),
+        text(40.0, 44.0, f"Health of {name}", size=21),
+        text(40.0, 68.0, about, fill=SOFT),
+        *_vehicle(document, view),
+        *_cg(document, view),
         *_facts(document),
         *_advice(document),
     ]
     height = _HEIGHT
     if series:
-        parts.append(_text(40.0, height + 16.0, "Over the flights, in their order", size=17))
-        parts += trend_panels(series, height + 34.0)
-        height += 44.0 + height_of(series)
+        parts.append(text(40.0, height + 16.0, "Over the flights, in their order", size=17))
+        parts += _trends(series, height + 34.0)
+        height += 44.0 + 150.0 * math.ceil(len(series) / 3)
     picture = element(
         "svg",
         element("title", f"Health of {name}"),
@@ -61,7 +57,7 @@ def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -
         role="img",
         font_family="sans-serif",
         font_size=14,
-        fill=_INK,
+        fill=INK,
     )
     return f"{picture}\n"
 
@@ -84,80 +80,34 @@ def health_section(document: Mapping[str, Any]) -> Markup:
     )
 
 
-def _text(
-    x: float, y: float, words: str, *, size: int = 14, fill: str = _INK, anchor: str = "start"
-) -> Markup:
-    return element(
-        "text", words, x=round(x, 1), y=round(y, 1), font_size=size, fill=fill, text_anchor=anchor
-    )
-
-
-def _at(forward: float, right: float, scale: float) -> tuple[float, float]:
-    return _CENTER[0] + scale * right, _CENTER[1] - scale * forward
-
-
-def _vehicle(
-    document: Mapping[str, Any], rotors: list[Mapping[str, Any]], scale: float
-) -> Iterator[Markup]:
-    places = [_at(r["x"], r["y"], scale) for r in rotors]
-    apart = min(math.dist(a, b) for i, a in enumerate(places) for b in places[:i])
-    disc = min(_MOST_DISC, 0.47 * apart) if apart > 1.0 else 0.5 * _MOST_DISC
+def _vehicle(document: Mapping[str, Any], view: PlanView) -> Iterator[Markup]:
+    yield from view.frame(6.0)
+    spins = [r["spin"] for r in document["airframe"]["rotors"]]
     shares = [r["thrust_share"]["value"] for r in document["rotors"]]
     named = (document.get("condition") or {}).get("rotor")
-    x, y = _CENTER
-    yield element("path", d=f"M{x:g} {y - _REACH - 72:g} l9 16 h-18 z", fill=_INK)
-    for u, v in places:
-        yield element(
-            "line", x1=x, y1=y, x2=round(u, 1), y2=round(v, 1), stroke=_PALE, stroke_width=6
-        )
-    for i, ((u, v), share) in enumerate(zip(places, shares, strict=True)):
+    for i, ((u, v), share) in enumerate(zip(view.places, shares, strict=True)):
         # The disc filled like a cup: full is twice an even share.
         filled = min(0.5 * share * len(shares), 1.0)
+        stroke, width = (RED, 3) if i == named else (INK, 1.5)
+        place = {"cx": round(u, 1), "cy": round(v, 1)}
         yield element(
-            "circle",
-            cx=round(u, 1),
-            cy=round(v, 1),
-            r=round(disc, 1),
-            fill="#ffffff",
-            stroke=_RED if i == named else _INK,
-            stroke_width=3 if i == named else 1.5,
-        )
-        yield element(
-            "circle",
-            cx=round(u, 1),
-            cy=round(v, 1),
-            r=round(disc * math.sqrt(filled), 1),
-            fill=_BLUE,
-            fill_opacity=0.3,
-        )
-        way = "ccw" if rotors[i]["spin"] == "ccw" else "cw"
-        yield _text(u, v - 4.0, f"{i + 1} {way}", size=13, anchor="middle")
-        yield _text(u, v + 16.0, f"{100.0 * share:.1f} %", size=17, anchor="middle")
+            "circle", **place, r=round(view.radius, 1), fill="#ffffff", stroke=stroke,
+            stroke_width=width,
+        )  # fmt: skip
+        inner = round(view.radius * math.sqrt(filled), 1)
+        yield element("circle", **place, r=inner, fill=BLUE, fill_opacity=0.3)
+        yield text(u, v - 4.0, f"{i + 1} {spins[i]}", size=13, anchor="middle")
+        yield text(u, v + 16.0, f"{100.0 * share:.1f} %", size=17, anchor="middle")
 
 
-def _cg(document: Mapping[str, Any], scale: float) -> Iterator[Markup]:
+def _cg(document: Mapping[str, Any], view: PlanView) -> Iterator[Markup]:
     along, across = (document["cg"][axis] for axis in "xy")
-    u, v = _at(along["value"], across["value"], scale)
-    yield element(
-        "ellipse",
-        cx=round(u, 1),
-        cy=round(v, 1),
-        rx=round(max(scale * Z95 * across["std"], 1.0), 1),
-        ry=round(max(scale * Z95 * along["std"], 1.0), 1),
-        fill=_RED,
-        fill_opacity=0.15,
-        stroke=_RED,
-        stroke_dasharray="3 3",
-    )
-    yield element(
-        "circle", cx=round(u, 1), cy=round(v, 1), r=7, fill="#ffffff", stroke=_RED, stroke_width=2
-    )
-    yield element(
-        "path", d=f"M{u - 11:.1f} {v:.1f}h22M{u:.1f} {v - 11:.1f}v22", stroke=_RED, stroke_width=2
-    )
-    dx, dy = _CENTER[0] - u, _CENTER[1] - v
+    place = along["value"], across["value"]
+    yield from view.cg(place, (Z95 * along["std"], Z95 * across["std"]), 11.0)
+    u, v = view.at(*place)
+    dx, dy = view.center[0] - u, view.center[1] - v
     length = math.hypot(dx, dy)
-    if length > _LEAST_ARROW:
+    if length > 6.0:
         # Longer than the offset, which is small: the way that the load should go.
         stretch = max(70.0, length) / length
         a, b = u + stretch * dx, v + stretch * dy
@@ -167,13 +117,8 @@ def _cg(document: Mapping[str, Any], scale: float) -> Iterator[Markup]:
             f"M{a:.1f} {b:.1f}"
             for turn in (0.4, -0.4)
         )
-        yield element(
-            "path",
-            d=f"M{u:.1f} {v:.1f}L{a:.1f} {b:.1f}{head}",
-            stroke=_BLUE,
-            stroke_width=3,
-            fill="none",
-        )
+        arrow = f"M{u:.1f} {v:.1f}L{a:.1f} {b:.1f}{head}"
+        yield element("path", d=arrow, stroke=BLUE, stroke_width=3, fill="none")
 
 
 def _facts(document: Mapping[str, Any]) -> Iterator[Markup]:
@@ -198,23 +143,36 @@ def _facts(document: Mapping[str, Any]) -> Iterator[Markup]:
         half = factor * Z95 * (entry["std"] or 0.0)
         if half:
             value, around, power, _ = PAGE.value_and_half(factor * entry["value"], half)
-            text = f"({value} ± {around}){power} {unit}" if power else f"{value} ± {around} {unit}"
+            words = f"({value} ± {around}){power} {unit}" if power else f"{value} ± {around} {unit}"
         else:
-            text = f"{PAGE.number(factor * entry['value'])} {unit}"
-        lines.append((name, text))
-    for i, (name, text) in enumerate(lines):
-        y = _TEXT_TOP + 20.0 + _LINE * i
-        yield _text(_TEXT_X, y, name, fill="#666666")
-        yield _text(_TEXT_X + 140.0, y, text)
+            words = f"{PAGE.number(factor * entry['value'])} {unit}"
+        lines.append((name, words))
+    for i, (name, words) in enumerate(lines):
+        y = 112.0 + 23.0 * i
+        yield text(520.0, y, name, fill=SOFT)
+        yield text(660.0, y, words)
 
 
 def _advice(document: Mapping[str, Any]) -> Iterator[Markup]:
-    y = _HEIGHT - 88.0
     lines = [
-        (line, first == 0)
-        for text in document["advice"]
-        for first, line in enumerate(textwrap.wrap(text, _ADVICE_COLUMNS))
+        f"{'   ' if later else '→ '}{part}"
+        for advice in document["advice"]
+        for later, part in enumerate(textwrap.wrap(advice, 100))
     ]
-    for line, begins in lines[:4]:
-        yield _text(40.0, y, f"{'→ ' if begins else '   '}{line}")
-        y += _LINE
+    for i, part in enumerate(lines[:4]):
+        yield text(40.0, _HEIGHT - 88.0 + 23.0 * i, part)
+
+
+def _trends(series: Sequence[Series], top: float) -> Iterator[Markup]:
+    """A chart each, in rows of three."""
+    for i, one in enumerate(series):
+        points = [
+            IntervalPoint(n, value, value - Z95 * std, value + Z95 * std)
+            for n, (value, std) in enumerate(zip(one.values, one.stds, strict=True), 1)
+            if math.isfinite(value)
+        ]
+        span = min(p.low for p in points), max(p.high for p in points)
+        unit = PAGE.unit(one.unit)
+        chart = FlightsChart(one.name, unit, len(one.values), span, 266.0, 140.0)
+        place = f"translate({40.0 + 280.0 * (i % 3):g} {top + 150.0 * (i // 3):g})"
+        yield element("g", *chart.axes(), *chart.points(points), transform=place)

@@ -9,6 +9,7 @@ import numpy as np
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.report.data import ReportData
+from gcs_sysid.report.drawing import PlanView
 from gcs_sysid.report.page_figures import Figures, add_histories
 from gcs_sysid.report.parts import (
     Child,
@@ -37,7 +38,6 @@ from gcs_sysid.results.result_view import (
 )
 
 _SIZE = 300.0
-_MARGIN = 46.0
 
 
 def verdict(data: ReportData) -> Markup:
@@ -283,43 +283,19 @@ def plan_view(data: ReportData) -> Markup | None:
     if not all(e is not None and e.shown for e in cg):
         return None
     along, across = (float(e.value or 0.0) for e in cg if e is not None)
-    x, y, spin = data.geometry
-    reach = float(max(np.abs(x).max(), np.abs(y).max()))
-    scale = (0.5 * _SIZE - _MARGIN) / reach
-    disc = 0.62 * min(
-        (0.5 * np.hypot(x[i] - x[j], y[i] - y[j]) for i in range(len(x)) for j in range(i)),
-        default=reach,
-    )
-    radius = float(min(disc * scale, _MARGIN - 6.0))
-
-    def at(forward: float, right: float) -> tuple[float, float]:
-        return round(0.5 * _SIZE + scale * right, 2), round(0.5 * _SIZE - scale * forward, 2)
-
-    parts: list[Markup] = [_line(*at(0.0, 0.0), *at(float(a), float(b)), "arm")
-                           for a, b in zip(x, y, strict=True)]  # fmt: skip
-    parts.append(element("circle", cx=0.5 * _SIZE, cy=0.5 * _SIZE, r=3, class_="hub"))
-    for i, (a, b, s) in enumerate(zip(x.tolist(), y.tolist(), spin.tolist(), strict=True), 1):
-        u, v = at(a, b)
-        parts.append(element("circle", cx=u, cy=v, r=round(radius, 2), class_="rotor"))
-        parts.append(_turn(u, v, 0.68 * radius, s))
-        parts.append(element("text", str(i), x=u, y=v + 4.5, class_="motor"))
-    front = _SIZE / 2
-    parts.append(element("path", d=f"M{front} 6 l7 12 h-14 z", class_="front"))
-    u, v = at(along, across)
+    x, y, spin = data.geometry.tolist()
+    middle = 0.5 * _SIZE
+    view = PlanView(list(zip(x, y, strict=True)), (middle, middle), 104.0, 36.0)
+    parts = [*view.frame(5.0), element("circle", cx=middle, cy=middle, r=3, class_="hub")]
+    for i, ((u, v), s) in enumerate(zip(view.places, spin, strict=True), 1):
+        parts += [
+            element("circle", cx=round(u, 1), cy=round(v, 1), r=round(view.radius, 1),
+                    class_="rotor"),
+            _turn(u, v, 0.68 * view.radius, s),
+            element("text", str(i), x=round(u, 1), y=round(v + 4.5, 1), class_="motor"),
+        ]  # fmt: skip
     halves = [e.half or 0.0 for e in cg if e is not None]
-    parts.append(
-        element(
-            "ellipse",
-            cx=u,
-            cy=v,
-            rx=round(max(scale * halves[1], 0.1), 2),
-            ry=round(max(scale * halves[0], 0.1), 2),
-            class_="doubt",
-        )
-    )
-    parts.append(_line(u - 9, v, u + 9, v, "cg"))
-    parts.append(_line(u, v - 9, u, v + 9, "cg"))
-    parts.append(element("circle", cx=u, cy=v, r=5, class_="cg"))
+    parts += view.cg((along, across), (halves[0], halves[1]), 9.0)
     text = cg_text(along, across)
     picture = element(
         "svg",
@@ -345,10 +321,6 @@ def cg_text(x: float, y: float) -> str:
     along = f"{PAGE.fixed(abs(1e3 * x), 1)} mm {'ahead' if x >= 0.0 else 'behind'}"
     across = f"{PAGE.fixed(abs(1e3 * y), 1)} mm {'right' if y >= 0.0 else 'left'}"
     return f"The center of gravity (⊕) is {along} and {across} of the geometric center."
-
-
-def _line(x1: float, y1: float, x2: float, y2: float, kind: str) -> Markup:
-    return element("line", x1=x1, y1=y1, x2=x2, y2=y2, class_=kind)
 
 
 def _turn(u: float, v: float, r: float, spin: float) -> Markup:
