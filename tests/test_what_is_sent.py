@@ -9,8 +9,6 @@ import os
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,14 +28,12 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from tests.autopilots import GROUPS, INTERVALS, MESSAGES, READS, SETS, Autopilot
+from tests.terminals import PATIENCE, OnTerminal
 from tests.web.conftest import Client
 
 HEARTBEAT = "HEARTBEAT"
 AIRFRAME = ("--airframe", "paper")
 KEY = bytes(range(32))
-PATIENCE = 60.0
-"""s; nothing waits so long where all is well."""
-termios = pytest.importorskip("termios") if hasattr(os, "openpty") else None
 needs_posix = pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="sends signals to itself, and needs pseudo terminals"
 )
@@ -295,55 +291,6 @@ def test_a_serial_port(words, end_by, folder, capsys):
         assert main([*words, url]) in (0, 1)
     assert_harmless(vehicle)
     assert "Traceback" not in capsys.readouterr().err
-
-
-_WITH_TERMINAL = """
-import fcntl, sys, termios
-fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-from gcs_sysid.__main__ import main
-sys.exit(main(sys.argv[1:]))
-"""
-"""Makes standard input the terminal that the process belongs to, and runs the program."""
-
-
-class OnTerminal:
-    """The program on a terminal of its own, in a session that ends when the terminal closes."""
-
-    def __init__(self, *words, folder):
-        self._ours, theirs = os.openpty()
-        os.set_blocking(self._ours, False)
-        termios.tcsetwinsize(theirs, (24, 80))
-        ends = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
-        command = [sys.executable, "-c", _WITH_TERMINAL, *words]
-        self.process = subprocess.Popen(command, **ends, cwd=folder, start_new_session=True)
-        os.close(theirs)
-        self.shown = b""
-
-    def shows(self, text=None):
-        """Take what is shown until it has this text, or until the program has ended."""
-        for _ in range(round(PATIENCE / 0.05)):
-            with contextlib.suppress(OSError):  # nothing more has come, or it is gone
-                while True:
-                    self.shown += os.read(self._ours, 65536)
-            if text is not None and text in self.shown:
-                return True
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(0.05)
-                return text is None
-        return False
-
-    def type(self, keys):
-        os.write(self._ours, keys)
-
-    def hang_up(self):
-        os.close(self._ours)
-        self._ours = -1
-
-    def end(self):
-        self.process.kill()
-        self.process.wait()
-        if self._ours >= 0:
-            os.close(self._ours)
 
 
 @needs_posix

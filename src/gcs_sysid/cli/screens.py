@@ -181,7 +181,7 @@ def _show_on_terminal(session: Session, scene: Scene) -> None:
         try:
             if not stopped.is_set():
                 app.run()
-            if app.defect is not None and not stopped.is_set():
+            if app.defect is not None and not stopped.is_set() and not app.is_abandoned:
                 kind = type(app.defect).__name__
                 output.say(
                     f"the screen failed ({kind}: {app.defect}); the session continues without "

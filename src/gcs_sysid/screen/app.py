@@ -124,6 +124,11 @@ class SysidApp(ActingApp):
         """Textual's, which ends when its terminal is closed."""
         return ending_with_its_terminal(super().get_driver_class())
 
+    @property
+    def is_abandoned(self) -> bool:
+        """Whether the terminal it is shown on has gone, and with it all keys."""
+        return bool(getattr(self._driver, "is_gone", False))
+
     def _handle_exception(self, error: Exception) -> None:
         """Leave; its message is printed by the caller, in a line."""
         super()._handle_exception(error)
@@ -154,6 +159,9 @@ class SysidApp(ActingApp):
 
     def poll(self, force: bool = False) -> None:
         """Take the newest snapshot and draw it, if there is something new to draw."""
+        if self.is_abandoned:
+            self.exit()
+            return
         if not self._main.ready:  # a tick can come while the screen is built up or torn down
             return
         snapshot = self.source.latest()

@@ -1,11 +1,17 @@
 """Textual's driver, made to end when its terminal does.
 
 A closed window, a killed tmux pane and a broken SSH connection hang the terminal up: writing to it
-fails, and the kernel sends SIGHUP and SIGCONT. Textual's writer thread ends with the first failed
-write, after which its queue of 30 fills and blocks the application for good; its handler of SIGCONT
-starts a second writer and a second reader of keys, of which only one is stopped.
+fails, reading returns nothing at once, and the kernel sends SIGHUP and SIGCONT, but to the first
+process of the terminal alone. Where that is `make`, or any other parent that passes no signal on,
+the program below it hears nothing. So the application asks at every turn whether its terminal is
+still there.
+
+Textual's writer thread ends with the first failed write, after which its queue of 30 fills and
+blocks the application for good; its reader of keys turns a core on a terminal that is gone; its
+handler of SIGCONT starts a second writer and a second reader, of which only one is stopped.
 """
 
+import os
 from types import FrameType
 from typing import IO, Any
 
@@ -46,10 +52,10 @@ class HangingUpFile:
 
 
 def ending_with_its_terminal(base: type[Driver]) -> type[Driver]:
-    """The driver of this platform, which a lost terminal does not block.
+    """The driver of this platform, which a lost terminal does not block and which knows of it.
 
     Args:
-        base: Textual's driver, whose `_file` is the terminal.
+        base: Textual's driver, whose `_file` is the terminal and whose `fileno` gives its keys.
     """
 
     class TerminalDriver(base):  # type: ignore[misc, valid-type]
@@ -58,6 +64,13 @@ def ending_with_its_terminal(base: type[Driver]) -> type[Driver]:
             terminal: IO[str] | None = getattr(self, "_file", None)
             if terminal is not None:
                 self._file = HangingUpFile(terminal)
+            keys: int | None = getattr(self, "fileno", None)
+            self._keys = keys if keys is not None and os.isatty(keys) else None
+
+        @property
+        def is_gone(self) -> bool:
+            """Whether the terminal has hung up: a descriptor of one that has is none any more."""
+            return self._keys is not None and not os.isatty(self._keys)
 
         def _sigcont_application(self, number: int, frame: FrameType | None) -> None:
             # Only after the driver's own SIGTSTP is there anything to start again.
