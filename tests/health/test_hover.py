@@ -73,7 +73,7 @@ def test_shortcuts_give_what_numpy_gives():
 
 def flight(
     *, seconds=40.0, imu=25.0, rotors=10.0, loads=(1.0, 1.0, 1.0, 1.0), start=100.0, drag=0.0,
-    commands=None, curve=0.5, reboot=False, climb=True,
+    commands=None, curve=0.5, reboot=False, climb=True, throttles=(0.4, 0.4, 0.4, 0.4),
 ):  # fmt: skip
     """Records of a quad that hovers, its speeds squared over 1e5 as `loads`, climbing a little."""
     out = []
@@ -95,7 +95,7 @@ def flight(
 
     def u_of(t):
         # (1 - c) u + c u^2 = share
-        share = [0.4 * load * lift(t) for load in loads]
+        share = [full * load * lift(t) for full, load in zip(throttles, loads, strict=True)]
         a, b = 1.0 - curve, curve
         return tuple(
             1000.0 + 1000.0 * (s / a if b < 1e-9 else (-a + math.sqrt(a * a + 4 * b * s)) / (2 * b))
@@ -143,6 +143,19 @@ def test_a_loaded_rotor_moves_the_cg_at_any_rate(airframe, imu, rotors):
     assert name == "k_T"
     assert k_T.value == pytest.approx(2.0 * G / (1e5 * sum(loads)), rel=3e-3)
     assert k_T.ci95[0] < 2.0 * G / (1e5 * sum(loads)) < k_T.ci95[1]
+
+
+def test_rotors_that_idle_at_their_least_command_do_not_hover(airframe):
+    """Armed on the ground: the ESCs report that the rotors turn."""
+    health = told(flight(commands="beside", throttles=(0.0, 0.0, 0.0, 0.0)), airframe)
+    assert not health.available
+    assert "never in the air" in health.reasons[0]
+
+
+def test_a_rotor_that_turns_without_a_command_has_no_motor_gain(airframe):
+    health = told(flight(commands="beside", throttles=(0.4, 0.0, 0.4, 0.4)), airframe)
+    assert [rotor.motor_gain for rotor in health.rotors] == [None] * 4
+    assert health.thrust_to_weight is None or np.isfinite(health.thrust_to_weight.value)
 
 
 @pytest.mark.parametrize("curve", [0.0, 0.3, 0.65, 1.0])

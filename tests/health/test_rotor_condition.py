@@ -82,6 +82,18 @@ def test_less_than_three_percent_is_no_weak_rotor(loss, verdict):
     assert (found.verdict, found.suspect) == (verdict, None)
 
 
+@pytest.mark.parametrize("change", [0.9, 1.1])
+def test_what_all_rotors_share_leaves_no_number_open(change):
+    """The air became denser: no rotor is weaker, and the JSON holds finite numbers all the same."""
+    airframe = load_airframe("px4-quad-x")
+    before = trim(airframe, (0.0, 0.0), np.ones(4))
+    now = load(change * before)
+    found = compare_loads(load(before), now, airframe, (0.0, 0.0), unchanged=False)
+    assert found.verdict == "all"
+    assert np.isfinite(found.margin)
+    json.dumps(found.as_json(), allow_nan=False)
+
+
 def test_loads_that_gusts_may_have_changed_name_nobody():
     """The force in the rotors' plane shows gusts that the loads' own scatter does not."""
     airframe = load_airframe("px4-quad-x")

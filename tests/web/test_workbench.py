@@ -14,11 +14,13 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.strict_json import json_text
 from gcs_sysid.web import log_worker, workbench
 from gcs_sysid.web.log_analysis import HISTORY_INTERVAL, airframe_of
-from gcs_sysid.web.log_request import file_name, parse_request
+from gcs_sysid.web.log_request import PICTURE, RESULT, file_name, parse_request
+from tests.results.test_comparison import result
 
-from .conftest import Client
+from .conftest import Client, served
 
 PAPER = {"airframe": {"kind": "builtin", "name": "paper"}}
 
@@ -291,6 +293,39 @@ def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     said = lines_of(client.post(f"/items/{bad}/look", {})[1])
     assert "bad.ulg" in said[-1]["error"]
     assert str(tmp_path.parent) not in said[-1]["error"]
+
+
+class OneRunHovers:
+    """Stands for the processes that analyze: only in the first run is there a hover to draw."""
+
+    def __init__(self, _most):
+        self._pictures = iter(["<svg/>"])
+
+    async def run(self, job):
+        folder = Path(job["folder"])
+        (folder / RESULT).write_text(json_text(result(Ixx=0.1).as_json()))
+        for picture in self._pictures:
+            (folder / PICTURE).write_text(picture)
+            break
+        yield {"done": {}}
+
+    async def ended(self):
+        pass
+
+
+def test_what_is_shown_is_of_the_newest_run_alone(monkeypatch):
+    monkeypatch.setattr(workbench, "WorkerPool", OneRunHovers)
+    with served(workbench.Workbench()) as site:
+        client = Client(site, "pilot")
+        key = json.loads(put(client, "flight.tlog", b"\xfd" * 300)[1])["id"]
+        shown = []
+        for _ in range(2):
+            assert client.post(f"/items/{key}/analysis", PAPER)[0] == 200
+            shown.append(json.loads(client.get(f"/items/{key}/result")[1]))
+        assert [each["health"] for each in shown] == [True, False]
+        # A browser that has the picture of an address does not ask for it again.
+        assert shown[0]["run"] != shown[1]["run"]
+        assert client.get(f"/items/{key}/health.svg")[0] == 400
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")

@@ -1,7 +1,6 @@
 """`gcs-sysid airframe`: describe a vehicle in a file, and check one."""
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +28,7 @@ from gcs_sysid.setup_help.layouts import (
     rotor_table,
 )
 from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
+from gcs_sysid.strict_json import json_text
 
 
 def run(options: argparse.Namespace) -> int:
@@ -45,7 +45,7 @@ def _check(options: argparse.Namespace) -> int:
     findings = check_airframe(airframe)
     if options.json:
         table = {**airframe.as_json(), "findings": [finding.as_json() for finding in findings]}
-        show(json.dumps(table, indent=2, allow_nan=False))
+        show(json_text(table, 2))
     else:
         show(_picture(airframe, findings))
     return 1 if worst(findings) is Sign.PROBLEM else 0

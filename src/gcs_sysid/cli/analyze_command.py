@@ -4,12 +4,12 @@ import argparse
 import contextlib
 import functools
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
+from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
@@ -52,37 +52,31 @@ def run(options: argparse.Namespace) -> int:
     output.check_json(options.json, force=options.force)
     results: list[Result] = []
     healths: list[Health | None] = []
-    unreadable = 0
     deliveries = output.Deliveries()
     if options.added_mass is not None:
         results = _pair(options, airframe, chain)
         for log, result in zip(options.logs, results, strict=True):
             _print(log, result, truth, deliveries, table=options.json != "-")
+    one_by_one = OneByOne(options.logs)
     for log in options.logs if not results else ():
-        bar = output.progress_bar(log)
         hover = _hover_of(log, options, airframe)
         with (
+            one_by_one.attempt(log),
             hover,
             contextlib.nullcontext() if reporter is None else reporter as observer,
         ):
-            try:
-                result = analyze_log(
-                    Path(log),
-                    airframe,
-                    options.vehicle,
-                    chain,
-                    bar,
-                    observer=observer,
-                    keeper=hover.keeper,
-                    opened=hover.opened,
-                )
-            except InputError as error:
-                # The others may still be good.
-                print(f"gcs-sysid: error: {error}", file=sys.stderr)
-                unreadable += 1
-                continue
-            results.append(result)
+            result = analyze_log(
+                Path(log),
+                airframe,
+                options.vehicle,
+                chain,
+                output.progress_bar(log),
+                observer=observer,
+                keeper=hover.keeper,
+                opened=hover.opened,
+            )
             health = hover.health(result)
+            results.append(result)
             healths.append(health)
             _print(log, result, truth, deliveries, table=options.json != "-")
             if health is not None and health.contradicted:
@@ -100,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         content = documents[0] if len(options.logs) == 1 else documents
         deliveries.give(lambda: output.write_json(options.json, content, force=options.force))
     deliveries.check()
-    if unreadable:
+    if one_by_one.failed:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
 

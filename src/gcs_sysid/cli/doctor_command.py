@@ -1,7 +1,6 @@
 """`gcs-sysid doctor`: is this machine ready, and which vehicles are there?"""
 
 import argparse
-import json
 import sys
 
 from gcs_sysid.cli.output import show, terminal_width
@@ -17,6 +16,7 @@ from gcs_sysid.setup_help.checks import (
     check_terminal,
     worst,
 )
+from gcs_sysid.strict_json import json_text
 
 
 def run(options: argparse.Namespace) -> int:
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         findings.append(Finding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
     if options.json:
         report = {"findings": [finding.as_json() for finding in findings]}
-        show(json.dumps(report, indent=2, allow_nan=False))
+        show(json_text(report, 2))
     else:
         show(as_text(findings, terminal_width() or 100, unicode=can_show("✓✗")))
         show(f"\n{_summary(findings)}")

@@ -1,13 +1,13 @@
 """`gcs-sysid health`: the vehicle's condition from any flight that hovers."""
 
 import argparse
-import sys
 import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
+from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
@@ -35,24 +35,16 @@ def run(options: argparse.Namespace) -> int:
             check_target(Path(target), replace=options.force, sources=logs)
     form = None if options.params is None else format_of(Path(options.params))
     found: list[Health] = []
-    unreadable = 0
+    one_by_one = OneByOne(logs)
     for log in logs:
-        try:
+        with one_by_one.attempt(log):
             health = health_of_log(log, given, options.vehicle)
-        except InputError as error:
-            if len(logs) == 1:
-                raise
-            # The others may still be good.
-            print(f"gcs-sysid: error: {error}", file=sys.stderr)
-            unreadable += 1
-            continue
-        found.append(health)
-        if given.baseline is None:
-            first = as_baseline(health)
-            given = replace(given, baseline=first and replace(first, asked=False))
-        if not health.available:
-            why = "; ".join(health.reasons)
-            print(f"gcs-sysid: {log}: no result: {why}", file=sys.stderr)
+            found.append(health)
+            if given.baseline is None:
+                first = as_baseline(health)
+                given = replace(given, baseline=first and replace(first, asked=False))
+            if not health.available:
+                output.say(f"gcs-sysid: {log}: no result: {'; '.join(health.reasons)}")
     best = max(
         (health for health in found if health.available), key=lambda h: h.seconds, default=None
     )
@@ -65,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
             deliveries.give(lambda: output.show("\n\n".join(texts)))
     # Files last: what cannot be written costs no number.
     _write(options, found, best, form, deliveries)
-    if unreadable:
+    if one_by_one.failed:
         return 2
     return 0 if all(health.available for health in found) else 1
 

@@ -5,7 +5,6 @@ and the signals that end a command before its time.
 import contextlib
 import errno
 import io
-import json
 import os
 import shutil
 import signal
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, read_text, write_whole
+from gcs_sysid.strict_json import json_text, parse_json
 
 if TYPE_CHECKING:
     from gcs_sysid.results.result import Result
@@ -114,10 +114,7 @@ def read_truth(path: str) -> dict[str, float]:
     Raises:
         InputError: the file cannot be read or is no such JSON.
     """
-    try:
-        table = json.loads(read_text(Path(path), _MAX_TRUTH_BYTES, "the truth file"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from error
+    table = parse_json(read_text(Path(path), _MAX_TRUTH_BYTES, "the truth file"), path)
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
     numbers = {
@@ -166,7 +163,7 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
     """
     if path is None:
         return
-    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n", force=force)
+    write_text(path, json_text(document, 2) + "\n", force=force)
 
 
 def write_text(path: str, text: str, *, force: bool) -> None:

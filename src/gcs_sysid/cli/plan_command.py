@@ -1,7 +1,6 @@
 """`gcs-sysid plan`: what to fly, on paper. Nothing is sent to a vehicle."""
 
 import argparse
-import json
 import math
 import textwrap
 from collections.abc import Iterator
@@ -27,6 +26,7 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of
 from gcs_sysid.setup_help.checks import can_show
+from gcs_sysid.strict_json import json_text
 
 _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
 _COLUMNS = 32
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     if options.svg:
         deliveries.give(lambda: _write(options.svg, plan_svg(plan), options))
     if options.json:
-        document = json.dumps(plan.as_json(), indent=1) + "\n"
+        document = json_text(plan.as_json(), 1) + "\n"
         deliveries.give(lambda: _write(options.json, document, options))
     deliveries.check()
     return 0 if plan.enough else 1

@@ -1,19 +1,17 @@
 """Parsing, what `gcs-sysid` alone shows, and errors turned into one line and an exit status."""
 
 import argparse
-import errno
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from gcs_sysid import __version__
 from gcs_sysid.cli.commands import COMMANDS, PROGRAM, build_parser
-from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
-from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.cli.failures import failure_line, is_debugged, reader_has_gone
+from gcs_sysid.cli.output import abandon_stdout, say, show
+from gcs_sysid.errors import InputError
 from gcs_sysid.files import never_fail_to_print, with_mapping
-from gcs_sysid.sanitize import one_line
 
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
@@ -31,57 +29,16 @@ def run(argv: Sequence[str]) -> int:
         status = _run(argv)
         sys.stdout.flush()
         return status
-    except GcsSysidError as error:
-        say(f"{PROGRAM}: error: {error}")
-        return USAGE
     except KeyboardInterrupt:
         return 130
     except Exception as error:
-        if _reader_has_gone(error):
+        if reader_has_gone(error):
             abandon_stdout()
             return DONE
-        if is_full(error):
-            where = "standard output: " if _stdout_is_full() else ""
-            say(f"{PROGRAM}: error: {where}cannot write: {error.strerror}")
-            return USAGE
-        if isinstance(error, MemoryError):
-            say(f"{PROGRAM}: error: not enough memory for this")
-            return USAGE
-        if isinstance(error, ModuleNotFoundError) and error.name and _is_foreign(error.name):
-            say(
-                f"{PROGRAM}: error: the Python package {error.name} is not installed; "
-                f"pip install {PROGRAM} brings it (--headless and notebooks need no screen)"
-            )
-            return USAGE
-        # A defect. The user gets one line; GCS_SYSID_DEBUG gives the traceback.
-        if os.environ.get("GCS_SYSID_DEBUG"):
+        if is_debugged(error):
             raise
-        if isinstance(error, OSError) and error.filename is not None:
-            # The machine's: a folder that may not be looked into, a name that is too long.
-            said = one_line(f"{error.filename}: {error.strerror}")
-            say(f"{PROGRAM}: error: {said}")
-            return USAGE
-        kind = type(error).__name__
-        say(
-            f"{PROGRAM}: error: internal error ({kind}: {one_line(str(error))}); "
-            "please report it, with GCS_SYSID_DEBUG=1 set"
-        )
+        say(failure_line(error))
         return USAGE
-
-
-def _is_foreign(module: str) -> bool:
-    """Whether a module is another project's, which an installation may lack."""
-    return module.partition(".")[0] not in ("gcs_sysid", "sim_bridge")
-
-
-def _stdout_is_full() -> bool:
-    """Whether something waits there that cannot be written; it is given up."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        abandon_stdout()
-        return True
-    return False
 
 
 def _run(argv: Sequence[str]) -> int:
@@ -113,15 +70,6 @@ def _name_mappings(options: argparse.Namespace) -> None:
             setattr(options, name, [str(with_mapping(Path(log), mapping)) for log in given])
         elif given:
             setattr(options, name, str(with_mapping(Path(given), mapping)))
-
-
-def _reader_has_gone(error: Exception) -> bool:
-    """Whether standard output leads nowhere any more; Windows has another error for it."""
-    if isinstance(error, BrokenPipeError):
-        return True
-    if type(error) is OSError and error.errno == errno.EIO and error.filename is None:
-        return True  # a terminal that was closed
-    return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
 
 
 def welcome() -> str:

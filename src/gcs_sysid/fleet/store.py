@@ -9,6 +9,7 @@ from gcs_sysid.files import log_file, read_text, write_whole
 from gcs_sysid.fleet.jobs import FAILURE, Document, Task
 from gcs_sysid.results.result import SCHEMA
 from gcs_sysid.results.result_file import MOST_BYTES
+from gcs_sysid.strict_json import json_text
 
 RESULTS = "results"
 TABLE = "fleet.parquet"
@@ -78,6 +79,6 @@ class Store:
             InputError: it cannot be written.
         """
         path = self.folder / self.name(task)
-        write_whole(path, json.dumps(document, indent=2, allow_nan=False) + "\n", replace=True)
+        write_whole(path, json_text(document, 2) + "\n", replace=True)
         self._names[task.key] = path.name
         self._done.add(task.key)

@@ -185,6 +185,7 @@ def health_of(
     if not by_speed and c is None:
         return Health("", airframe=airframe, reasons=("nothing was seen in flight",))
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
+    sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         return Health("", airframe=airframe, reasons=(_no_hover(windows),))
@@ -255,6 +256,8 @@ def _missing(streams: Streams) -> tuple[str, ...]:
 def _no_hover(windows: Windows) -> str:
     if not len(windows.t):
         return "never seen in the air with IMU and rotor data together"
+    if windows.idle.all():
+        return "the rotors only idle, at no command above their least: never in the air"
     flown = len(windows.t) * windows.half
     return (
         f"hardly hovers: {windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough; "

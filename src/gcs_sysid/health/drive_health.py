@@ -30,7 +30,9 @@ def motor_gains(
 ) -> tuple[Estimate | None, ...]:
     """Speed squared for the command over that of the mean rotor."""
     n = hover.speeds.shape[1]
-    hover = hover.part(complete_rows(np.column_stack([hover.speeds, hover.commands])))
+    # A rotor that turns without a command is no motor at work.
+    commanded = complete_rows(hover.speeds) & (hover.commands > 0.0).all(axis=1)
+    hover = hover.part(commanded)
     if streams.speeds is None or streams.commands is None:
         return tuple([None] * n)
     if len(hover.t) < TUNING.fewest_windows:

@@ -1,6 +1,5 @@
 """Health as a file, and a change of the rotors in words."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.strict_json import parse_json
 
 SCHEMA = "gcs-sysid-health/1"
 _MOST_BYTES = 5_000_000
@@ -69,10 +69,7 @@ def read_baseline(path: Path) -> Baseline:
     Raises:
         InputError: it cannot be read, or holds no health.
     """
-    try:
-        table = json.loads(read_text(path, _MOST_BYTES, "the baseline"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from error
+    table = parse_json(read_text(path, _MOST_BYTES, "the baseline"), str(path))
     table = table.get("health", table) if isinstance(table, dict) else table
     try:
         if table["schema"] != SCHEMA:

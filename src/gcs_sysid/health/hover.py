@@ -132,6 +132,11 @@ class Windows:
         """Of hover."""
         return float(np.count_nonzero(self.hovering)) * self.half
 
+    @property
+    def idle(self) -> Mask:
+        """(n,) whether all commands are zero: rotors that turn then carry nothing."""
+        return complete_rows(self.commands) & ~self.commands.any(axis=1)
+
     def part(self, rows: Mask | slice) -> "Windows":
         """Some of the windows."""
         names = (

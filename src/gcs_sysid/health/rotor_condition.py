@@ -273,7 +273,8 @@ def compare_loads(
         if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
             loss = Estimate(-math.expm1(-extra), std * math.exp(-extra), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
-    left_best = min((entry[0] for entry in best), default=math.inf)
+    # Where no rotor is weaker, the best weak rotor has lost nothing.
+    left_best = min((entry[0] for entry in best), default=left_unchanged)
     least = min(others, left_best)
     suspect = None
     if large and _rival(best) - best[0][0] > TUNING.rival_margin:

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import json
 from importlib import resources
 
 from gcs_sysid.report import evidence_sections
@@ -13,6 +12,7 @@ from gcs_sysid.report.page_figures import Figures
 from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
+from gcs_sysid.strict_json import json_text
 
 _CONTENTS = (
     ("health", "Health"),
@@ -172,7 +172,7 @@ def _file_name(source: str) -> str:
 
 def _json(figures: Figures) -> Markup:
     """The figures as JSON that cannot end the element that it is in."""
-    text = json.dumps(figures.as_json(), allow_nan=False, separators=(",", ":"))
+    text = json_text(figures.as_json(), separators=(",", ":"))
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return Markup(text)

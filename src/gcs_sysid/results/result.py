@@ -1,6 +1,5 @@
 """The result of an identification, as files, screens and reports take it."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
+from gcs_sysid.strict_json import json_text
 
 if TYPE_CHECKING:
     import pandas
@@ -233,7 +233,7 @@ class Result:
 
     def dumps(self, indent: int | None = 2) -> str:
         """The result as JSON text (strict: no NaN or infinity)."""
-        return json.dumps(self.as_json(), indent=indent, allow_nan=False)
+        return json_text(self.as_json(), indent)
 
     def write(self, path: Path, *, force: bool = False) -> None:
         """Write the result to a file; over another one only if forced.

@@ -1,6 +1,5 @@
 """Results read back from the files that `--json` writes."""
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.results.result import SCHEMA, Result, Scale, Verdict
 from gcs_sysid.sanitize import one_line
+from gcs_sysid.strict_json import parse_json
 
 MOST_BYTES = 256 * 1024 * 1024
 """A file beyond this is no result."""
@@ -40,7 +40,7 @@ def read_result(path: Path) -> Result:
     """
     where = str(path)
     text = read_text(path, MOST_BYTES, "the result")
-    return parse_result(_last_document(text, where), where)
+    return parse_result(parse_json(text, where), where)
 
 
 def parse_result(document: object, where: str) -> Result:
@@ -175,27 +175,3 @@ def _scale(table: _Table) -> Scale | None:
         scale.text("from"),
         scale.number("std_given") or 0.0,
     )
-
-
-def _last_document(text: str, where: str) -> object:
-    """The JSON of a text: all of it, or its last line where every line is one."""
-
-    def refuse(word: str) -> NoReturn:
-        raise InputError(f"{where}: not strict JSON: {word} in it")
-
-    def finite(digits: str) -> float:
-        number = float(digits)
-        return number if math.isfinite(number) else refuse(f"{digits[:20]}, which is too large,")
-
-    def loads(part: str) -> object:
-        return json.loads(part, parse_constant=refuse, parse_float=finite)
-
-    try:
-        try:
-            return loads(text)
-        except json.JSONDecodeError as error:
-            if not error.msg.startswith("Extra data"):
-                raise
-            return loads(text.rstrip().rpartition("\n")[2])
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: not valid JSON: {error}") from error

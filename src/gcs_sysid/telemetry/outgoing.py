@@ -1,9 +1,9 @@
 """The one place that decides what may be sent to a vehicle.
 
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
-requests for the rates of messages and groups of them, time synchronization, and reading of
-parameters. Nothing that moves, arms, configures or restarts a vehicle can pass, and each field of
-what passes is limited to useful values: a caller's slip is refused as well.
+requests for the rates of messages and groups of them, and reading of parameters. Nothing that
+moves, arms, configures or restarts a vehicle can pass, and each field of what passes is limited to
+useful values: a caller's slip is refused as well.
 """
 
 import math
@@ -111,19 +111,20 @@ def _is_harmless_reading(message: Any) -> bool:
     return bool(by_name and _is_of_one_vehicle(message))
 
 
-_ALLOWED: dict[int, Callable[[Any], bool]] = {
+ADMITTED: dict[int, Callable[[Any], bool]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _is_harmless_group,
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _is_harmless_reading,
 }
+"""What may be sent, by message id, and which values of its fields. docs/security.md lists it."""
 
 
 def is_allowed(message: Any) -> bool:
     """Whether a message of the dialect may be sent at all."""
     # Not `message.id`: some messages have a field of that name, which hides the type.
     message_id = message.get_msgId()
-    check = _ALLOWED.get(message_id)
+    check = ADMITTED.get(message_id)
     of_that_type = type(message) is mavlink.mavlink_map.get(message_id)
     return check is not None and of_that_type and check(message)
 

@@ -1,7 +1,6 @@
 """A log's analysis for a page, and the health of a recording: files in a folder."""
 
 import contextlib
-import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -22,6 +21,7 @@ from gcs_sysid.report.page import render
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
+from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
 
@@ -94,9 +94,7 @@ def analyze(
         (folder / PICTURE).write_text(picture, encoding="utf-8")
     if hover.reported:
         document["health"] = document_of(hover)
-    (folder / RESULT).write_text(
-        json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    (folder / RESULT).write_text(json_text(document, 2) + "\n", encoding="utf-8")
     return {"verdict": result.verdict, "reasons": list(result.reasons), "health": hover.available}
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
+from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import parse_request
 
@@ -104,7 +105,7 @@ def main() -> int:
 
 
 def _say(document: Mapping[str, Any]) -> None:
-    print(json.dumps(document, allow_nan=False), flush=True)
+    print(json_text(document), flush=True)
 
 
 def _end_with_input() -> None:

@@ -6,7 +6,6 @@ goes into the session's command queue as from there. Nothing here knows a link o
 
 import asyncio
 import contextlib
-import json
 import math
 import tempfile
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -21,6 +20,7 @@ from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.view import SnapshotSource
+from gcs_sysid.strict_json import json_text
 from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
 from gcs_sysid.web.session_json import history_view, session_view
@@ -66,6 +66,7 @@ class SessionPage:
         self._packed = b""
         self._plots: dict[str, bytes] = {}
         self._health: dict[str, Any] = {"state": "none", "text": ""}
+        self._checks = 0
         self._checking: asyncio.Task[None] | None = None
         self._closing = asyncio.Event()
         self._folder = Path()
@@ -148,7 +149,7 @@ class SessionPage:
             made = history_view(self._known, name, self._scene.truth)
             if len(self._plots) >= _KEPT_PLOTS:
                 self._plots.clear()
-            self._plots[name] = json.dumps(made, allow_nan=False).encode()
+            self._plots[name] = json_text(made).encode()
         return web.Response(body=self._plots[name], content_type="application/json")
 
     async def _picture(self, _: web.Request) -> web.StreamResponse:
@@ -237,6 +238,7 @@ class SessionPage:
             self._checking = asyncio.create_task(self._look_at_health())
 
     async def _look_at_health(self) -> None:
+        self._checks += 1
         self._health = {"state": "running", "text": "Analyzing the hover so far ..."}
         recording, airframe = await asyncio.to_thread(self._recording), self._airframe()
         if recording is None or airframe is None:
@@ -261,12 +263,12 @@ class SessionPage:
                         "state": "done",
                         "text": f"From {seconds:.0f} s of hover.",
                         "advice": one["done"]["advice"],
-                        "serial": self._serial,
+                        "serial": self._checks,
                     }
 
 
 def _event(document: Mapping[str, Any]) -> bytes:
-    return b"data: " + json.dumps(document, allow_nan=False).encode() + b"\n\n"
+    return b"data: " + json_text(document).encode() + b"\n\n"
 
 
 def _text(arguments: Mapping[str, Any], key: str) -> str:

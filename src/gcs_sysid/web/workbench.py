@@ -54,7 +54,7 @@ class Item:
         kind: what it is.
         folder: of its own.
         size: bytes of the upload.
-        analyzed: whether there is a result.
+        results: folder of the newest result and of all that belongs to it; None before one.
         busy: processes and requests that need it.
     """
 
@@ -63,7 +63,7 @@ class Item:
     kind: Literal["log", "result"]
     folder: Path
     size: int = 0
-    analyzed: bool = False
+    results: Path | None = None
     busy: int = 0
     about: dict[str, Any] = field(default_factory=dict)
 
@@ -74,7 +74,14 @@ class Item:
 
     def as_json(self) -> dict[str, Any]:
         """For the page."""
-        return {"id": self.key, "name": self.name, "kind": self.kind, "analyzed": self.analyzed}
+        analyzed = self.results is not None
+        return {"id": self.key, "name": self.name, "kind": self.kind, "analyzed": analyzed}
+
+    def set_results(self, folder: Path) -> None:
+        """Have the results of one run take the place of those before, all of them."""
+        before, self.results = self.results, folder
+        if before is not None:
+            shutil.rmtree(before, ignore_errors=True)
 
 
 class Workbench:
@@ -137,11 +144,12 @@ class Workbench:
             raise InputError("that file is no longer here: drop it again")
         return item
 
-    def _finished(self, key: str) -> Item:
+    def _finished(self, key: str) -> tuple[Item, Path]:
+        """A log or result, and the folder of what was found."""
         item = self._items.get(key)
-        if item is None or not item.analyzed:
+        if item is None or item.results is None:
             raise InputError("no result there: analyze the log first")
-        return item
+        return item, item.results
 
     # -- uploads
 
@@ -224,12 +232,15 @@ class Workbench:
         parse_request(document)  # refused before a process is started
         if item.kind != "log":
             raise InputError(f"{item.name} is a result, not a log")
+        # A new name for each run: browsers show a picture again whose address they know.
+        results = item.folder / secrets.token_hex(8)
+        results.mkdir()
         job = {
             "do": "analyze",
             "log": str(item.upload),
             "name": item.name,
             "request": document,
-            "folder": str(item.folder),
+            "folder": str(results),
         }
         return await self._stream(request, item, job)
 
@@ -245,7 +256,7 @@ class Workbench:
             async with contextlib.aclosing(self._pool.run(job)) as said:
                 async for one in said:
                     if "done" in one and job["do"] == "analyze":
-                        item.analyzed = True
+                        item.set_results(Path(job["folder"]))
                         item.about = one["done"]
                     await response.write(json.dumps(one).encode() + b"\n")
             await response.write_eof()
@@ -256,8 +267,8 @@ class Workbench:
     # -- results
 
     async def _result(self, request: web.Request) -> web.StreamResponse:
-        item = self._finished(request.match_info["id"])
-        text = await asyncio.to_thread((item.folder / RESULT).read_text, encoding="utf-8")
+        item, results = self._finished(request.match_info["id"])
+        text = await asyncio.to_thread((results / RESULT).read_text, encoding="utf-8")
         document = json.loads(text)
         result = parse_result(document, RESULT)
         verdict = verdict_view(result)
@@ -267,13 +278,14 @@ class Workbench:
                 **item.as_json(),
                 "verdict": verdict,
                 "parameters": result_rows(result),
-                "health": (item.folder / PICTURE).exists(),
-                "report": (item.folder / REPORT).exists(),
+                "run": results.name,
+                "health": (results / PICTURE).exists(),
+                "report": (results / REPORT).exists(),
             }
         )
 
     def _file(self, request: web.Request, name: str) -> Path:
-        path = self._finished(request.match_info["id"]).folder / name
+        path = self._finished(request.match_info["id"])[1] / name
         if not path.exists():
             raise InputError(f"no {name} of that flight")
         return path
@@ -287,7 +299,7 @@ class Workbench:
         return web.Response(text=text, content_type="image/svg+xml", headers=_PICTURE)
 
     async def _result_file(self, request: web.Request) -> web.StreamResponse:
-        item = self._finished(request.match_info["id"])
+        item, _ = self._finished(request.match_info["id"])
         data = await asyncio.to_thread(self._file(request, RESULT).read_bytes)
         name = "".join(c if c.isascii() and c.isalnum() else "-" for c in Path(item.name).stem)
         return web.Response(
@@ -297,13 +309,13 @@ class Workbench:
         )
 
     async def _compare(self, request: web.Request) -> web.StreamResponse:
-        items = [self._finished(request.query.get(key, "")) for key in ("before", "after")]
+        chosen = [self._finished(request.query.get(key, "")) for key in ("before", "after")]
 
         def made() -> dict[str, Any]:
-            before, after = (read_result(item.folder / RESULT) for item in items)
+            before, after = (read_result(results / RESULT) for _, results in chosen)
             return comparison_rows(compare(before, after))
 
-        names = {"before": items[0].name, "after": items[1].name}
+        names = {"before": chosen[0][0].name, "after": chosen[1][0].name}
         return web.json_response({**names, **await asyncio.to_thread(made)})
 
 
@@ -317,6 +329,8 @@ def _accept_result(item: Item) -> Result:
         result = read_result(item.upload)
     except InputError as error:
         raise InputError(str(error).replace(str(item.upload), item.name)) from None
-    item.upload.rename(item.folder / RESULT)
-    item.analyzed = True
+    results = item.folder / secrets.token_hex(8)
+    results.mkdir()
+    item.upload.rename(results / RESULT)
+    item.set_results(results)
     return result

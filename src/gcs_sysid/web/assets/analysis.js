@@ -225,9 +225,9 @@ async function show(id) {
   if (found.report) links.unshift(make("a", { class: "button main", href: `/items/${id}/report.html`, target: "_blank", rel: "noopener" }, "Open the report"));
   fill(byId("downloads"), ...links);
   toggle(byId("health"), found.health);
-  if (found.health) byId("health-picture").src = `/items/${id}/health.svg`;
+  if (found.health) byId("health-picture").src = `/items/${id}/health.svg?${found.run}`;
   toggle(byId("report-box"), found.report);
-  if (found.report) byId("report").src = `/items/${id}/report.html`;
+  if (found.report) byId("report").src = `/items/${id}/report.html?${found.run}`;
   toggle(byId("result"), true);
   byId("result").focus({ preventScroll: true });
   byId("result").scrollIntoView({ block: "start" });
