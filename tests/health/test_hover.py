@@ -74,6 +74,7 @@ def test_shortcuts_give_what_numpy_gives():
 def flight(
     *, seconds=40.0, imu=25.0, rotors=10.0, loads=(1.0, 1.0, 1.0, 1.0), start=100.0, drag=0.0,
     commands=None, curve=0.5, reboot=False, climb=True, throttles=(0.4, 0.4, 0.4, 0.4),
+    sensors=True,
 ):  # fmt: skip
     """Records of a quad that hovers, its speeds squared over 1e5 as `loads`, climbing a little."""
     out = []
@@ -88,7 +89,7 @@ def flight(
             out.append((t, Record(stream, start + t - late, make(t), 0, source)))
 
     def imu_of(t):
-        return (0.0, 0.0, 0.0, -drag, 0.0, -G * lift(t))
+        return (0.0, 0.0, 0.0, -drag, 0.0, -G * lift(t) if sensors else 0.0)
 
     def speeds(t):
         return tuple(math.sqrt(1e5 * load * lift(t)) for load in loads)
@@ -103,7 +104,8 @@ def flight(
         )
 
     add(Stream.IMU, imu, imu_of)
-    add(Stream.ATTITUDE, 10.0, lambda t: (1.0, 0.0, 0.0, 0.0))
+    if sensors:
+        add(Stream.ATTITUDE, 10.0, lambda t: (1.0, 0.0, 0.0, 0.0))
     add(Stream.IN_AIR, 1.0, lambda t: (1.0,))
     if commands:
         add(Stream.ROTOR_COMMAND, rotors, u_of, "ACTUATOR_OUTPUT_STATUS")
@@ -150,6 +152,10 @@ def test_rotors_that_idle_at_their_least_command_do_not_hover(airframe):
     health = told(flight(commands="beside", throttles=(0.0, 0.0, 0.0, 0.0)), airframe)
     assert not health.available
     assert "never in the air" in health.reasons[0]
+
+
+def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
+    assert not told(flight(commands="alone", sensors=False), airframe).available
 
 
 def test_a_rotor_that_turns_without_a_command_has_no_motor_gain(airframe):

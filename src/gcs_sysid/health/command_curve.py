@@ -83,6 +83,8 @@ def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
         there = np.isfinite(u) & np.isfinite(w) & complete_rows(noise)
         if there.sum() < TUNING.fewest_windows or np.std(u[there]) < TUNING.least_throttle_motion:
             return None
+        if not w[there].any():
+            return None
         # Each rotor scaled to the thrust of the mean one at its own mean command.
         rows.append(np.column_stack([u, uu, u * t / span])[there])
         noises.append(noise[there])
@@ -132,7 +134,7 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
         [steady, *before, _earlier(windows, squares, TUNING.instrument_lags[0])]
     )
     there = complete_rows(np.column_stack([columns, lift, noise])) & _gentle(windows)
-    if there.sum() < 2 * TUNING.fewest_windows:
+    if there.sum() < 2 * TUNING.fewest_windows or not lift[there].any():
         return None
     if np.std(total[there] / windows.commands.shape[1]) < TUNING.least_throttle_motion:
         return None

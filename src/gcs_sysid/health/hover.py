@@ -350,8 +350,11 @@ def _lag_of(
             there = np.isfinite(columns).all(axis=1) & np.isfinite(y)
             if there.sum() < 2 * TUNING.fewest_windows:
                 return 0.0
+            size = float(np.mean(y[there])) ** 2
+            if not size:
+                return 0.0  # a sensor that gives nothing
             fit = np.linalg.lstsq(columns[there], y[there], rcond=None)[0]
-            cost += float(np.mean((y[there] - columns[there] @ fit) ** 2) / np.mean(y[there]) ** 2)
+            cost += float(np.mean((y[there] - columns[there] @ fit) ** 2)) / size
         costs.append(cost)
     i = int(np.argmin(costs))
     if not 0 < i < len(lags) - 1:
