@@ -21,7 +21,7 @@ from gcs_sysid.cli import live_command as live_command
 from gcs_sysid.cli import screens as screens
 from gcs_sysid.live import live_session as live_session
 from gcs_sysid.live.reception import Reception
-from gcs_sysid.live.recording import Recording
+from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -77,7 +77,7 @@ def pass_time(monkeypatch, capsys):
         air = Air(vehicle, silent)
 
         def receiver(url, *, record_to, **settings):
-            return Reception(Transceiver(air, **settings), Recording(record_to))
+            return Reception(Transceiver(air, **settings), SessionRecording(record_to))
 
         monkeypatch.setattr(live_command, "ReceiverProcess", receiver)
         monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: air.now))

@@ -25,7 +25,7 @@ from typing import Any
 
 from gcs_sysid.cli.output import read_truth
 from gcs_sysid.live.flight_coach import CoachOptions
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result

@@ -24,7 +24,7 @@ from benchmarks.reliability.rate import growth, rows_of_times, table
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.live import live_session as live
 from gcs_sysid.live.flight_coach import CoachOptions
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.link import Address, Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction, Model, Motion, Predictor
+from gcs_sysid.live.acceleration_prediction import (
+    KEPT,
+    LivePrediction,
+    Model,
+    Predictor,
+    RotationSamples,
+)
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
@@ -14,7 +20,7 @@ from tests.feeding import feed
 def watched():
     chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
     prediction = LivePrediction(chain)
-    chain.observers.append(prediction.take)
+    chain.observers.append(prediction.add_samples)
     return chain, prediction
 
 
@@ -46,7 +52,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
     def take(block):
         blocks.append(block)
         chain.fit = fit
-        prediction.take(block)
+        prediction.add_samples(block)
 
     chain.observers[:] = [take]
     feed(chain, paper_records[half:])
@@ -54,7 +60,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
     rotation = fit.rotation
     model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, "speed")
     whole = Predictor(blocks[0].dt, model).rows(
-        Motion(
+        RotationSamples(
             np.concatenate([b.t for b in blocks]),
             np.concatenate([b.samples.gyro for b in blocks]),
             np.concatenate([b.samples.rates for b in blocks]),

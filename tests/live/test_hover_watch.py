@@ -51,7 +51,7 @@ def test_it_looks_every_ten_seconds_and_forgets_after_ninety(airframe):
     watch = HoverWatch(Told(), "udp")
     looked, told = [], []
     for second in range(0, 100, 2):
-        watch.take(hover(10.0 + second, 12.0 + second))
+        watch.add_records(hover(10.0 + second, 12.0 + second))
         # Nobody looks while the session is busy.
         news = watch.look(airframe) if second < 20 or second > 90 else None
         if news is not None:
@@ -77,7 +77,7 @@ def test_a_rotor_that_becomes_weak_is_named_once(airframe):
     texts = []
     for second in range(0, 75, 5):
         loads = np.ones(4) if second < 40 else weak
-        watch.take(hover(10.0 + second, 15.0 + second, loads))
+        watch.add_records(hover(10.0 + second, 15.0 + second, loads))
         news = watch.look(airframe)
         if news is not None and news.text:
             texts.append((second, news.text))
@@ -89,8 +89,8 @@ def test_a_rotor_that_becomes_weak_is_named_once(airframe):
 
 def test_a_reboot_begins_another_flight(airframe):
     watch = HoverWatch(Told(), "udp")
-    watch.take(hover(500.0, 540.0))
+    watch.add_records(hover(500.0, 540.0))
     assert watch.look(airframe).document["verdict"] == "available"
     event = IntakeEvent(2.0, "reboot", "the vehicle's clock went back: reboot")
-    watch.take(hover(2.0, 3.0, events=[(0, event)]))
+    watch.add_records(hover(2.0, 3.0, events=[(0, event)]))
     assert watch.look(airframe).document["verdict"] == "refused"

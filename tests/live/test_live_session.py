@@ -14,7 +14,7 @@ from fastcrc import crc16
 from pymavlink import mavutil
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
@@ -14,7 +14,7 @@ from gcs_sysid.telemetry.urls import LinkUrl
 
 LOADS = """
 import sys
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.link import Link

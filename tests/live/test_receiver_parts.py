@@ -7,7 +7,8 @@ import pytest
 
 from gcs_sysid.live import receiver_main, receiver_wire
 from gcs_sysid.live.backlog import Backlog
-from gcs_sysid.live.receiver_main import Outbox
+from gcs_sysid.live.receiver_main import Outbox, RequestsDone
+from gcs_sysid.live.receiver_process import RelayedRequests
 from gcs_sysid.live.reception import (
     Ended,
     Failure,
@@ -16,7 +17,6 @@ from gcs_sysid.live.reception import (
     ResetMark,
     Toggled,
 )
-from gcs_sysid.live.request_relay import RelayedRequests, RequestsDone
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError

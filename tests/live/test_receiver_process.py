@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
@@ -63,7 +63,7 @@ def items(receiver, enough):
     deadline = time.monotonic() + LONGEST
     while not enough(got):
         assert time.monotonic() < deadline, got
-        got += receiver.take(0.05)
+        got += receiver.next_items(0.05)
     return got
 
 
@@ -202,7 +202,7 @@ _SESSION = textwrap.dedent(
     """
     import sys
     from pathlib import Path
-    from gcs_sysid.live.live_options import LiveOptions
+    from gcs_sysid.live.live_estimate import LiveOptions
     from gcs_sysid.live.live_session import LiveSession
     from gcs_sysid.live.receiver_process import ReceiverProcess
     from gcs_sysid.model.airframe import load_airframe

@@ -15,8 +15,7 @@ from fastcrc import crc16
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.changes import tracking
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
-from gcs_sysid.live.live_estimate import Duty
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import Duty, LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
@@ -160,7 +159,7 @@ def session():
 
 def rounds(session):
     """What the session's thread does, once."""
-    session._turn(session._source.take(0.0), time.monotonic())
+    session._turn(session._source.next_items(0.0), time.monotonic())
     session._publish(LinkState.CONNECTED)
 
 
@@ -217,7 +216,7 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
     with pytest.raises(InputError, match="try again"):
         session.toggle_recording()
     session._commands.grant(session._estimate.note)
-    session._turn(session._source.take(0.0), time.monotonic())
+    session._turn(session._source.next_items(0.0), time.monotonic())
     assert session.toggle_recording().endswith("stopped")
     session._source.close()
 

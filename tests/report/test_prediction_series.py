@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcs_sysid.live.acceleration_prediction import Model, Motion
+from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.report.data import AXES, Provenance, Recorder, gather
@@ -79,7 +79,7 @@ def test_after_a_change_the_segment_in_force_is_predicted(fly):
 def still(n, dt, rotors=4, gyro_std=0.01, seed=1):
     """A vehicle that hangs still, with a white gyro."""
     gyro = np.random.default_rng(seed).normal(0.0, gyro_std, (n, 3))
-    return Motion(dt * np.arange(n), gyro, np.zeros((n, 3)), np.full((n, rotors), 100.0))
+    return RotationSamples(dt * np.arange(n), gyro, np.zeros((n, 3)), np.full((n, rotors), 100.0))
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_pieces_do_not_matter_and_gaps_are_left_out(model):
     whole.gyro[2000:2010] = np.nan
     edges = [0, 17, 1999, 2600, 5000]
     parts = [
-        Motion(*(getattr(whole, name)[a:b] for name in ("t", "gyro", "rates", "rotors")))
+        RotationSamples(*(getattr(whole, name)[a:b] for name in ("t", "gyro", "rates", "rotors")))
         for a, b in pairwise(edges)
     ]
     one, many = (predict(p, dt, model, -np.inf, np.inf, 0.6) for p in ([whole], parts))

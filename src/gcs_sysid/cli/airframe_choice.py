@@ -163,7 +163,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     taken: list[Item] = []
     began, heard, beat_at, reported = time.monotonic(), None, -HEARTBEAT_EVERY, None
     while reported is None:
-        items = receiver.take(wait)
+        items = receiver.next_items(wait)
         taken += items
         for item in items:
             if isinstance(item, Batch):

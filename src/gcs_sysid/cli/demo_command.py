@@ -12,7 +12,7 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.followed_session import baseline_of, coach_options, follow, refit_interval
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.errors import GcsSysidError
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.model.airframe import load_airframe

@@ -14,7 +14,7 @@ from gcs_sysid.cli.followed_session import (
 )
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.telemetry.tlog_writer import unused_path

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordinate
 from gcs_sysid.estimation.rows.rotor_signals import RotorInput, RotorPath
@@ -32,7 +32,7 @@ _LEAST_CUTOFF_CYCLES = 1.5
 
 
 @dataclass(frozen=True)
-class Motion:
+class RotationSamples:
     """Samples of rotation on the uniform grid; NaN where there are none or it does not fly.
 
     Attributes:
@@ -70,7 +70,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Rows:
+class PredictionRows:
     """Rows of the forward form, NaN where a window held a missing sample.
 
     Attributes:
@@ -84,6 +84,12 @@ class Rows:
     rates: Array
     measured: Array
     predicted: Array
+
+    def part(self, rows: Mask) -> "PredictionRows":
+        """Some of the rows."""
+        return PredictionRows(
+            self.t[rows], self.rates[rows], self.measured[rows], self.predicted[rows]
+        )
 
 
 def half_window(dt: float, rotor_input: RotorInput) -> int:
@@ -118,7 +124,7 @@ class Predictor:
             basis = _basis_of(lag, commands, self.half * dt)
             self._path = RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
 
-    def rows(self, piece: Motion) -> Rows:
+    def rows(self, piece: RotationSamples) -> PredictionRows:
         """The rows that the next samples complete."""
         n, model = len(piece.t), self._model
         late = np.full((n, _ROTOR_SIGNALS), np.nan)
@@ -144,7 +150,7 @@ class Predictor:
                 [rows.late_average[0, :, :4], average[:, :inputs], rows.late_derivative[0, :, 4]]
             )
             predicted = x @ rb.forward_matrix(model.theta).T
-        return Rows(rows.average[:, -1], average[:, _RATES], measured, predicted)
+        return PredictionRows(rows.average[:, -1], average[:, _RATES], measured, predicted)
 
 
 class LivePrediction:
@@ -162,9 +168,9 @@ class LivePrediction:
         self._samples: deque[SampleBlock] = deque()
         self._waiting: list[SampleBlock] = []
         self._model: Model | None = None
-        self._rows: deque[Rows] = deque()
+        self._rows: deque[PredictionRows] = deque()
 
-    def take(self, block: SampleBlock) -> None:
+    def add_samples(self, block: SampleBlock) -> None:
         """Predict what this block adds by the fit there is; the chain takes it afterwards."""
         waiting = self._waiting
         if waiting and (block.fresh or block.dt != waiting[-1].dt or not self._is_in_force()):
@@ -215,7 +221,9 @@ class LivePrediction:
         )
         if new.any():
             self._rows.append(
-                Rows(rows.t[new], rows.rates[new], rows.measured[new], rows.predicted[new])
+                PredictionRows(
+                    rows.t[new], rows.rates[new], rows.measured[new], rows.predicted[new]
+                )
             )
         while self._rows and self._rows[0].t[-1] < last.t[-1] - KEPT:
             self._rows.popleft()
@@ -240,8 +248,8 @@ class LivePrediction:
             self._samples.popleft()
 
 
-def _joined(blocks: deque[SampleBlock]) -> Motion:
-    return Motion(
+def _joined(blocks: deque[SampleBlock]) -> RotationSamples:
+    return RotationSamples(
         np.concatenate([block.t for block in blocks]),
         np.concatenate([block.samples.gyro for block in blocks]),
         np.concatenate([block.samples.rates for block in blocks]),

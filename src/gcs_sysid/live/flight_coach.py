@@ -106,9 +106,9 @@ class Coach:
         self._tried = np.zeros(4)  # the same over windows with motion
         self._asked = np.zeros(3)  # squared rates, mean over what is advised
         self._damped = ""
-        chain.observers.append(self.take)
+        chain.observers.append(self.add_samples)
 
-    def take(self, block: SampleBlock) -> None:
+    def add_samples(self, block: SampleBlock) -> None:
         """Gather what motion there is in a block."""
         samples = block.samples.part(block.flying)
         rates = samples.rates[np.isfinite(samples.rates).all(axis=1)]

@@ -55,7 +55,7 @@ class HoverWatch:
         self._now = -np.inf
         self._named: int | None = None
 
-    def take(self, block: RecordBlock) -> None:
+    def add_records(self, block: RecordBlock) -> None:
         """The next records."""
         if any(event.kind in _ANEW for _, event in block.events):
             self._kept, self._fresh = [], []

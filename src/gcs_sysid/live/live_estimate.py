@@ -1,16 +1,15 @@
 """The estimate of a live session, and what looks on while it is made."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.acceleration_prediction import LivePrediction
-from gcs_sysid.live.command_queue import in_words
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.hover_watch import HoverWatch
-from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
@@ -24,6 +23,33 @@ from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.vehicles import Vehicle
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What a user may set for a live session.
+
+    Attributes:
+        rate: Hz to ask for, for IMU and rotors.
+        listen_only: send nothing at all.
+        wanted: system and perhaps component; None: the first autopilot received.
+        duration: s of wall clock after which the session ends; None: never.
+        refit_interval: s of vehicle time between estimates.
+        signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
+        coach: what the flight coach aims at; None: no advice.
+        state_folder: where the rates to restore are kept while the session lasts; None: nowhere.
+        predict: whether snapshots show the acceleration that was predicted.
+    """
+
+    rate: float = 250.0
+    listen_only: bool = False
+    wanted: tuple[int, int | None] | None = None
+    duration: float | None = None
+    refit_interval: float = 0.2
+    signing_key: Path | None = None
+    coach: CoachOptions | None = None
+    state_folder: Path | None = None
+    predict: bool = True
 
 
 class Duty(IntEnum):
@@ -71,7 +97,7 @@ class LiveEstimate:
         self._contradicted: tuple[str, ...] = ()
         self._prediction = LivePrediction(self.chain)
         if options.predict:
-            self.chain.observers.append(self._prediction.take)
+            self.chain.observers.append(self._prediction.add_samples)
         self._coach = None if options.coach is None else Coach(self.chain, options.coach)
         self._advised: Advice | None = None
         self._hover: HoverWatch | None = HoverWatch(self.intake, source)
@@ -95,22 +121,22 @@ class LiveEstimate:
         try:
             if self.duty is Duty.IDENTIFY:
                 self.intake.garbage_bytes = garbage_bytes
-                self._take(self._gathering.take(batch.frames, wall))
+                self._learn_from(self._gathering.take(batch.frames, wall))
             elif self.duty is Duty.WATCH:
                 self.intake.frames(batch.frames, wall)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self.retreat(defect)
 
-    def _take(self, records: RecordBlock) -> None:
+    def _learn_from(self, records: RecordBlock) -> None:
         if not len(records) and not records.events:
             return
         if self._hover is not None:
-            self._hover.take(records)
+            self._hover.add_records(records)
         self.chain.take(records)
 
     def result(self) -> Result:
         """The latest estimate, from all that was taken."""
-        self._take(self._gathering.rest())
+        self._learn_from(self._gathering.rest())
         return self.chain.result()
 
     def retreat(self, defect: Exception) -> None:
@@ -134,7 +160,7 @@ class LiveEstimate:
         """Do what the recording says at this place."""
         try:
             self.need()
-            self._take(self._gathering.take([reset_mark()], 1e-6 * time_us))
+            self._learn_from(self._gathering.take([reset_mark()], 1e-6 * time_us))
         except InputError as error:
             self.note(f"not done: {error}")
         except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
@@ -199,7 +225,7 @@ class LiveEstimate:
         if self.duty is Duty.IDENTIFY:
             try:
                 self._look_at_hover()
-                self._take(self._gathering.rest())
+                self._learn_from(self._gathering.rest())
                 return replace(complete(self.chain.finish()), health=self._health)
             except Exception as defect:  # noqa: BLE001 - handed to the main thread, which reports it
                 self.retreat(defect)
@@ -246,3 +272,8 @@ class LiveEstimate:
         self.chain.observers.clear()
         self._hover = None
         self._on_defect = lambda _: None
+
+
+def in_words(defect: Exception) -> str:
+    """One line about an unforeseen error."""
+    return f"internal error ({type(defect).__name__}: {defect})"

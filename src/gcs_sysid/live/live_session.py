@@ -6,6 +6,7 @@ What is received is recorded before it comes here (`reception`), in a process of
 `gcs-sysid live` runs: this thread may fail, be slow or be killed, and the recording is whole.
 """
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -14,11 +15,9 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.live.backlog import Backlog
-from gcs_sysid.live.command_queue import CommandQueue, in_words
-from gcs_sysid.live.live_estimate import Duty, LiveEstimate
-from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
 from gcs_sysid.live.live_view import link_status, with_link
 from gcs_sysid.live.reception import (
     Ended,
@@ -30,7 +29,7 @@ from gcs_sysid.live.reception import (
     Source,
     Toggled,
 )
-from gcs_sysid.live.recording import Recording
+from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
@@ -55,6 +54,52 @@ _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
 _LONGEST_MARK = 200
 """Characters; the rest is cut."""
+
+_MOST_COMMANDS = 64
+"""Commands of users that wait; who asks faster is refused."""
+
+
+class CommandQueue:
+    """Commands of users, which wait until the session's thread carries them out."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_COMMANDS)
+
+    def ask(self, command: Callable[[], None]) -> None:
+        """Have something done in the session's thread.
+
+        Raises:
+            InputError: too much waits to be done.
+        """
+        try:
+            self._waiting.put_nowait(command)
+        except queue.Full:
+            raise InputError("the session is busy: try again") from None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it holds no commands."""
+        return self._waiting.empty()
+
+    def grant(self, note: Callable[[str], None]) -> Exception | None:
+        """Carry out the requests. One that fails is reported, and the session continues.
+
+        Args:
+            note: called with what could not be done.
+
+        Returns:
+            The first defect, if one was met.
+        """
+        first: Exception | None = None
+        while not self.is_empty:
+            try:
+                self._waiting.get()()
+            except (GcsSysidError, OSError) as error:
+                note(f"not done: {error}")
+            except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
+                first = first or defect
+                note(f"not done: {in_words(defect)}")
+        return first
 
 
 class LiveSession:
@@ -96,7 +141,7 @@ class LiveSession:
             transceiver = Transceiver(
                 source, listen_only=options.listen_only, signing_key=options.signing_key
             )
-            source = Reception(transceiver, Recording(record_to))
+            source = Reception(transceiver, SessionRecording(record_to))
         self._source: Source = source
         self._options = options
         self._station = GroundStation(
@@ -257,7 +302,7 @@ class LiveSession:
 
     def _loop(self, began: float) -> None:
         while not self._stop.is_set():
-            items = self._source.take(_POLL)
+            items = self._source.next_items(_POLL)
             now = time.monotonic()
             self._turn(items, now)
             if not items and self._ended(now, began):
@@ -274,7 +319,7 @@ class LiveSession:
         """
         before = self._estimate.chain.t
         for item in items:
-            self._take(item)
+            self._accept(item)
         learned = self._estimate.chain.t != before
         self._attend(now)
         self._see_backlog(now)
@@ -290,7 +335,7 @@ class LiveSession:
             self._published = now
             self._publish(self._state())
 
-    def _take(self, item: Item) -> None:
+    def _accept(self, item: Item) -> None:
         match item:
             case Batch():
                 self._estimate.learn(item, self._source.link_report.garbage_bytes)
@@ -334,8 +379,8 @@ class LiveSession:
         self._source.finish()
         self._estimate.note_all(self._backlog.last_words())
         while not self._all_taken:
-            for item in self._source.take(_POLL):
-                self._take(item)
+            for item in self._source.next_items(_POLL):
+                self._accept(item)
             now = time.monotonic()
             self._backlog.look(now)
             if now - self._published >= _PUBLISH_LATE:

@@ -86,7 +86,7 @@ class LogSegments:
                 self._parts.extendleft(reversed(list(part.windows(samples))))
         return self._span(self._parts[0])[1]
 
-    def take(self) -> RecordBlock:
+    def next_part(self) -> RecordBlock:
         """The next part, which must be there."""
         part = self._next()
         assert part is not None
@@ -101,7 +101,7 @@ class LogSegments:
     def skip(self, windows: int) -> None:
         """Pass so many windows over."""
         for _ in range(windows):
-            self.take()
+            self.next_part()
 
     def rates(self) -> dict[str, float]:
         """Samples a second of the flight by the name of their stream, over the last seconds."""
@@ -245,9 +245,9 @@ class LogPlayback:
         self._checkpoints: list[_Checkpoint] = []
         self.go_back(0.0)
 
-    def take(self) -> None:
+    def play_part(self) -> None:
         """Take the next part, which must be there."""
-        self.chain.take(self.log_segments.take())
+        self.chain.take(self.log_segments.next_part())
         apart = max(_APART, self._recorded.duration / (_CHECKPOINTS + 1))
         position = self.log_segments.position
         last = self._checkpoints[-1].position if self._checkpoints else 0.0

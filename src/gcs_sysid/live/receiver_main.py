@@ -18,16 +18,16 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Failure, Item, Reception
-from gcs_sysid.live.recording import Recording
-from gcs_sysid.live.request_relay import RequestsDone
+from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.link import PersistentLink, open_link
+from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
@@ -106,6 +106,54 @@ class Outbox:
                 self._size -= len(data)
 
 
+class RequestsDone:
+    """Executes the requests of `RelayedRequests`, through the gate alone, and can undo them.
+
+    Args:
+        gate: decides what is sent.
+    """
+
+    def __init__(self, gate: Gate) -> None:
+        self._gate = gate
+        # (vehicle, message) -> version of MAVLink, and the interval to put back.
+        self._changed: dict[tuple[tuple[int, int], int], tuple[int, int]] = {}
+        self._may: dict[str, Callable[..., bool]] = {
+            "heartbeat": gate.heartbeat,
+            "set_message_interval": self._set_message_interval,
+            "get_message_interval": gate.get_message_interval,
+            "request_message_interval": gate.request_message_interval,
+            "request_group": gate.request_group,
+            "read_parameter": gate.read_parameter,
+        }
+
+    def ask(self, name: str, version: int, *arguments: object) -> None:
+        """Have the gate ask.
+
+        Raises:
+            NotAllowedError: that must never be sent.
+            KeyError: no request has that name.
+        """
+        self._gate.version = 1 if version == 1 else 2
+        self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))
+
+    def _set_message_interval(
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
+    ) -> bool:
+        if interval_us == own_us:
+            self._changed.pop((target, message_id), None)
+        else:
+            self._changed[target, message_id] = self._gate.version, own_us
+        return self._gate.set_message_interval(target, message_id, interval_us)
+
+    def restore(self) -> None:
+        """Restore the vehicle's own rates: the session is no longer there to do it."""
+        changed, self._changed = self._changed, {}
+        for _ in range(2):  # there is no later retry here either
+            for (target, message_id), (version, own_us) in changed.items():
+                self._gate.version = version
+                self._gate.set_message_interval(target, message_id, own_us)
+
+
 class ReceiverMain:
     """Drives a reception by the orders that come.
 
@@ -143,7 +191,7 @@ class ReceiverMain:
 
     def _taken(self, timeout: float) -> list[Item]:
         try:
-            return self._reception.take(timeout)
+            return self._reception.next_items(timeout)
         except Exception as defect:  # noqa: BLE001 - reported, and the next bytes may differ
             time.sleep(POLL)
             return [Failure(f"{type(defect).__name__}: {defect}")]
@@ -238,7 +286,7 @@ def open_reception(settings: dict[str, Any]) -> tuple[Reception, RequestsDone]:
         transceiver = Transceiver(
             link, listen_only=settings["listen_only"], signing_key=Path(key) if key else None
         )
-        recording = Recording(Path(record_to) if record_to else None)
+        recording = SessionRecording(Path(record_to) if record_to else None)
     except GcsSysidError:
         link.close()
         raise

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -14,7 +14,6 @@ from typing import Any, BinaryIO, cast
 from gcs_sysid.errors import GcsSysidError, InputError, LinkError
 from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Item, RecordingReport
-from gcs_sysid.live.request_relay import RelayedRequests
 from gcs_sysid.processes import apart
 from gcs_sysid.telemetry.transceiver import LinkReport, Requests
 from gcs_sysid.telemetry.urls import LinkUrl
@@ -30,6 +29,55 @@ _ENDS_WITHIN = 20.0
 _FLUSHED_WITHIN = 15.0
 """s."""
 _ERRORS: dict[str, type[GcsSysidError]] = {"InputError": InputError, "LinkError": LinkError}
+
+
+class RelayedRequests:
+    """Proxy for the gate where that is in another process: forwards requests to it.
+
+    Args:
+        send: called with a method of `Gate`, the protocol version and the arguments.
+        listen_only: as of `Gate`.
+        signing: as of `Gate`.
+    """
+
+    def __init__(
+        self, send: Callable[..., None], *, listen_only: bool = False, signing: bool = False
+    ) -> None:
+        self.version = 2
+        self._send = send
+        self.listen_only = listen_only
+        self.signing = signing
+
+    def heartbeat(self) -> bool:
+        """As of `Gate`."""
+        return self._ask("heartbeat")
+
+    def set_message_interval(
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
+    ) -> bool:
+        """As of `Gate`."""
+        return self._ask("set_message_interval", target, message_id, interval_us, own_us)
+
+    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("get_message_interval", target, message_id)
+
+    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("request_message_interval", target, message_id)
+
+    def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("request_group", target, group, hertz)
+
+    def read_parameter(self, target: tuple[int, int], name: str) -> bool:
+        """As of `Gate`."""
+        return self._ask("read_parameter", target, name)
+
+    def _ask(self, name: str, *arguments: object) -> bool:
+        if not self.listen_only:
+            self._send(name, self.version, *arguments)
+        return not self.listen_only
 
 
 class ReceiverProcess:
@@ -128,7 +176,7 @@ class ReceiverProcess:
         """Arrived data that were not taken yet, s."""
         return max(0.0, 1e-6 * (self._newest - self._taken)) if self._messages else 0.0
 
-    def take(self, timeout: float) -> Sequence[Item]:
+    def next_items(self, timeout: float) -> Sequence[Item]:
         """Wait up to `timeout` s; what comes next, in order.
 
         Raises:
@@ -151,7 +199,7 @@ class ReceiverProcess:
         return [wire.read_item(kind, body) for kind, body in some]
 
     def put_back(self, items: Sequence[Item]) -> None:
-        """Have the next `take` give these, which were taken before."""
+        """Have the next `next_items` give these, which were taken before."""
         self._returned = [*items, *self._returned]
 
     def take_events(self) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from gcs_sysid.live.recording import Recording
+from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.transceiver import LinkReport, Port, Requests, Transceiver
@@ -79,7 +79,7 @@ class Source(Port, Protocol):
     def unlearnt(self) -> int:
         """Frames that are recorded and were not handed over, because too many waited."""
 
-    def take(self, timeout: float) -> Sequence[Item]:
+    def next_items(self, timeout: float) -> Sequence[Item]:
         """Wait up to `timeout` s; what comes next, in order."""
 
     def take_events(self) -> list[str]:
@@ -116,7 +116,7 @@ class Reception:
     waiting = 0.0
     """Taking never waits; the rest is in the system's buffer."""
 
-    def __init__(self, transceiver: Transceiver, recording: Recording) -> None:
+    def __init__(self, transceiver: Transceiver, recording: SessionRecording) -> None:
         self._transceiver = transceiver
         self._recording = recording
         self._items: list[Item] = []
@@ -152,7 +152,7 @@ class Reception:
         """Answer to this vehicle from now on."""
         self._transceiver.follow(vehicle)
 
-    def take(self, timeout: float) -> list[Item]:
+    def next_items(self, timeout: float) -> list[Item]:
         """Wait up to `timeout` s; what came, recorded."""
         if not self._finished and not self._items:
             self._receive(timeout)

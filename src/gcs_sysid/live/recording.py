@@ -12,7 +12,7 @@ _MOST_LINES = 100
 """Recordings that are listed at the end, the latest."""
 
 
-class Recording:
+class SessionRecording:
     """Starts and stops recordings; nothing here waits for the disk, but for `finish`.
 
     Args:

@@ -208,7 +208,7 @@ class ReplaySession:
             return 0.0
         if end > until:
             return self._wait(playback.log_segments, end, until)
-        playback.take()
+        playback.play_part()
         self._changed = True
         self._report_result()
         return 0.0
@@ -263,7 +263,7 @@ class ReplaySession:
         """Predict what will be shown; while seeking nothing is shown, and it costs as much."""
         until = self._goal if self._goal is not None else self._due()
         if min(until, self._duration) - block.t[-1] < _SEEN:
-            self._prediction.take(block)
+            self._prediction.add_samples(block)
 
     def _end(self) -> None:
         self._chain.finish()

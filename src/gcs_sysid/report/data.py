@@ -18,7 +18,7 @@ from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.files import log_file
-from gcs_sysid.live.acceleration_prediction import Model, Motion
+from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.prediction_series import Prediction, Spectrum, predict, residual_spectrum
 from gcs_sysid.results.result import Result
@@ -79,13 +79,13 @@ class Recorder:
         self.history, self.validation = chain.history, chain.fit.validation
         self.notes = chain.events
 
-    def samples(self) -> Iterator[Motion]:
+    def samples(self) -> Iterator[RotationSamples]:
         """What was taken, in pieces; a gap is a sample that is missing."""
         self._file.seek(0)
         while data := self._file.read(_AT_ONCE * self._row.itemsize):
             rows = np.frombuffer(data, self._row)
             x = rows["x"].astype(float)
-            yield Motion(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])
+            yield RotationSamples(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])
 
     def close(self) -> None:
         """Drop the samples."""

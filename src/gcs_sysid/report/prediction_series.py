@@ -9,7 +9,7 @@ from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.rows.rotor_signals import RotorInput
-from gcs_sysid.live.acceleration_prediction import Model, Motion, Predictor, half_window
+from gcs_sysid.live.acceleration_prediction import Model, Predictor, RotationSamples, half_window
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import cosine_window
 
@@ -58,7 +58,7 @@ class Spectrum:
 
 
 def predict(
-    pieces: Iterable[Motion],
+    pieces: Iterable[RotationSamples],
     dt: float,
     model: Model | None,
     since: float,
