@@ -38,7 +38,7 @@ SOURCES = sorted(
     path for folder in ("src/gcs_sysid", "sim_bridge") for path in (ROOT / folder).rglob("*.py")
 )
 ASSETS = sorted((ROOT / "src" / "gcs_sysid" / "web" / "assets").glob("*.[hj]*"))
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:

@@ -23,7 +23,7 @@ EXPECTED_PAGES = ("coach.md",)
 """Pages that the navigation names already, written or not."""
 
 FORMULA_PAGES = ("method.md", "errata.md", "glossary.md")
-"""Pages whose text is full of symbols."""
+"""Pages whose text is full of symbols, as are those below `method`."""
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _SYMBOL = re.compile(r"(?<![\w/])([A-Za-zΩω])_(cg|max|[a-zA-Z]{1,2}|\d)(?![A-Za-z0-9_])")
 
@@ -42,7 +42,8 @@ def math_fence(
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Set the indices of symbols as indices, on the pages about the method, outside of code."""
-    if page.file.src_uri not in FORMULA_PAGES:
+    uri = page.file.src_uri
+    if uri not in FORMULA_PAGES and not uri.startswith("method/"):
         return markdown
     parts = _CODE.split(markdown)
     parts[::2] = [_SYMBOL.sub(r"\1<sub>\2</sub>", part) for part in parts[::2]]

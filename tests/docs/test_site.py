@@ -32,7 +32,8 @@ def test_nothing_is_loaded_from_elsewhere(site):
 
 
 def test_formulas_are_mathml(site):
-    method = (site / "method.html").read_text(encoding="utf-8")
+    pages = [site / "method.html", *sorted((site / "method").glob("*.html"))]
+    method = "".join(page.read_text(encoding="utf-8") for page in pages)
     assert method.count("<math ") >= 8
     assert method.count('<mtable class="matrix">') >= 3
     assert "\\begin{" not in method
@@ -69,7 +70,7 @@ def test_pages_fit_the_window(site, browser, width, scheme):
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page = context.new_page()
     wide = []
-    for file in sorted(site.glob("*.html")):
+    for file in sorted(site.rglob("*.html")):
         page.goto(file.as_uri())
         root = "document.documentElement"
         if page.evaluate(f"{root}.scrollWidth > {root}.clientWidth"):

@@ -61,7 +61,7 @@ def command_result():
 
 
 class Equations:
-    """Rotational equations of `docs/method.md`, axes forward, right, down; nothing of exports."""
+    """Rotation as of docs/method/model.md, axes forward, right, down; nothing of exports."""
 
     J = np.array(
         [

@@ -58,7 +58,7 @@ def test_a_snapshot_waits_one_turn_for_samples_and_no_longer(
     session = LiveSession(Silence(), load_airframe("paper"), LiveOptions(listen_only=True))
     monkeypatch.setattr(Chain, "t", property(lambda _: now[0]))
     monkeypatch.setattr(session, "_publish", lambda _: seen.append(now[0]))
-    monkeypatch.setattr(session, "_take", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    monkeypatch.setattr(session, "_accept", lambda seconds: now.__setitem__(0, now[0] + seconds))
     # Nothing processed: at once. Samples in every turn: every other one.
     session._turn([], 0.0)
     assert seen == [0.0]

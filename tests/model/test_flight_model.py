@@ -35,7 +35,7 @@ def speeds_at(t):
 
 
 def first_principles(m):
-    """Newton and Euler in vectors, with the rotors' angular momentum, as of docs/method.md."""
+    """Newton and Euler in vectors, with the rotors' momentum, as of docs/method/model.md."""
     J = np.array([[m.inertia[i] for i in row] for row in ((0, 3, 5), (3, 1, 4), (5, 4, 2))])
     z = np.array([0.0, 0.0, 1.0])
     arms = np.stack([PLACES[0] - m.cg[0], PLACES[1] - m.cg[1], np.zeros(4)], axis=1)

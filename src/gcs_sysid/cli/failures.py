@@ -13,7 +13,7 @@ from gcs_sysid.sanitize import one_line
 
 
 def failure_line(error: Exception, log: str = "") -> str:
-    """The line that tells a user of a failure.
+    """The line that reports a failure to a user.
 
     Args:
         error: a refusal, what the machine lacks, or a defect.

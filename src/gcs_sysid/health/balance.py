@@ -1,7 +1,7 @@
 """Balances of force and moment in hover: CG, thrust coefficients, shares.
 
 With T_i = k_T Omega_i^2, or T_max ((1 - c) u_i + c u_i^2), Newton-Euler about the CG (signs of
-docs/method.md, rotors at x_i, y_i from the geometric center) reads
+docs/method/model.md, rotors at x_i, y_i from the geometric center) reads
 
     sum T_i x_i / T = cg_x + (Jyy q' + (Jxx - Jzz) r p + ...) / T
     sum T_i y_i / T = cg_y - (Jxx p' + (Jzz - Jyy) q r + ...) / T ,     T = sum T_i

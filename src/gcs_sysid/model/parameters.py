@@ -79,7 +79,7 @@ class Parameter:
 
     Attributes:
         name: in results (JSON).
-        symbol: in text, as in docs/method.md.
+        symbol: in text, as in docs/method/model.md.
         unit: SI.
         meaning: in words.
         excited_by: the motion or signal that makes it observable.

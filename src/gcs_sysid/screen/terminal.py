@@ -3,8 +3,8 @@
 A closed window, a killed tmux pane and a broken SSH connection hang the terminal up: writing to it
 fails, reading returns nothing at once, and the kernel sends SIGHUP and SIGCONT, but to the first
 process of the terminal alone. Where that is `make`, or any other parent that passes no signal on,
-the program below it hears nothing. So the application asks at every turn whether its terminal is
-still there.
+the program below it is never signaled. So the application asks at every turn whether its terminal
+is still there.
 
 Textual's writer thread ends with the first failed write, after which its queue of 30 fills and
 blocks the application for good; its reader of keys turns a core on a terminal that is gone; its
