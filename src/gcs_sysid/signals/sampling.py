@@ -10,6 +10,7 @@ from gcs_sysid.model import attitude
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
+from gcs_sysid.signals.gyro_check import GyroCheck
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
@@ -139,6 +140,8 @@ class Sampler:
         self._held: list[_Held] = []
         self._start, self._end = start, end
         self._flight = FlightDetector()
+        self.gyro_check = GyroCheck()
+        """The gyro against the reported attitude, in flight."""
         self._filter: ComplementaryFilter | None = None
         self._first: float | None = None
         self._began = self._newest = 0.0
@@ -339,6 +342,7 @@ class Sampler:
         flying[0] &= not rebooted
         self.time_base.flown += dt * int(np.count_nonzero(flying))
         gyro = np.where(flying[:, None], gyro, np.nan)
+        self.gyro_check.update(t, gyro, reference, fresh=block.fresh)
         samples = Samples(
             gyro=gyro,
             rates=gyro - bias,

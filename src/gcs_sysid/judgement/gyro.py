@@ -1,0 +1,59 @@
+"""Does the gyro read what the attitude turns? If not, what does it do?"""
+
+import math
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+
+AXES = ("roll", "pitch", "yaw")
+_SYSTEMATIC = np.array([0.015, 0.015, 0.05])
+"""Shares by which sound gyros and attitudes of 40 logs differ beyond their noise: gravity corrects
+roll and pitch of an attitude, the compass its yaw."""
+_CERTAIN = 3.0
+"""Standard deviations."""
+_ALIKE = 0.1
+"""Share to which axes have one scale, or a scale is that of a unit."""
+_MOVED = 0.01
+"""rad rms in an interval, below which an axis has hardly turned."""
+_DEAD = 0.1
+"""Share of a turn that a dead axis reads at most."""
+
+
+def misread_axes(check: GyroAgainstAttitude) -> Array:
+    """(3,) which axes certainly do not read what the attitude turns."""
+    std = np.hypot(np.diag(check.std), _SYSTEMATIC)
+    wrong: Array = np.abs(np.diag(check.gain) - 1.0) > _CERTAIN * std
+    return wrong & (check.turned > _MOVED)
+
+
+def gyro_reason(check: GyroAgainstAttitude | None) -> str:
+    """What the gyro does wrong and what to do, in one line; empty where nothing is certain."""
+    if check is None or not (wrong := misread_axes(check)).any():
+        return ""
+    gain = check.gain
+    scale = np.diag(gain)
+    mean = float(scale.mean())
+    if wrong.sum() >= 2 and float(np.ptp(scale)) < _ALIKE * abs(mean):
+        if abs(math.radians(mean) - 1.0) < _ALIKE:
+            return (
+                f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not "
+                "rad/s; give its unit"
+            )
+        return (
+            f"the gyro reads {mean:.2f} of what the attitude turns, and inertia would be off by "
+            "as much: check its scale and range"
+        )
+    turned = [(AXES[row], AXES[int(np.abs(gain[row]).argmax())]) for row in np.flatnonzero(wrong)]
+    if all(a != b for a, b in turned) and np.abs(gain @ gain.T - np.eye(3)).max() < 3.0 * _ALIKE:
+        words = " and ".join(f"{a} what turns in {b}" for a, b in turned)
+        return (
+            f"the gyro reads in {words}: the board is turned against the attitude's axes; check "
+            "its orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)"
+        )
+    words = " and ".join(
+        f"{AXES[i]} axis reads {'nothing' if abs(scale[i]) < _DEAD else f'{scale[i]:.2f}'}"
+        for i in np.flatnonzero(wrong)
+    )
+    return f"the gyro's {words} of what the attitude turns: check the IMU"

@@ -1,0 +1,98 @@
+"""The gyro against the attitude: scale, unit, axes."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.judgement.gyro import gyro_reason, misread_axes
+from gcs_sysid.model import attitude
+from gcs_sysid.signals.gyro_check import GyroCheck
+
+RATE = 100.0
+T = np.arange(0.0, 40.0, 1.0 / RATE)
+RNG = np.random.default_rng(7)
+
+
+def motion():
+    """Body rates of a pilot's doublets, and the attitude that follows from them."""
+    rates = np.stack(
+        [0.8 * np.sin(2.1 * T + k) * np.cos(0.7 * T * (k + 1)) for k in range(3)], axis=1
+    )
+    turns = attitude.from_rotation_vector(0.5 * (rates[1:] + rates[:-1]) / RATE)
+    q = [np.array([1.0, 0.0, 0.0, 0.0])]
+    for turn in turns:
+        q.append(attitude.multiply(q[-1], turn))
+    return rates, np.array(q)
+
+
+RATES, Q = motion()
+
+
+def checked(gyro, q=Q, *, noise=0.02, block=10**6):
+    gyro = gyro + noise * RNG.normal(size=gyro.shape)
+    check = GyroCheck()
+    for i in range(0, len(T), block):
+        k = slice(i, i + block)
+        check.update(T[k], gyro[k], q[k])
+    return check.result()
+
+
+def test_a_sound_gyro_reads_what_the_attitude_turns():
+    late = np.roll(Q, 2, axis=0)
+    late[:2] = Q[0]
+    found = checked(RATES + np.array([0.02, -0.01, 0.0]), late)
+    np.testing.assert_allclose(found.gain, np.eye(3), atol=0.02)
+    np.testing.assert_allclose(found.bias, [0.02, -0.01, 0.0], atol=0.004)
+    assert not misread_axes(found).any()
+    assert gyro_reason(found) == ""
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (0.5, "the gyro reads 0.50 of what the attitude turns"),
+        (0.93, "the gyro reads 0.93 of what"),
+        (180.0 / np.pi, "57.3 times what the attitude turns: it is in deg/s"),
+        ([0.5, 1.0, 1.0], "roll axis reads 0.50 of what"),
+        ([1.0, 0.0, 1.0], "pitch axis reads nothing of what"),
+        ([1.0, -1.0, 1.0], "pitch axis reads -1.00 of what"),
+    ],
+)
+def test_a_wrong_scale_is_named(scale, words):
+    assert words in gyro_reason(checked(RATES * scale))
+
+
+def test_a_turned_board_is_named():
+    turned = RATES[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+    assert "the board is turned" in gyro_reason(checked(turned))
+
+
+def test_noise_of_the_attitude_is_no_scale():
+    noisy = Q + 0.01 * RNG.normal(size=Q.shape)
+    found = checked(RATES, noisy / np.linalg.norm(noisy, axis=1, keepdims=True))
+    assert not misread_axes(found).any()
+
+
+def test_a_vehicle_that_hardly_turns_says_nothing():
+    still = np.tile(Q[:1], (len(T), 1))
+    assert gyro_reason(checked(0.0 * RATES, still)) == ""
+
+
+def test_gaps_are_no_turns():
+    q = Q.copy()
+    q[1500:1600] = np.nan
+    q[1600:] = attitude.multiply(np.array([0.0, 0.0, 0.0, 1.0]), q[1600:])
+    np.testing.assert_allclose(np.diag(checked(RATES, q).gain), 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize("block", [1, 7, 333])
+def test_size_of_blocks_does_not_matter(block):
+    whole, parts = checked(RATES, noise=0.0), checked(RATES, noise=0.0, block=block)
+    np.testing.assert_allclose(parts.gain, whole.gain, atol=1e-9)
+    assert parts.seconds == pytest.approx(whole.seconds)
+
+
+def test_too_little_flight_is_no_finding():
+    check = GyroCheck()
+    check.update(T[:200], RATES[:200], Q[:200])
+    assert check.result() is None
+    assert gyro_reason(None) == ""
