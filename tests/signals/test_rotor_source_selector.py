@@ -401,3 +401,24 @@ def test_groups_of_rotors_repeat_on_their_own():
             record = Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source)
             rotor_selector.extend(RecordBlock.of([record]).tracks)
     assert rotor_selector.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "low", "high"),
+    [
+        # MOT_PWM_MIN = 0 means the range of the throttle's channel.
+        ({"MOT_PWM_MIN": 0.0, "MOT_PWM_MAX": 0.0, "RC3_MIN": 1094.0, "RC3_MAX": 1934.0,
+          "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.7}, 1220.0, 1682.0),
+        ({"MOT_PWM_MIN": 0.0, "RCMAP_THROTTLE": 1.0, "RC1_MIN": 1100.0, "RC1_MAX": 1900.0,
+          "RC3_MIN": 1000.0, "RC3_MAX": 2000.0, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9},
+         1180.0, 1820.0),
+        # Copter 3.1: channel 3 whatever RCMAP says, and the curve's end in percent.
+        ({"RCMAP_THROTTLE": 1.0, "RC1_MIN": 1100.0, "RC1_MAX": 1922.0, "RC3_MIN": 1113.0,
+          "RC3_MAX": 1906.0, "THR_MIN": 130.0, "MOT_TCRV_ENABLE": 1.0, "MOT_TCRV_MAXPCT": 93.0},
+         1216.1, 1850.5),
+        ({}, 1150.0, 1950.0),
+    ],
+)  # fmt: skip
+def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
+    found = command_range("RCOU", CommandRange(), "ardupilot", parameters, 1600.0)
+    assert (found.low, found.high) == (pytest.approx(low, abs=0.1), pytest.approx(high, abs=0.1))

@@ -19,7 +19,8 @@ Parameters = Mapping[str, float]
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM_AUX_M",
                    "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
-                   "motorOutput", "minthrottle", "maxthrottle")  # fmt: skip
+                   "motorOutput", "minthrottle", "maxthrottle", "RCMAP_THROTTLE", "MOT_TCRV_",
+                   "THR_MIN", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
 """How the names of the parameters that matter here begin."""
 
 FIRST_MOTOR = 101
@@ -78,18 +79,40 @@ def command_range(
 
 
 def _of_ardupilot(parameters: Parameters) -> Range:
+    low, high, pulses = _pulses_of_ardupilot(parameters)
+    start, full = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
+    spin = "MOT_SPIN_*"
+    if "MOT_SPIN_MIN" not in parameters and parameters.get("MOT_TCRV_ENABLE") == 1.0:
+        # Copter up to 3.2: THR_MIN in thousandths, the curve's end in percent.
+        start = 1e-3 * parameters.get("THR_MIN", 130.0)
+        full = 1e-2 * parameters.get("MOT_TCRV_MAXPCT", 93.0)
+        spin = "THR_MIN, MOT_TCRV_MAXPCT"
+    elif (
+        not {"MOT_SPIN_MIN", "MOT_SPIN_MAX"} <= parameters.keys() or not 0.0 <= start < full <= 1.0
+    ):
+        start, full = 0.15, 0.95
+        return Range(
+            low + start * (high - low),
+            low + full * (high - low),
+            "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed",
+        )
+    return Range(low + start * (high - low), low + full * (high - low), f"{pulses} and {spin}")
+
+
+def _pulses_of_ardupilot(parameters: Parameters) -> tuple[float, float, str]:
+    """Least and largest pulse in us, and where they are from.
+
+    Zero, as of Copter up to 3.3, which has no MOT_PWM_*, is the range of the throttle's channel;
+    there that is channel 3, whatever RCMAP_THROTTLE says.
+    """
     low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
-    if not 0.0 < low < high:
-        low, high = 1000.0, 2000.0
-    start = parameters.get("MOT_SPIN_MIN", 0.15)
-    full = parameters.get("MOT_SPIN_MAX", 0.95)
-    reported = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
-    if not 0.0 <= start < full <= 1.0:
-        start, full, reported = 0.15, 0.95, False
-    origin = (
-        "MOT_PWM_* and MOT_SPIN_*" if reported else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
-    )
-    return Range(low + start * (high - low), low + full * (high - low), origin)
+    if 0.0 < low < high:
+        return low, high, "MOT_PWM_*"
+    channel = int(parameters.get("RCMAP_THROTTLE", 3.0)) if "MOT_PWM_MIN" in parameters else 3
+    low, high = (parameters.get(f"RC{channel}_{end}", 0.0) for end in ("MIN", "MAX"))
+    if 0.0 < low < high:
+        return low, high, f"RC{channel}_MIN, RC{channel}_MAX"
+    return 1000.0, 2000.0, "MOT_PWM_*"
 
 
 def _of_blackbox(parameters: Parameters) -> Range:
