@@ -23,11 +23,10 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
         out.append(
             "if nothing was moved or loaded since the flight before, --unchanged names the rotor"
         )
-    out += _weak_motor(health)
-    out += _cg(health, given)
-    out += _yaw(health)
+    unlike = _unlike_motors(health)
+    out += unlike or [*_cg(health, given), *_yaw(health)]
     out += _margins(health)
-    if health.condition is None and health.available and len(health.rotors) == 4:
+    if not unlike and health.condition is None and health.available and len(health.rotors) == 4:
         out.append(
             "a weak propeller looks like a CG shift on four rotors in one flight: pass an earlier "
             "flight as --baseline, or fly once more with the load moved"
@@ -85,21 +84,28 @@ def _yaw(health: Health) -> list[str]:
     ]
 
 
-def _weak_motor(health: Health) -> list[str]:
-    """A motor or ESC that turns slower for its command than the others, by more than chance."""
+def _unlike_motors(health: Health) -> list[str]:
+    """Motors that turn otherwise for their command than the others, by more than chance.
+
+    Their speeds or their commands then do not say what they lift, nor where the CG is.
+    """
     out = []
     for i, rotor in enumerate(health.rotors, 1):
         gain = rotor.motor_gain
         if gain is None or gain.value is None or gain.std is None:
             continue
-        sure = gain.value + TUNING.sure * gain.std
-        if sure < 1.0 - TUNING.motor_scatter:
-            percent = 100.0 * (1.0 - gain.value)
-            out.append(
-                f"motor or ESC {i} reaches {percent:.0f} % less speed squared at its command "
-                "than the others: inspect it"
-            )
-    return out
+        off = abs(gain.value - 1.0) - TUNING.sure * gain.std
+        if off > TUNING.motor_scatter:
+            percent = 100.0 * abs(1.0 - gain.value)
+            way = "less" if gain.value < 1.0 else "more"
+            out.append(f"motor {i} reaches {percent:.0f} % {way} speed squared at its command")
+    if not out:
+        return []
+    return [
+        f"{', '.join(out)} than the mean of all: another motor or propeller, a weak motor or ESC, "
+        "or its pole count. What the CG and yaw are, and whether to move anything, shows once that "
+        "is clear"
+    ]
 
 
 def _margins(health: Health) -> list[str]:

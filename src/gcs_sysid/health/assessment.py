@@ -213,7 +213,10 @@ def health_of(
     places = [0.0 if place.value is None else place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
-    return replace(health, advice=advice_of(health, given, guess))
+    refused = tuple(
+        f"{name} {problem}" for name, problem in streams.refused.items() if "rotor" in problem
+    )
+    return replace(health, advice=(*refused, *advice_of(health, given, guess)))
 
 
 def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Health:

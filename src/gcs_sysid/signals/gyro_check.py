@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.model import attitude
 
 _INTERVAL = 0.3
@@ -74,7 +74,7 @@ class GyroCheck:
             reported: (n, 4) attitude (w, x, y, z).
             fresh: whether a gap lies before it.
         """
-        there: Mask = np.isfinite(gyro).all(axis=1) & np.isfinite(reported).all(axis=1)
+        there = complete_rows(gyro) & complete_rows(reported)
         if fresh:
             self._last = False
         joined = there & np.append(self._last, there[:-1])
@@ -104,7 +104,7 @@ class GyroCheck:
             same
         ]
         theta, change = np.diff(angle, axis=0)[same], np.diff(rate, axis=0)[same]
-        small = np.linalg.norm(phi, axis=1) < _LARGEST_TURN
+        small: Mask = np.linalg.norm(phi, axis=1) < _LARGEST_TURN
         columns = np.column_stack([phi, dt, change])[small]
         phi, theta = phi[small], theta[small]
         if len(phi) < _FEWEST:

@@ -21,12 +21,15 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
+from gcs_sysid.signals.rotor_readings import OddReading, held_rotor, odd_reading
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
 STRETCH = 2.5
 """s of flight used for a judgement."""
 MIN_RATE = 15.0
 """Hz. Slower streams do not follow the rotors."""
+_LAGS = 0.5
+"""Share of the others' new readings, below which those of one rotor are old."""
 _MOST = 2048
 """Samples of a source kept in a stretch."""
 _MOVES = 0.01
@@ -253,11 +256,24 @@ class RotorSourceSelector:
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
             return "reads 0 in flight"
-        # Mostly the first rotor decides; to count them all costs time.
-        stale = (_readings(v) < MIN_RATE * seconds for v in values)
-        if stretch.stream is Stream.ROTOR_SPEED and all(stale):
-            fresh = max(map(_readings, values)) / seconds
-            return f"repeats old readings, {fresh:.0f} new ones a second"
+        if stretch.stream is Stream.ROTOR_SPEED:
+            fresh = [_readings(v) / seconds for v in values]
+            if max(fresh) < MIN_RATE:
+                return f"repeats old readings, {max(fresh):.0f} new ones a second"
+            fresh = [new if np.ptp(v) else math.inf for new, v in zip(fresh, values, strict=True)]
+            if (least := min(fresh)) < min(MIN_RATE, _LAGS * float(np.median(fresh))):
+                rotor = fresh.index(least) + 1
+                return f"repeats old readings of rotor {rotor}, {least:.0f} new ones a second"
+            times = [t for t, _ in rotors]
+            if (
+                all(map(np.ptp, values))
+                and len({len(t) for t in times}) == 1
+                and (held := held_rotor(times[0], np.column_stack(values)))
+            ):
+                return (
+                    f"holds old readings of rotor {held[0] + 1} for {100.0 * held[1]:.0f} % of the "
+                    "time while the others change"
+                )
         return ""
 
     def _dead(self, name: str, stretch: Stretch) -> str:
@@ -301,6 +317,10 @@ class RotorSourceSelector:
             copied = next((c for c in commands if self._copies(stretch, stretches[c])), None)
             if copied is not None:
                 refused[name] = f"is {copied} under another name, not a measurement"
+                continue
+            odd = next(filter(None, (self._odd(stretch, stretches[c]) for c in commands)), None)
+            if odd is not None and odd.by_command:
+                refused[name] = odd.words
                 continue
             if self._too_slow(stretch):
                 why = "measured speeds, read as rad/s in an rpm field, by the thrust needed"
@@ -360,6 +380,12 @@ class RotorSourceSelector:
         pairs = zip(speeds.rotors(count), commands.rotors(count), strict=True)
         return all(_is_function(*speed, *command) for speed, command in pairs)
 
+    def _odd(self, speeds: Stretch, commands: Stretch) -> OddReading | None:
+        """The rotor whose speed is not that of the others at its command."""
+        count = len(self._airframe.rotors)
+        measured, asked = (_together(stretch.rotors(count)) for stretch in (speeds, commands))
+        return odd_reading(measured, asked, self._airframe.geometry[2])
+
     def _too_slow(self, stretch: Stretch) -> bool:
         """Whether rotors so slow could not carry the vehicle however large they were."""
         if self.anchor is None or self.anchor.kind != "mass":
@@ -411,6 +437,13 @@ def _saturates(rotor: int, values: Sequence[Array]) -> bool:
     if value <= 0.0 or value < greatest:
         return False
     return value in _FULL_SCALES or greatest >= _TOUCHES * value
+
+
+def _together(rotors: Sequence[tuple[Array, Array]]) -> Array:
+    """(n, rotors) readings of all rotors, number by number."""
+    n = min(len(v) for _, v in rotors)
+    out: Array = np.column_stack([v[:n] for _, v in rotors])
+    return out
 
 
 def _until_landing(

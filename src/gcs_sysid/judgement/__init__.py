@@ -1,0 +1,1 @@
+"""The one room that judges: objections of all producers to statuses, verdict and reasons."""

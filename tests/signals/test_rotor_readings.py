@@ -1,0 +1,69 @@
+"""One rotor's readings against its command, the others and its own age."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.signals.rotor_readings import held_rotor, odd_reading
+
+SPIN = np.array([1.0, 1.0, -1.0, -1.0])
+T = np.arange(0.0, 2.5, 0.004)
+
+
+def flown(rotors=4, cg=0.0, seed=1):
+    """Commands and speeds of a hover, the first rotor loaded by a CG that is off."""
+    rng = np.random.default_rng(seed)
+    u = 0.4 + 0.02 * rng.normal(size=(len(T), rotors)).cumsum(axis=0) / 100.0
+    u += cg * np.where(np.arange(rotors) % 2, -1.0, 1.0)
+    return u, 800.0 * np.sqrt(np.maximum(u, 0.05) / 0.4)
+
+
+@pytest.mark.parametrize("cg", [0.0, 0.03])
+def test_alike_motors_are_not_odd_whatever_the_cg(cg):
+    u, omega = flown(cg=cg)
+    assert odd_reading(omega, u, SPIN) is None
+
+
+@pytest.mark.parametrize("ratio", [0.5, 12.0 / 14.0, 14.0 / 12.0, 2.0])
+def test_another_pole_count_is_an_odd_reading(ratio):
+    u, omega = flown(cg=0.02)
+    omega[:, 2] *= ratio
+    found = odd_reading(omega, u, SPIN)
+    assert found.rotor == 2
+    assert found.ratio == pytest.approx(ratio, rel=0.03)
+    assert found.by_command
+    assert "rotor 3 reads" in found.words
+
+
+def test_a_weak_motor_turns_as_fast_as_it_must():
+    """The loop gives it more command for the same speed: its speeds are right."""
+    u, omega = flown()
+    u[:, 1] *= 1.4
+    found = odd_reading(omega, u, SPIN)
+    assert found.rotor == 1
+    assert not found.by_command
+
+
+def test_scatter_of_motors_is_not_odd():
+    u, omega = flown()
+    assert odd_reading(omega * [1.03, 0.98, 1.04, 0.97], u, SPIN) is None
+
+
+def test_too_few_readings_say_nothing():
+    assert odd_reading(np.ones((1, 4)), np.ones((1, 4)), SPIN) is None
+    assert odd_reading(np.zeros((9, 4)), np.ones((9, 4)), SPIN) is None
+    assert held_rotor(T[:1], np.ones((1, 4))) is None
+
+
+def test_a_rotor_that_holds_its_reading_is_found():
+    omega = 800.0 + np.random.default_rng(2).normal(size=(len(T), 4)).cumsum(axis=0)
+    assert held_rotor(T, omega) is None
+    omega[100:180, 1] = omega[100, 1]
+    rotor, share = held_rotor(T, omega)
+    assert rotor == 1
+    assert share == pytest.approx(80.0 / len(T), rel=0.1)
+
+
+def test_readings_that_all_stand_or_round_are_not_held():
+    omega = np.round(800.0 + np.random.default_rng(2).normal(size=(len(T), 4)).cumsum(axis=0), -1)
+    assert held_rotor(T, omega) is None
+    assert held_rotor(T, np.full((len(T), 4), 800.0)) is None
