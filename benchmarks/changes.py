@@ -32,10 +32,11 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.tuning import EstimatorTuning, tuning_for_commands
+from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.choices import Span
@@ -161,7 +162,7 @@ def samples_of(flight: Flight, i: int, *, commands: bool, told: bool = False) ->
 
 def follow(samples: Samples, t: np.ndarray, *, commands: bool) -> Tracker:
     """The estimate of a flight."""
-    tuning = tuning_for_commands(DT) if commands else EstimatorTuning()
+    tuning = tuning_for(RotorInput.COMMAND if commands else RotorInput.SPEED, DT)
     tracker = Tracker(GEOMETRY, DT, tuning, ChangeTuning())
     unknown = np.full(len(t), np.nan)
     flying = FlightDetector().update(

@@ -20,10 +20,11 @@ from benchmarks.changes import DT, GEOMETRY, PAPER, RATE, samples_of, vehicles, 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.record.tuning import tuning_for_commands
+from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.signals.samples import Samples
@@ -53,7 +54,7 @@ def drawn(count: int, seed: int) -> list[Vehicle]:
 
 def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
     """What a live session has on its screen at each of `TIMES`."""
-    tracker = Tracker(GEOMETRY, DT, tuning_for_commands(DT), ChangeTuning())
+    tracker = Tracker(GEOMETRY, DT, tuning_for(RotorInput.COMMAND, DT), ChangeTuning())
     arm = float(np.mean(np.hypot(*GEOMETRY[:2])))
     anchor = ScaleReference("mass", mass)
     found = []
@@ -62,7 +63,7 @@ def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
         tracker.update(t[now], samples.part(now))
         fit = tracker.fit(quick=True)
         if len(found) < len(TIMES) and t[min(k + 49, len(t) - 1)] >= TIMES[len(found)] - DT:
-            found.append(values_of(fit, anchor, arm, {}, "command"))
+            found.append(values_of(fit, anchor, arm, {}, RotorInput.COMMAND))
     return found
 
 

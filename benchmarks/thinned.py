@@ -149,7 +149,7 @@ def main() -> None:
         watched = Watched()
         whole = analyze_log(log, airframe, observer=watched)
         least: dict[str, float] = {}
-        if whole.rotor_input == "command":
+        if whole.rotor_input.motors:
             std = bound(*watched.longest(), airframe.geometry, truth)
             true = np.append(true_theta(truth), truth["motor_lag"])
             shares = 100.0 * std / np.maximum(np.abs(true), 1e-12)

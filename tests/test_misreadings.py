@@ -11,6 +11,7 @@ from gcs_sysid.cli.inspect_command import next_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result, Scale
@@ -98,7 +99,7 @@ def test_an_unobservable_row_has_no_numbers():
         "Izz": Estimate(0.03, 0.02, "kg m^2", "unobservable", std_given=0.0006),
     }
     scale = Scale("mass", 1.5, "kg")
-    result = Result("partial", (), "a.tlog", {}, scale, "speed", estimates)
+    result = Result("partial", (), "a.tlog", {}, scale, RotorInput.SPEED, estimates)
     rows = rows_of(result_table(result, None, None))
     assert rows["Ixx"] == ["0.01600", "0.00039", "2.4", "0.00020", "kg", "m^2", "identified"]
     assert rows["Izz"] == ["-", "-", "-", "kg", "m^2", "unobservable"]

@@ -107,5 +107,5 @@ def flight_of(blocks: list[SampleBlock], airframe: Airframe) -> Flight | None:
     if not stretches:
         return None
     x, y, spin = airframe.geometry
-    commands = source.kind == "command"
+    commands = source.kind.motors
     return Flight(dt, tuple(stretches), commands, x, y, spin, airframe.mass)

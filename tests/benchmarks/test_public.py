@@ -11,6 +11,7 @@ from benchmarks.public import entries, score
 from benchmarks.public.flight import Flight, Stretch, flight_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.sampling import SampleBlock
@@ -148,7 +149,7 @@ def block(t, flying, source, rotors=4):
 
 def test_stretches_end_at_gaps_and_on_the_ground():
     airframe = Airframe("x", tuple(Rotor(1.0, 1.0, 1) for _ in range(4)), mass=1.0)
-    source = RotorSource("speed", "ESC_STATUS", "why")
+    source = RotorSource(RotorInput.SPEED, "ESC_STATUS", "why")
     times = [0.01 * np.arange(a, b) for a, b in ((0, 300), (300, 500), (500, 800), (900, 1000))]
     blocks = [
         block(t, flying, source) for t, flying in zip(times, (True, True, False, True), strict=True)

@@ -13,6 +13,7 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
@@ -39,7 +40,7 @@ def check_contract(result):
     assert bool(result["reasons"]) is (result["verdict"] != "identified")
     assert result["vehicle"].keys() == {"sysid", "compid", "autopilot"}
     assert result["scale"] == {"anchor": "mass", "value": 1.5, "unit": "kg"}
-    assert result["rotor_input"] in ("speed", "command")
+    assert result["rotor_input"] in ("speed", RotorInput.COMMAND)
     for table, known in (("parameters", PARAMETERS), ("timing", TIMING)):
         assert result[table].keys() <= known.keys()
         for name, estimate in result[table].items():
@@ -129,7 +130,7 @@ def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
     estimates["rotor_inertia"] = Estimate(None, None, "kg m^2", "unobservable")
     truth = dict.fromkeys(PARAMETERS, -2.34567e-4) if with_truth else None
     reasons = ("a reason that is longer than what is left of a line: " + "word " * 20,)
-    result = Result("partial", reasons, "flight.tlog", {}, None, "speed", estimates)
+    result = Result("partial", reasons, "flight.tlog", {}, None, RotorInput.SPEED, estimates)
     table = result_table(result, truth, 80)
     lines = table.splitlines()
     assert max(map(len, lines)) <= 80

@@ -8,6 +8,7 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 
 ERROR = "gcs-sysid: error: "
@@ -31,7 +32,7 @@ def result(source="a.tlog", airframe="paper", **changes):
         source,
         {"sysid": 1, "compid": 1, "autopilot": "px4"},
         Scale("mass", 1.5, "kg"),
-        "speed",
+        RotorInput.SPEED,
         parameters,
         airframe=load_airframe(airframe).as_json(),
     )
@@ -47,7 +48,7 @@ def files(tmp_path, monkeypatch):
     nothing = {n: Estimate(None, None, PARAMETERS[n].unit, "unobservable") for n in PARAMETERS}
     refused = result("c.tlog")
     refused = Result(
-        "refused", ("too short",), "c.tlog", refused.vehicle, refused.scale, "speed",
+        "refused", ("too short",), "c.tlog", refused.vehicle, refused.scale, RotorInput.SPEED,
         nothing, airframe=refused.airframe,
     )  # fmt: skip
     refused.write(tmp_path / "refused.json")

@@ -12,6 +12,7 @@ from gcs_sysid.coach.manoeuvre_library import Manoeuvre, damped_words, sentence
 from gcs_sysid.estimation.parameters.status import NOTHING
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF
+from gcs_sysid.model.rotor_input import RotorInput
 
 D20, D45 = math.radians(20.0), math.radians(45.0)
 
@@ -58,14 +59,14 @@ def values(**changed):
 
 
 def test_what_is_given_does_not_count():
-    assert "mass" not in shares(values(), 1.0, "speed")
-    assert shares(values(k_M=NOTHING), 1.0, "speed")["k_M"] is None
+    assert "mass" not in shares(values(), 1.0, RotorInput.SPEED)
+    assert shares(values(k_M=NOTHING), 1.0, RotorInput.SPEED)["k_M"] is None
 
 
 def test_what_may_be_zero_is_measured_against_what_it_matters_to():
     numbers = {"Ixx": 4.0, "Ixy": 0.0, "cg_x": 0.0, "cg_y": -2.0}
     known = {name: Estimate(value, 0.01, status="identified") for name, value in numbers.items()}
-    found = shares(values(**known), 0.5, "speed")
+    found = shares(values(**known), 0.5, RotorInput.SPEED)
     assert found["Ixy"] == pytest.approx(0.0196 / (0.05 * 2.0), rel=1e-3)
     assert found["cg_x"] == pytest.approx(0.0196 / (0.05 * 0.5), rel=1e-3)
     assert found["cg_y"] == pytest.approx(0.0098, rel=1e-3)

@@ -13,21 +13,23 @@ from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from sim_bridge.swings import read_plan
 
 
-def plan_for(name, target=0.02, limits=None, commands=False):
+def plan_for(name, target=0.02, limits=None, rotor_input=RotorInput.SPEED):
     airframe = load_airframe(name)
     anchor = ScaleReference("mass", airframe.mass or 1.0)
-    kind = "command" if commands else "speed"
     airframe = airframe.with_anchor("mass", anchor.value)
 
     def judge(fit):
-        return shares(values_of(fit, anchor, airframe.arm, {}, kind), airframe.arm, kind)
+        return shares(
+            values_of(fit, anchor, airframe.arm, {}, rotor_input), airframe.arm, rotor_input
+        )
 
-    known = prior_vehicle(airframe, commands=commands)
+    known = prior_vehicle(airframe, rotor_input)
     return make_plan(name, known, judge, target, limits or Limits())
 
 
@@ -52,7 +54,7 @@ def test_a_finer_target_and_tighter_limits_take_longer():
 
 @pytest.mark.slow
 def test_commands_have_a_plan_too():
-    plan = plan_for("px4-sih", commands=True)
+    plan = plan_for("px4-sih", rotor_input=RotorInput.COMMAND)
     assert plan.steps
     assert "T_max" in plan.expected
     assert "k_M" not in plan.expected

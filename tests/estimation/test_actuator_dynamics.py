@@ -30,7 +30,7 @@ def speeds(half_width):
 
 def commands(half_width):
     nodes = COMMANDS.delays, COMMANDS.lags, COMMANDS.curves
-    return ActuatorDynamics(*nodes, commands=True, half_width=half_width)
+    return ActuatorDynamics(*nodes, motors=True, half_width=half_width)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_motors_between_slow_samples_pass_what_motors_pass():
 
     def made(told):
         nodes = COMMANDS.delays, COMMANDS.lags, COMMANDS.curves
-        basis = ActuatorDynamics(*nodes, commands=True, half_width=0.2, dt=told)
+        basis = ActuatorDynamics(*nodes, motors=True, half_width=0.2, dt=told)
         weights = basis.maps(np.array([[delay, lag, 0.0]]))[0, 0, 0]
         weights = weights[np.flatnonzero(weights)]
         passed = 0.0
@@ -142,26 +142,26 @@ def test_coordinates_with_one_value_are_given():
     speeds_, commands_ = speeds(0.1), commands(0.2)
     assert speeds_.free == (0,)
     assert commands_.free == (0, 1, 2)
-    assert ActuatorDynamics((0.01,), (0.0, 0.05), (0.5,), commands=True).free == (1,)
+    assert ActuatorDynamics((0.01,), (0.0, 0.05), (0.5,), motors=True).free == (1,)
     np.testing.assert_allclose(commands_.low, [-0.015, 0.0, -0.2, 0.0, 0.0])
     np.testing.assert_allclose(commands_.high, [0.03, 0.13, 1.2, 0.0, 0.0])
 
 
 def test_elements_are_the_lags_at_the_middle_delay_and_the_delays_at_a_usual_lag():
     assert ActuatorDynamics((-0.01, 0.0, 0.01)).elements == tuple(Element(0, j) for j in range(3))
-    both = ActuatorDynamics((-0.01, 0.0, 0.01, 0.02), (0.0, 0.05, 0.1), commands=True)
+    both = ActuatorDynamics((-0.01, 0.0, 0.01, 0.02), (0.0, 0.05, 0.1), motors=True)
     assert both.elements == (
         Element(0, 2), Element(1, 2), Element(2, 2), Element(1, 0), Element(1, 1), Element(1, 3),
     )  # fmt: skip
     assert both.width == 6 * 2 * SIGNALS + BODY
-    two = ActuatorDynamics((-0.01, 0.01), (0.0, 0.05), commands=True)
+    two = ActuatorDynamics((-0.01, 0.01), (0.0, 0.05), motors=True)
     assert two.elements == (Element(0, 1), Element(1, 1), Element(1, 0))
 
 
 def test_bends_are_at_every_other_lag_from_the_longest_down():
     def bent(n, dt=0.005):
         lags = np.linspace(0.0, 0.1, n)
-        basis = ActuatorDynamics((0.0, 0.01), lags, (0.0, 1.0), commands=True, dt=dt, coupled=True)
+        basis = ActuatorDynamics((0.0, 0.01), lags, (0.0, 1.0), motors=True, dt=dt, coupled=True)
         assert basis.bends == 4 * len(basis.bent_lags)
         return basis.bent_lags
 
@@ -197,7 +197,7 @@ def test_a_bend_near_no_thrust_comes_with_its_derivative(hover, curve):
 
 def test_searches_start_from_nodes_over_the_whole_range():
     dynamics = ActuatorDynamics(
-        (-0.02, 0.0, 0.06), np.linspace(0.0, 0.1, 9), (-0.2, 1.2), commands=True
+        (-0.02, 0.0, 0.06), np.linspace(0.0, 0.1, 9), (-0.2, 1.2), motors=True
     )
     delays, lags, curves = (np.unique(dynamics.nodes[:, i]) for i in range(3))
     # No fewer than five of each, no more than eight delays, six lags and five curves.
@@ -215,7 +215,7 @@ def test_searches_start_from_nodes_over_the_whole_range():
         ActuatorDynamics((0.01,), (0.02,), (0.3,)).nodes, [[0.01, 0.02, 0.3, 0.0, 0.0]]
     )
     # Whatever the units: a lag of 0.1 s off weighs as much as the whole range of curves.
-    wide = ActuatorDynamics((-0.05, 0.01), (0.0, 0.001), (0.0, 100.0), commands=True)
+    wide = ActuatorDynamics((-0.05, 0.01), (0.0, 0.001), (0.0, 100.0), motors=True)
     np.testing.assert_allclose(wide.nodes[wide.middle], [-0.005, 0.0005, 50.0, 0.0, 0.0])
 
 
@@ -288,7 +288,7 @@ def test_plain_rows_are_rows_as_they_are():
 
 
 def test_what_is_not_told_is_as_for_speeds_at_high_rates():
-    told = ActuatorDynamics((0.0, 0.01), (0.0,), (1.0,), commands=False, half_width=0.1, dt=0.0)
+    told = ActuatorDynamics((0.0, 0.01), (0.0,), (1.0,), motors=False, half_width=0.1, dt=0.0)
     plain = ActuatorDynamics((0.0, 0.01))
     at = np.array([[0.004, 0.0, 1.0]])
     np.testing.assert_array_equal(plain.maps(at), told.maps(at))
@@ -298,6 +298,6 @@ def test_what_is_not_told_is_as_for_speeds_at_high_rates():
     lagged = (0.0, 0.05), (0.0, 0.05), (0.0, 1.0)
     at = np.array([[0.004, 0.02, 0.5]])
     np.testing.assert_array_equal(
-        ActuatorDynamics(*lagged, commands=True).maps(at),
-        ActuatorDynamics(*lagged, commands=True, half_width=0.1, dt=0.0, coupled=False).maps(at),
+        ActuatorDynamics(*lagged, motors=True).maps(at),
+        ActuatorDynamics(*lagged, motors=True, half_width=0.1, dt=0.0, coupled=False).maps(at),
     )

@@ -24,6 +24,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MeanThrust, step_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.physics import Physics
@@ -260,7 +261,7 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     estimator.update(samples)
     fit = estimator.fit()
     assert fit.rotation.whiteners
-    known = prior_vehicle(load_airframe("paper"), commands=True)
+    known = prior_vehicle(load_airframe("paper"), RotorInput.COMMAND)
     noise = prior_noise(known.craft)
     before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
     after = predicted_information(fit, known, noise, estimator.free).after()

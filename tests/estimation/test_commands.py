@@ -139,7 +139,7 @@ def test_given_lag_and_curve_are_kept(truth, flight):
 def test_maps_make_any_filter_of_the_elements(where):
     """A chirp through a motor, window and all: as the elements' mixture says."""
     basis = ActuatorDynamics(
-        COMMANDS.delays, COMMANDS.lags, COMMANDS.curves, commands=True, half_width=0.2
+        COMMANDS.delays, COMMANDS.lags, COMMANDS.curves, motors=True, half_width=0.2
     )
     delay, lag, _ = where
     span = basis._span
@@ -262,10 +262,10 @@ def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
     estimator.update(replace(flight, speeds=commands))
     fit = estimator.fit()
     assert not fit.rotation.warm_start.stuck
-    assert reference_of(fit, truth.geometry, DT, commands=True).watched.all()
+    assert reference_of(fit, truth.geometry, DT, motors=True).watched.all()
     start = replace(fit.rotation.warm_start, stuck=True)
     stuck = replace(fit, rotation=replace(fit.rotation, warm_start=start))
-    assert not reference_of(stuck, truth.geometry, DT, commands=True).watched.any()
+    assert not reference_of(stuck, truth.geometry, DT, motors=True).watched.any()
 
 
 def test_the_gyros_low_pass_on_commands_does_not_depend_on_blocks():

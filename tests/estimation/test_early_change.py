@@ -10,8 +10,9 @@ from benchmarks.accuracy.flights import exact
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.early_change import LEAST_BEFORE, actuator_of, early_change
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.record.tuning import tuning_for_commands
+from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor
 from sim_bridge.doublets import ALL_MISSIONS
@@ -39,15 +40,15 @@ def of_commands(flight):
 
 
 def found(flight, rotor_input, until=END, samples_until=END):
-    samples = exact(flight) if rotor_input == "speed" else of_commands(flight)
+    samples = exact(flight) if not rotor_input.motors else of_commands(flight)
     samples = samples.part(slice(0, round(samples_until / DT)))
-    actuator = UNKNOWN if rotor_input == "command" else None
+    actuator = UNKNOWN if rotor_input.motors else None
     t = flight.t[: len(samples.gyro)]
     return early_change(t, samples, DT, GEOMETRY, actuator, until)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+@pytest.mark.parametrize("rotor_input", list(RotorInput))
 @pytest.mark.parametrize(
     ("at", "factor"), [(2.0, 1.2), pytest.param(5.0, 0.85, marks=pytest.mark.thorough)]
 )
@@ -63,7 +64,7 @@ def test_an_early_mass_step_is_found_and_weighed(rotor_input, at, factor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+@pytest.mark.parametrize("rotor_input", list(RotorInput))
 def test_nothing_is_found_where_nothing_changed(rotor_input):
     _, judgement = found(flown(None, 1.0), rotor_input)
     assert judgement.verdict != "changed"
@@ -71,12 +72,12 @@ def test_nothing_is_found_where_nothing_changed(rotor_input):
 
 @pytest.mark.slow
 def test_what_a_detector_watched_is_left_to_it():
-    assert found(flown(2.0, 1.2), "speed", until=1.8) is None
+    assert found(flown(2.0, 1.2), RotorInput.SPEED, until=1.8) is None
 
 
 @pytest.mark.slow
 def test_a_step_with_too_little_flight_around_it_is_not_judged():
-    assert found(flown(2.0, 1.2), "speed", samples_until=LEAST_BEFORE + 0.5) is None
+    assert found(flown(2.0, 1.2), RotorInput.SPEED, samples_until=LEAST_BEFORE + 0.5) is None
 
 
 @pytest.mark.slow
@@ -116,7 +117,7 @@ def follow_blocks(size):
     clean = fly_ensemble(VEHICLE, mission, 250, 14.0, changes=(mass_step(4.0, 1.2),))
     flight = clean.with_noise("mems", 0.0, [1])
     samples = of_commands(flight)
-    tracker = Tracker(GEOMETRY, 0.004, tuning_for_commands(0.004), ChangeTuning())
+    tracker = Tracker(GEOMETRY, 0.004, tuning_for(RotorInput.COMMAND, 0.004), ChangeTuning())
     for k in range(0, len(flight.t), size):
         part = slice(k, k + size)
         tracker.update(flight.t[part], samples.part(part))

@@ -13,6 +13,7 @@ from gcs_sysid.estimation.parameters.evidence import RULES, Evidence, evidence_o
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 
 ROTATION = RotationFit(
     np.ones(rb.N_THETA), np.eye(rb.N_THETA), np.eye(3), np.full(3, 0.99), 5000, converged=True
@@ -31,7 +32,7 @@ CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}
 MEAN = {name for name, p in CLAIMS.items() if p.mean_torque}
 
 
-def found(validation, *, running=False, rotor_input="speed", dt=0.004, filtered=False):
+def found(validation, *, running=False, rotor_input=RotorInput.SPEED, dt=0.004, filtered=False):
     fit = Fit(ROTATION, None, 30.0, validation, running=running)
     return evidence_of(fit, rotor_input, dt, filtered=filtered)
 
@@ -56,7 +57,7 @@ def test_nothing_speaks_against_a_flight_that_is_predicted():
 def test_yaw_against_itself_is_a_swap_where_there_are_six_rotors_or_more():
     def of(rotors, r_squared):
         fit = Fit(replace(ROTATION, r_squared=np.array(r_squared)), None, 30.0, GOOD)
-        return evidence_of(fit, "speed", 0.004, rotors=rotors)
+        return evidence_of(fit, RotorInput.SPEED, 0.004, rotors=rotors)
 
     swapped = of(8, [0.99, 0.99, 0.24])
     assert "24 % of yaw" in swapped.reasons[0]
@@ -71,7 +72,7 @@ def test_where_rotors_explain_nothing_of_what_was_flown_the_cg_is_in_doubt():
 
     def of(rotors, r_squared):
         fit = Fit(replace(ROTATION, r_squared=np.array(r_squared)), None, 30.0, poor)
-        return capped(evidence_of(fit, "speed", 0.004, rotors=rotors))
+        return capped(evidence_of(fit, RotorInput.SPEED, 0.004, rotors=rotors))
 
     assert of(6, [0.9, 0.9, 0.02]) > MEAN
     assert not of(6, [0.9, 0.9, 0.3]) & MEAN  # wind
@@ -87,7 +88,7 @@ def test_an_axis_that_hardly_turns_identifies_nothing_but_the_cg(axis):
             i = rb.SIGNALS.index(name)
             window[i, i] = 1000 * rate**2
         fit = Fit(ROTATION, None, 30.0, GOOD, moments=FitMoments(window[None], window, 1000))
-        return evidence_of(fit, "speed", 0.004)
+        return evidence_of(fit, RotorInput.SPEED, 0.004)
 
     assert moving(on(axis, 0.3, 0.11)) == Evidence()
     still = moving(on(axis, 0.3, 0.04))
@@ -139,7 +140,7 @@ def test_at_the_limits_there_is_no_cap(near):
     assert found(replace(GOOD, **near)) == Evidence()
 
 
-@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+@pytest.mark.parametrize("rotor_input", list(RotorInput))
 def test_a_filtered_gyro_says_nothing_of_whiteness(rotor_input):
     colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
     assert found(colored, rotor_input=rotor_input).capped == (True, True, True)
@@ -151,7 +152,7 @@ def test_slow_speeds_say_nothing_of_whiteness():
     colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
     assert found(colored, dt=0.008).capped == (True, True, True)
     assert found(colored, dt=0.01) == Evidence()
-    assert found(colored, rotor_input="command", dt=0.01).capped == (True, True, True)
+    assert found(colored, rotor_input=RotorInput.COMMAND, dt=0.01).capped == (True, True, True)
     unpredicted = replace(colored, r_squared=np.full(3, 0.3))
     assert found(unpredicted, dt=0.02).capped == (True, True, True)
 
@@ -162,7 +163,7 @@ def test_without_validation_nothing_is_identified():
     assert "too short" in evidence.reasons[0]
     # A flight that goes on will have one.
     assert found(None, running=True) == Evidence()
-    assert evidence_of(Fit(None, None, 0.0), "speed", 0.004) == Evidence()
+    assert evidence_of(Fit(None, None, 0.0), RotorInput.SPEED, 0.004) == Evidence()
 
 
 @pytest.mark.parametrize("status", ["given", "weak", "unobservable"])
@@ -201,7 +202,7 @@ def hover(validation, **options):
     window = np.eye(rb.N_SIGNALS + 3)  # 0.03 rad/s rms in 1000 samples
     moments = FitMoments(window[None], window, 1000)
     return evidence_of(
-        Fit(ROTATION, None, 30.0, validation, moments=moments, **options), "speed", 0.004
+        Fit(ROTATION, None, 30.0, validation, moments=moments, **options), RotorInput.SPEED, 0.004
     )
 
 
@@ -225,7 +226,7 @@ def commanded(validation, curve_std):
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[Unknown.CURVE, Unknown.CURVE] = curve_std**2
     fit = Fit(replace(ROTATION, full_covariance=full), None, 30.0, validation)
-    evidence = evidence_of(fit, "command", 0.004)
+    evidence = evidence_of(fit, RotorInput.COMMAND, 0.004)
     sure = Estimate(1.0, 1e-6, status="identified")
     names = ("T_max", "thrust_curve", "motor_lag")
     return {evidence.cap(sure, REGISTRY[name]).status == "identified" for name in names}

@@ -24,6 +24,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.given_uncertainty import UNCERTAIN
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from tests.known_theta import theta_from
 
@@ -123,7 +124,7 @@ def test_single_rotors_elsewhere_are_in_the_interval():
             for name, v, s in zip(rb.THETA, theta, std, strict=True)
             if name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y")
         }
-        unit = Given(told, ScaleReference("k_T", 1.0), "speed", {})
+        unit = Given(told, ScaleReference("k_T", 1.0), RotorInput.SPEED, {})
         whole = with_given(values, given_stds(values, better, unit), QUAD.arm)
         worst += [abs(whole[n].value - THETA[rb.THETA.index(n)]) / whole[n].std for n in whole]
     assert np.mean(np.array(worst) < 1.96) > 0.88
@@ -143,18 +144,18 @@ def test_shares_of_what_was_given():
     names = ("mass", "k_T", "Ixx", "k_M", "moment_ratio", "cg_x", "linear_drag")
     values = {name: Estimate(2.0, 0.01, status="identified") for name in names}
     anchor = ScaleReference("mass", 1.5, given=told.uncertainty.scale_share("mass", 1.5))
-    stds = given_stds(values, fit, Given(told, anchor, "speed", {}))
+    stds = given_stds(values, fit, Given(told, anchor, RotorInput.SPEED, {}))
     expected = {"mass": 4, "k_T": 4, "Ixx": 5, "k_M": 5, "moment_ratio": 3, "cg_x": 3}
     for name, percent in (expected | {"linear_drag": 4}).items():
         assert stds[name] == pytest.approx(0.02 * percent), name
     # Known k_T instead: the mass goes with it.
     by_thrust = ScaleReference("k_T", 2e-4, given=0.02)
-    stds = given_stds(values, fit, Given(told, by_thrust, "speed", {}))
+    stds = given_stds(values, fit, Given(told, by_thrust, RotorInput.SPEED, {}))
     assert stds["mass"] == pytest.approx(0.04)
     assert stds["Ixx"] == pytest.approx(2.0 * math.hypot(0.02, 0.03))
     # A prior that tells k_T far better than the mass does leaves little of the mass' error.
     known = {"k_T": (MOTION.kappa * 1.5, MOTION.kappa * 1.5 * 0.004)}
-    stds = given_stds(values, fit, Given(told, anchor, "speed", known))
+    stds = given_stds(values, fit, Given(told, anchor, RotorInput.SPEED, known))
     assert stds["k_T"] == pytest.approx(0.08 * 0.004**2 / (0.004**2 + 0.04**2), rel=1e-3)
 
 
@@ -164,7 +165,7 @@ def test_exactly_given_adds_nothing():
         "Ixx": Estimate(2.0, 0.01, status="identified"),
         "mass": Estimate(1.5, 0.0, status="given"),
     }
-    stds = given_stds(values, fit, Given(EXACT, ScaleReference("mass", 1.5), "speed", {}))
+    stds = given_stds(values, fit, Given(EXACT, ScaleReference("mass", 1.5), RotorInput.SPEED, {}))
     assert with_given(values, stds, EXACT.arm) == values
 
 
@@ -184,7 +185,7 @@ def test_an_imu_off_the_center_matters_to_the_accelerometer_alone():
     fit = fit_of(QUAD)
     values = {"k_T": Estimate(2e-4, 1e-7, status="identified")}
     given = Given(EXACT.with_uncertainty({"imu_position": 0.02}, "here"),
-                  ScaleReference("mass", 1.5), "speed", {})  # fmt: skip
+                  ScaleReference("mass", 1.5), RotorInput.SPEED, {})  # fmt: skip
     assert given_stds(values, fit, given)["k_T"] == 0.0
     # Without angular acceleration, which has no mean in flight.
     window = fit.moments.window.copy()

@@ -301,7 +301,7 @@ def test_level_and_gains_of_commands_are_those_of_the_samples():
 def test_elements_hold_white_noise_through_lag_window_and_leak(memory):
     """Impulse responses written out, sample by sample."""
     dt, half = 0.02, 10
-    basis = ActuatorDynamics((0.0, 0.02), (0.0, 0.05), (0.0, 1.0), commands=True, dt=dt)
+    basis = ActuatorDynamics((0.0, 0.02), (0.0, 0.05), (0.0, 1.0), motors=True, dt=dt)
     smoother = WindowSmoother(dt, half, delays=basis.delays)
     found = CommandNoise(GEOMETRY, dt)
     assert not found.element_moments(basis, smoother, memory).any()

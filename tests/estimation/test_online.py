@@ -10,9 +10,10 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.rotor_input import RotorInput
 
 DT = 0.005
-CURVES = EstimatorTuning(rotor_input="command", delays=(0.0,), curves=(-0.2, 1.2))
+CURVES = EstimatorTuning(rotor_input=RotorInput.COMMAND, delays=(0.0,), curves=(-0.2, 1.2))
 """Commands whose thrust curve alone is unknown; motors are measured here, and have no lag."""
 
 

@@ -20,6 +20,7 @@ from gcs_sysid.estimation.parameters.status import NOTHING
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 
 CORE = CORE_OF["speed"]
@@ -255,11 +256,13 @@ def test_a_hover_is_not_told_to_separate_what_it_did_not_move():
 def test_commands_name_their_own_parameters():
     anchor = ScaleReference("mass", MASS)
     for translation in (TRANSLATION, None):
-        values = physical_parameters(anchor, ROTATION, translation, ARM, rotor_input="command")
+        values = physical_parameters(
+            anchor, ROTATION, translation, ARM, rotor_input=RotorInput.COMMAND
+        )
         assert not {"k_T", "k_M"} & values.keys()
         assert {"T_max", "thrust_curve", "moment_ratio"} <= values.keys()
         assert values["rotor_inertia"] == NOTHING
-    assert physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rotor_input="command")[
+    assert physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rotor_input=RotorInput.COMMAND)[
         "T_max"
     ].value == pytest.approx(K_T)
 
@@ -273,10 +276,12 @@ def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
         at = np.array([0.0, lag, 0.5, 0.0, 0.0])
         fit = replace(spread(1e-5), full_covariance=known, coordinates=at)
         found = physical_parameters(
-            ScaleReference("mass", MASS), fit, sure, ARM, rotor_input="command"
+            ScaleReference("mass", MASS), fit, sure, ARM, rotor_input=RotorInput.COMMAND
         )
         stds.append([found[name].std for name in ("thrust_curve", "T_max", "cg_x")])
-        assert timing_values(fit, "command")["motor_lag"].std == pytest.approx(0.02 * lag, rel=0.02)
+        assert timing_values(fit, RotorInput.COMMAND)["motor_lag"].std == pytest.approx(
+            0.02 * lag, rel=0.02
+        )
     quick, usual, slow = np.array(stds)
     np.testing.assert_allclose(usual, quick)
     np.testing.assert_allclose(slow, 2.0 * usual, rtol=0.01)

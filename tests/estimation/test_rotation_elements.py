@@ -16,7 +16,7 @@ ROWS = 4000
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 SLIGHT = prior_of({i: (THETA[i], 10.0 * (abs(THETA[i]) or 1.0)) for i in range(rb.N_THETA)})
 """Says next to nothing."""
-COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), commands=True)
+COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), motors=True)
 SPEEDS = ActuatorDynamics((-0.01, 0.0, 0.01))
 AT = np.array([0.004, 0.03, 0.4, 0.0, 0.0])
 

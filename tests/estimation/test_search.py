@@ -31,7 +31,7 @@ from tests.known_theta import theta_from
 
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 SPEEDS = ActuatorDynamics((-0.01, 0.0, 0.01))
-COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), commands=True)
+COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), motors=True)
 N = 400
 STEP = np.append(np.maximum(1e-6 * np.abs(THETA), 1e-8), [1e-7, 1e-7, 1e-6, 1e-6, 1e-6])
 

@@ -7,6 +7,7 @@ import numpy as np
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 
 VALUES = {
@@ -34,7 +35,7 @@ def speed_result(**changes):
         "logs/a flight.tlog",
         {"sysid": 1, "compid": 1, "autopilot": "px4"},
         Scale("mass", VALUES["mass"], "kg"),
-        "speed",
+        RotorInput.SPEED,
         parameters,
         airframe=load_airframe("px4-quad-x").with_arm(0.3).as_json(),
     )
@@ -49,7 +50,7 @@ def without(result, *names):
 
 def command_result():
     """As identified with commands."""
-    result = speed_result(rotor_input="command")
+    result = speed_result(rotor_input=RotorInput.COMMAND)
     full = VALUES["k_T"] * FULL_SPEED**2
     parameters = {n: e for n, e in result.parameters.items() if n not in ("k_T", "k_M")}
     parameters |= {

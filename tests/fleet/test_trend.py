@@ -19,6 +19,7 @@ from gcs_sysid.fleet.trend_page import render, value_text
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.comparison import LEVEL
 from gcs_sysid.results.result import Result, Scale
 
@@ -39,7 +40,7 @@ def result(status="identified", verdict="identified", recorded=None, **values):
         "",
         vehicle,
         Scale("mass", 1.5, "kg"),
-        "speed",
+        RotorInput.SPEED,
         {"mass": Estimate(1.5, 0.0, "kg", "given"), **parameters},
         telemetry={} if recorded is None else {"recorded": f"{recorded:%Y-%m-%d %H:%M} UTC"},
     )

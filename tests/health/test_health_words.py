@@ -14,13 +14,14 @@ from gcs_sysid.health.rotor_condition import Condition
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from tests.screen.fake import health as health_document
 
 AFT = Estimate(-0.1, 0.0067 / 1.96, "m", std_given=0.0067 / 1.96)
 CENTERED = Estimate(0.0, 0.001, "m")
 HEALTH = Health(
-    "a.tlog", airframe=load_airframe("paper"), rotor_input="speed", cg=(AFT, CENTERED),
+    "a.tlog", airframe=load_airframe("paper"), rotor_input=RotorInput.SPEED, cg=(AFT, CENTERED),
 )  # fmt: skip
 
 

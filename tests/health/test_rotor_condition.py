@@ -10,6 +10,7 @@ from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.rotor_condition import Load, compare_loads, watch_rotors
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 
 LAYOUTS = ("px4-quad-x", "px4-hexa-x", "px4-octo-x")
 NOISE = 0.001
@@ -28,7 +29,7 @@ def trim(airframe, cg, strength, total=1.0):
 def load(values, rng=None):
     if rng is not None:
         values = values * (1.0 + NOISE * rng.standard_normal(len(values)))
-    return Load("speed", np.asarray(values), NOISE**2 * np.eye(len(values)), 10.0)
+    return Load(RotorInput.SPEED, np.asarray(values), NOISE**2 * np.eye(len(values)), 10.0)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -139,7 +140,7 @@ def gusty(values, moments, airframe, rng=None, force=None):
     asked = effect.T @ np.linalg.inv(effect @ effect.T) * len(x)
     covariance = asked @ np.diag(np.square(moments)) @ asked.T + 1e-10 * np.eye(len(x))
     off = 0.0 if rng is None else rng.multivariate_normal(np.zeros(len(x)), covariance)
-    return Load("speed", values * np.exp(off), covariance, 10.0, None, force)
+    return Load(RotorInput.SPEED, values * np.exp(off), covariance, 10.0, None, force)
 
 
 GUSTS = (0.003, 0.0005, 0.0005, 0.008)
@@ -242,15 +243,15 @@ def test_a_calm_stretch_does_not_claim_more_than_the_flight_before_allows():
     rng = np.random.default_rng(5)
     usual = trim(airframe, (0.0, 0.0), np.ones(4))
     gusts = 0.02**2 * np.eye(4) / 30.0
-    before = Load("speed", usual, gusts, 30.0)
+    before = Load(RotorInput.SPEED, usual, gusts, 30.0)
     now = usual * (1.0 + 0.02 / np.sqrt(10.0) * rng.standard_normal(4))
     # By luck its own few gusts cancelled: taken at their word they would name a rotor.
-    lucky = Load("speed", now, gusts * 1e-3, 10.0)
+    lucky = Load(RotorInput.SPEED, now, gusts * 1e-3, 10.0)
     found = compare_loads(before, lucky, airframe, (0.0, 0.0), unchanged=True)
     assert found.verdict == "unchanged"
     # A stretch that is far windier than before hides as much as its own noise says.
     weak = trim(airframe, (0.0, 0.0), np.array([0.95, 1.0, 1.0, 1.0]))
-    calm = Load("speed", weak, gusts, 10.0)
+    calm = Load(RotorInput.SPEED, weak, gusts, 10.0)
     assert compare_loads(before, calm, airframe, (0.0, 0.0), unchanged=True).rotor == 0
-    windy = Load("speed", weak, 1000.0 * gusts, 10.0)
+    windy = Load(RotorInput.SPEED, weak, 1000.0 * gusts, 10.0)
     assert compare_loads(before, windy, airframe, (0.0, 0.0), unchanged=True).verdict == "unchanged"

@@ -11,6 +11,7 @@ from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.inspector import inspect_log, judged
 from gcs_sysid.model.airframe import Airframe, load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.analysis import analyze_log
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -83,7 +84,7 @@ def test_rotors_that_explain_too_little_promise_rough_inertia(fly):
     rough = judged(replace(found, explained_coupled=0.8))
     assert (rough.verdict, rough.obtainable) == ("partly", "in part")
     assert any("rotors explain 80 %" in finding.text for finding in rough.findings)
-    chosen = replace(found.rotor_input.chosen, kind="command")
+    chosen = replace(found.rotor_input.chosen, kind=RotorInput.COMMAND)
     commands = judged(replace(rough, rotor_input=replace(found.rotor_input, chosen=chosen)))
     assert commands.obtainable == "in part"
     assert any("inertia and T_max rough" in finding.text for finding in commands.findings)

@@ -11,6 +11,7 @@ from gcs_sysid.live.acceleration_prediction import (
     RotationSamples,
 )
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from tests.feeding import feed
@@ -58,7 +59,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
     feed(chain, paper_records[half:])
     found = prediction.acceleration()
     rotation = fit.rotation
-    model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, "speed")
+    model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, RotorInput.SPEED)
     whole = Predictor(blocks[0].dt, model).rows(
         RotationSamples(
             np.concatenate([b.t for b in blocks]),

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from gcs_sysid import FlightModel, InputError, MotionState
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 
 PLACES = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1.0, 1.0, -1.0, -1.0]])
 
@@ -14,7 +15,7 @@ PLACES = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1.0,
 def model(**changed):
     values = {
         "geometry": PLACES,
-        "rotor_input": "speed",
+        "rotor_input": RotorInput.SPEED,
         "mass": np.array(1.5),
         "inertia": np.array([0.0165, 0.0167, 0.0294, 0.00135, 0.00254, -0.00166]),
         "cg": np.array([0.01, -0.02]),
@@ -115,7 +116,7 @@ def test_an_ensemble_flies_each_sample_on_each_stretch():
 def test_it_hovers_by_speeds_and_by_commands(curve):
     level = {"cg": np.zeros(2), "thrust": np.full(4, 2e-4), "torque": np.full(4, 6e-6)}
     command = {
-        "rotor_input": "command", "cg": np.zeros(2), "thrust": np.full(4, 9.0),
+        "rotor_input": RotorInput.COMMAND, "cg": np.zeros(2), "thrust": np.full(4, 9.0),
         "torque": np.full(4, 0.3), "thrust_curve": np.array(curve), "motor_lag": np.array(0.04),
     }  # fmt: skip
     for m in (model(**level), model(**command)):
@@ -127,7 +128,7 @@ def test_it_hovers_by_speeds_and_by_commands(curve):
 
 def test_commands_lag_as_a_first_order_motor_does():
     tau = 0.04
-    m = model(rotor_input="command", motor_lag=np.array(tau))
+    m = model(rotor_input=RotorInput.COMMAND, motor_lag=np.array(tau))
     t = np.arange(0.0, 0.3, 0.004)
     ramp = np.tile((0.3 + 0.5 * t)[:, None], (1, 4))
     lagged = m.lagged(t, ramp)

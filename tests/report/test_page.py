@@ -13,6 +13,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.data import AXES, Provenance, ReportData
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
@@ -202,7 +203,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         vehicle={"sysid": 1, "compid": 1, "autopilot": text},
         scale=Scale("mass", 1.5, "kg", origin=text),
         estimator="offline",
-        rotor_input="speed",
+        rotor_input=RotorInput.SPEED,
         parameters={
             "mass": estimate(1.5, 0.0, "given"),
             "Ixx": estimate(0.0165, 1e-4, "identified", bound=5e-5, rests_on=text),
@@ -297,7 +298,7 @@ def test_a_refused_recording_has_a_page_too():
     data = made_up("no-imu.tlog")
     result = Result(
         verdict="refused", reasons=("no IMU data",), source=data.result.source, vehicle={},
-        scale=None, rotor_input="speed", parameters={},
+        scale=None, rotor_input=RotorInput.SPEED, parameters={},
     )  # fmt: skip
     bare = ReportData(result, {}, data.airframe, data.provenance, History(np.empty(0), {}, {}))
     page = Page(render(bare))

@@ -10,6 +10,7 @@ import pytest
 from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.data import AXES, Provenance, Recorder, gather
 from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
@@ -87,14 +88,16 @@ def model():
     theta = np.zeros(rb.N_THETA)
     theta[:3] = 80.0, 85.0, 140.0
     theta[rb.MOMENT_RATIO] = 0.03
-    return Model(theta, np.array([0.0, 0.0, 1.0]), load_airframe("paper").geometry, "speed")
+    return Model(
+        theta, np.array([0.0, 0.0, 1.0]), load_airframe("paper").geometry, RotorInput.SPEED
+    )
 
 
 def test_white_noise_has_the_spectrum_expected_of_it(model):
     dt = 0.004
     found = predict([still(60_000, dt)], dt, model, -np.inf, np.inf, 0.0)
     found = replace(found, speed_noise=np.zeros(3))  # these speeds have none
-    spectrum = residual_spectrum(found, dt, "speed")
+    spectrum = residual_spectrum(found, dt, RotorInput.SPEED)
     ratio = spectrum.density / spectrum.white
     strong = spectrum.white > 0.01 * spectrum.white.max(axis=0)
     assert np.mean(ratio[strong]) == pytest.approx(1.0, abs=0.1)
@@ -126,5 +129,5 @@ def test_without_a_model_the_rates_are_there(model):
     found = predict([still(2000, 0.004)], 0.004, None, -np.inf, np.inf, 0.0)
     assert np.isfinite(found.rates).all()
     assert not found.held_out.any()
-    assert residual_spectrum(found, 0.004, "speed") is None
+    assert residual_spectrum(found, 0.004, RotorInput.SPEED) is None
     assert np.isnan(agreement(found)[0]).all()

@@ -10,6 +10,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.web.result_json import comparison_rows
@@ -28,7 +29,14 @@ def result(source="a.tlog", scale=MASS, airframe=QUAD, statuses=None, **values):
     }
     vehicle = {"sysid": 1, "compid": 1, "autopilot": "px4"}
     return Result(
-        "identified", (), source, vehicle, scale, "speed", parameters, airframe=airframe.as_json()
+        "identified",
+        (),
+        source,
+        vehicle,
+        scale,
+        RotorInput.SPEED,
+        parameters,
+        airframe=airframe.as_json(),
     )
 
 
@@ -158,7 +166,9 @@ def test_what_else_differs_is_told():
     notes = "\n".join(compare(result(Ixx=1.0), wide).notes)
     assert "different rotor positions" in notes
     assert "both come from a.tlog" in notes
-    command = replace(result(Ixx=1.0, source="b"), rotor_input="command", vehicle={"sysid": 2})
+    command = replace(
+        result(Ixx=1.0, source="b"), rotor_input=RotorInput.COMMAND, vehicle={"sysid": 2}
+    )
     notes = "\n".join(compare(result(Ixx=1.0), command).notes)
     assert "rotor speeds, the other commands" in notes
     assert "same vehicle?" in notes

@@ -11,6 +11,7 @@ from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rigid_body import are_physical
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import Acceleration, History
 
@@ -43,7 +44,8 @@ def result(std_given=0.0, **changed):
         for name, (value, std) in values.items()
     }  # fmt: skip
     return Result(
-        "identified", (), "a <flight>.tlog", {}, Scale("mass", 1.5, "kg"), "speed", estimates,
+        "identified", (), "a <flight>.tlog", {}, Scale("mass", 1.5, "kg"), RotorInput.SPEED,
+        estimates,
         timing={"rotor_delay": Estimate(0.001, 1e-4, "s", "identified")},
         airframe={"name": "x", "rotors": ROTORS},
         covariance={"names": names, "matrix": (correlation * np.outer(std, std)).tolist()},
@@ -134,7 +136,7 @@ def test_commands_turn_thrust_by_the_moment_ratio():
             "moment_ratio": Estimate(0.03, 1e-3, "m", "identified"),
             "thrust_curve": Estimate(0.4, 0.01, "1", "identified")}  # fmt: skip
     lag = {"motor_lag": Estimate(0.04, 1e-3, "s", "identified", not_negative=True)}
-    m = replace(result(), rotor_input="command", parameters=own, timing=lag).model()
+    m = replace(result(), rotor_input=RotorInput.COMMAND, parameters=own, timing=lag).model()
     assert m.torque == pytest.approx(np.full(4, 9.0 * 0.03))
     assert (float(m.thrust_curve), float(m.motor_lag)) == (0.4, 0.04)
 

@@ -16,6 +16,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.plausibility import RANGES, capped, objections
 from gcs_sysid.results.result_view import figures
 
@@ -38,7 +39,7 @@ def values(**changes: float) -> dict[str, Estimate]:
 
 
 def reasons(airframe: Airframe = QUAD, reinterpreted: bool = False, **changes: float) -> str:
-    found = objections(values(**changes), airframe, "speed", reinterpreted=reinterpreted)
+    found = objections(values(**changes), airframe, RotorInput.SPEED, reinterpreted=reinterpreted)
     return "\n".join(objection.reason for objection in found)
 
 
@@ -46,7 +47,7 @@ def test_a_sound_vehicle_raises_no_objection():
     assert reasons() == ""
     command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
     command["T_max"] = Estimate(8.0, 0.01, status="identified")
-    assert objections(command, QUAD, "command") == ()
+    assert objections(command, QUAD, RotorInput.COMMAND) == ()
 
 
 def test_every_layout_needs_its_arm_and_vehicles_do_not():
@@ -60,13 +61,13 @@ def test_the_arm_of_a_layout_is_a_placeholder():
     guessed = load_airframe("px4-quad-x")
     assert "0.25 m arm is a placeholder" in reasons(guessed)
     assert "--arm" in reasons(guessed)
-    found = capped(values(), objections(values(), guessed, "speed"))
+    found = capped(values(), objections(values(), guessed, RotorInput.SPEED))
     assert found["Ixx"].status == "weak"
     assert found["cg_x"].status == "weak"
     assert found["k_T"].status == "identified"  # from mass and gravity
     assert found["mass"].status == "given"
     nothing = dict.fromkeys(SOUND, Estimate(None, None, status="unobservable"))
-    assert objections(nothing, guessed, "speed") == ()
+    assert objections(nothing, guessed, RotorInput.SPEED) == ()
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,9 @@ def test_what_the_documentation_says_of_a_wrong_mass():
 
 def test_a_wrong_unit_caps_all_but_the_given():
     wrong = values(mass=1500.0)
-    statuses = {n: v.status for n, v in capped(wrong, objections(wrong, QUAD, "speed")).items()}
+    statuses = {
+        n: v.status for n, v in capped(wrong, objections(wrong, QUAD, RotorInput.SPEED)).items()
+    }
     assert set(statuses.values()) == {"given", "weak"}
     with pytest.raises(InputError, match=r"got 250; 250 mm are 0\.25"):
         QUAD.with_arm(250.0)
@@ -122,14 +125,14 @@ def test_full_thrust_against_weight():
             "mass": Estimate(1.5, 0.0, status="given"),
             "T_max": Estimate(T_max, 0.01, status="identified"),
         }
-        text = "\n".join(o.reason for o in objections(found, QUAD, "command"))
+        text = "\n".join(o.reason for o in objections(found, QUAD, RotorInput.COMMAND))
         assert said in text
         assert bool(text) is bool(said)
 
 
 def test_reinterpreted_units_concern_what_goes_with_the_mass():
     """Either the unit was wrong, or the mass by which it was judged."""
-    found = objections(values(), QUAD, "speed", reinterpreted=True)
+    found = objections(values(), QUAD, RotorInput.SPEED, reinterpreted=True)
     assert "read as rad/s" in found[0].reason
     statuses = capped(values(), found)
     assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
@@ -210,9 +213,9 @@ def test_swapped_coaxial_rotors_are_not_identified():
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
     sound = values(moment_ratio=0.018)
-    assert objections(sound, x8, "speed") == ()
+    assert objections(sound, x8, RotorInput.SPEED) == ()
     twice = values(moment_ratio=0.036, k_M=4.5e-7)
-    (found,) = objections(twice, x8, "speed")
+    (found,) = objections(twice, x8, RotorInput.SPEED)
     assert "check upper and lower rotors, motor order" in found.reason
     after = capped(twice, (found,))
     weak = {name for name in after if after[name].status == "weak"}
@@ -225,9 +228,9 @@ def test_with_commands_neighboring_rotors_bound_the_propellers():
     # Neighbors are 0.35 m apart: at most 0.046 m.
     for ratio, objected in ((0.04, 0), (0.05, 1)):
         command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
-        assert len(objections(command, QUAD, "command")) == objected
+        assert len(objections(command, QUAD, RotorInput.COMMAND)) == objected
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
     for ratio, objected in ((0.03, 0), (0.035, 1)):
         command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
-        assert len(objections(command, x8, "command")) == objected
+        assert len(objections(command, x8, RotorInput.COMMAND)) == objected

@@ -6,11 +6,14 @@ import math
 import pytest
 
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 
 
 def result(**estimates):
-    return Result("partial", ("why",), "log", {}, Scale("mass", 1.5, "kg"), "speed", estimates)
+    return Result(
+        "partial", ("why",), "log", {}, Scale("mass", 1.5, "kg"), RotorInput.SPEED, estimates
+    )
 
 
 def test_interval_is_the_normal_95_percent():

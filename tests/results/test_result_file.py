@@ -6,6 +6,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.result_file import parse_result, read_result
 
@@ -15,7 +16,7 @@ RESULT = Result(
     "flight.tlog",
     {"sysid": 1, "compid": 1, "autopilot": "px4"},
     Scale("k_T", 2e-4, "N s^2", 1e-6, "the flight before 31.0 s"),
-    "speed",
+    RotorInput.SPEED,
     {
         "mass": Estimate(1.5, 0.01, "kg", "identified", bound=0.005),
         "Izz": Estimate(0.03, 0.003, "kg m^2", "weak", rests_on="prior"),

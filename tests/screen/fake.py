@@ -11,6 +11,7 @@ import numpy as np
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.estimate import Estimate, Status
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import (
     Acceleration,
@@ -85,7 +86,7 @@ def result() -> Result:
         source="udpin:0.0.0.0:14550",
         vehicle={"sysid": 1, "compid": 1, "autopilot": "px4"},
         scale=Scale("mass", 1.5, "kg"),
-        rotor_input="speed",
+        rotor_input=RotorInput.SPEED,
         parameters=estimates(),
         timing={"rotor_delay": Estimate(0.0118, 0.0004, "s", "identified")},
     )

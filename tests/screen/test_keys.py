@@ -7,6 +7,7 @@ import pytest
 from textual.command import CommandPalette
 
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.screen import Actions, Baseline
 from gcs_sysid.screen.dialogs import Choose, HelpScreen
@@ -320,7 +321,7 @@ async def test_scale_asks_which_fact_then_its_value(run_screen):
 
 
 async def test_scale_with_commands_offers_the_full_thrust(run_screen):
-    result = replace(fake.result(), rotor_input="command")
+    result = replace(fake.result(), rotor_input=RotorInput.COMMAND)
     async with run_screen(replace(fake.snapshot(), result=result)) as s:
         await s.press("s")
         assert "T_max" in s.text()

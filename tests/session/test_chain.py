@@ -9,6 +9,7 @@ from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import snapshot as course_module
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
@@ -315,7 +316,7 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
 
 def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     chain = Chain(load_airframe("paper"))
-    speeds = RotorSource("speed", "ESC_STATUS", "measured speeds")
+    speeds = RotorSource(RotorInput.SPEED, "ESC_STATUS", "measured speeds")
     nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
     chain.rotor_selector.refused["ESC_STATUS"] = "rotor 2 reads 0 while the others move"
     for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
@@ -331,7 +332,7 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
 @pytest.mark.parametrize("never_moved", [True, False])
 def test_an_estimate_from_a_dead_reading_is_discarded(never_moved):
     chain = Chain(load_airframe("paper"))
-    chain.rotors = RotorSource("speed", "ESC_STATUS", "measured speeds")
+    chain.rotors = RotorSource(RotorInput.SPEED, "ESC_STATUS", "measured speeds")
     chain.fit = before = replace(chain.fit, seconds=5.0)
     chain.rotor_selector.refused["ESC_STATUS"] = "rotor 2 stands still while the others move"
     chain.rotor_selector.never_moved = never_moved

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import CommandRange, load_airframe
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
@@ -341,7 +342,7 @@ def test_stopped_is_zero():
 
 
 def test_an_esc_that_does_not_answer_is_missing():
-    source = RotorSource("speed", "ESC_STATUS", "")
+    source = RotorSource(RotorInput.SPEED, "ESC_STATUS", "")
     read = source.read(np.array([[500.0, 0.0, 510.0, 505.0], [0.0, 0.0, 0.0, 0.0]]))
     assert np.isnan(read).tolist() == [[False, True, False, False], [True] * 4]
 

@@ -9,6 +9,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import MotionState
 from gcs_sysid.model.parameters import ARM, PARAMETERS, REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 from sim_bridge.dynamics import Dynamics
 from sim_bridge.simulated_vehicle import Vehicle
@@ -74,7 +75,7 @@ def test_the_flight_model_of_a_result_turns_as_theta_says():
     }
     rotors = [{"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"} for r in v.rotors]
     model = Result(
-        "identified", (), "flight.tlog", {}, Scale("mass", v.mass, "kg"), "speed", own,
+        "identified", (), "flight.tlog", {}, Scale("mass", v.mass, "kg"), RotorInput.SPEED, own,
         airframe={"name": "x", "rotors": rotors},
     ).model()  # fmt: skip
     h = 1e-6

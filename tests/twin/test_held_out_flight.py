@@ -15,6 +15,7 @@ import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import attitude
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report import evidence_sections
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.complementary import ComplementaryFilter
@@ -233,7 +234,7 @@ def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
     # The sample's vehicle has none of it but a little drag.
     for each in twin.accuracy.values():
         assert each["rates"].basic == pytest.approx(each["rates"].rms, rel=0.05)
-    record = SimpleNamespace(rotor_input="speed")
+    record = SimpleNamespace(rotor_input=RotorInput.SPEED)
     assert Twin(model, model, record)._basic.rotor_inertia == 0.0
 
 

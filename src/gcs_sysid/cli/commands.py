@@ -66,6 +66,7 @@ from gcs_sysid.cli.options import (
     option,
     other_values,
 )
+from gcs_sysid.model.rotor_input import RotorInput
 
 PROGRAM = "gcs-sysid"
 
@@ -302,7 +303,7 @@ COMMANDS = (
             airframe(),
             option(
                 "--rotor-input",
-                choices=("speed", "command"),
+                choices=tuple(RotorInput),
                 help="rotor telemetry to plan for (default: the airframe's, else speed)",
             ),
             JSON_INSTEAD.but(

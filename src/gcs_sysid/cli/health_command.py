@@ -110,7 +110,8 @@ def health_text(health: Health) -> str:
 
 def _head(health: Health) -> Iterator[str]:
     yield health.source
-    what = {"speed": "measured speeds", "command": "commands"}[health.rotor_input]
+    assert health.rotor_input is not None
+    what = health.rotor_input.words
     yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
     yield ""
     assert health.cg is not None

@@ -292,15 +292,14 @@ def _rotors(found: Inspection, width: int) -> list[str]:
     if not found.rotor_sources:
         return []
     chosen = found.rotor_input.chosen
-    shown = chosen or min(found.rotor_sources, key=lambda source: source.kind == "command")
-    what = "measured speeds" if shown.kind == "speed" else "commands"
-    text = f"{shown.message}, {what} at {_short(shown.rate or 0.0)} Hz"
+    shown = chosen or min(found.rotor_sources, key=lambda source: source.kind.motors)
+    text = f"{shown.message}, {shown.kind.words} at {_short(shown.rate or 0.0)} Hz"
     if chosen is None:
         choice = "none is usable" if found.rotor_input.judged else "chosen in flight"
         text = f"{choice}; {text}"
     lines = _entry("Rotor input", text, width)
     if shown.rotors:
-        unit = "rpm" if shown.kind == "speed" else "output"
+        unit = "output" if shown.kind.motors else "rpm"
         lines.append(f"{'  motor':<{_NAME}}{'lowest':>9}{'mean':>9}{'highest':>9}  {unit}")
         lines += _rotor_rows(shown)
     for source in found.rotor_sources:
@@ -314,7 +313,7 @@ def _rotors(found: Inspection, width: int) -> list[str]:
 
 
 def _rotor_rows(source: RotorSource) -> Iterable[str]:
-    scale = 1.0 / RPM if source.kind == "speed" else 1.0
+    scale = 1.0 if source.kind.motors else 1.0 / RPM
     digits = 3 if scale == 1.0 and max(rotor.high for rotor in source.rotors) < 10.0 else 0
     for motor, rotor in enumerate(source.rotors, 1):
         values = "".join(f"{scale * v:>9.{digits}f}" for v in (rotor.low, rotor.mean, rotor.high))

@@ -21,7 +21,7 @@ from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motio
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of
@@ -50,10 +50,11 @@ def run(options: argparse.Namespace) -> int:
     airframe = airframe_of(options)
     own = airframe.anchor()
     assert own is not None
-    wanted = options.rotor_input or airframe.rotor_input
-    if wanted == "auto":
-        wanted = "command" if own[0] == "T_max" else "speed"
-    rotor_input: RotorInput = wanted
+    rotor_input = (
+        (RotorInput(options.rotor_input) if options.rotor_input else airframe.wanted_input)
+        or RotorInput.scaled_by(own[0])
+        or RotorInput.SPEED
+    )
     replace(airframe, rotor_input=rotor_input).check_scale_fits()
     anchor = ScaleReference(*own)
     priors = priors_for(airframe.priors, rotor_input)
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         values = values_of(fit, anchor, airframe.arm, priors, rotor_input, cant=airframe.cant)
         return shares(values, airframe.arm, rotor_input)
 
-    known = prior_vehicle(airframe, commands=rotor_input == "command")
+    known = prior_vehicle(airframe, rotor_input)
     coach = coach_options(options)
     plan = make_plan(airframe.name, known, judge, coach.target, coach.limits)
     deliveries = Deliveries()

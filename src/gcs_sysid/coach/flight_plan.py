@@ -99,7 +99,7 @@ def make_plan(
     """
     free = (
         (Coordinate.DELAY, Coordinate.LAG, Coordinate.CURVE)
-        if prior_vehicle.craft.commands
+        if prior_vehicle.craft.rotor_input.motors
         else (Coordinate.DELAY,)
     )
     prospect = predicted_information(

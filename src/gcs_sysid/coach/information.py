@@ -20,6 +20,7 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, ROTOR_COLUMNS
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 
 _POINTS = 96
 """In a period; the fastest products of the fastest pace take eight of them."""
@@ -47,7 +48,7 @@ class Craft:
         geometry: (3, rotors) x, y, spin.
         theta: (N_THETA,) see `rigid_body.THETA`.
         thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
-        commands: whether the rotors' inputs are commands.
+        rotor_input: what drives it.
         most: greatest thrust of a rotor over its mean hover share; None: not known.
         curve: thrust curve with commands, see `estimation.rows.actuator_dynamics`.
     """
@@ -55,7 +56,7 @@ class Craft:
     geometry: Array
     theta: Array
     thrust: float
-    commands: bool = False
+    rotor_input: RotorInput = RotorInput.SPEED
     most: float | None = None
     curve: float = 1.0
 
@@ -147,7 +148,7 @@ def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
     x[:, 3] = left[:, 2] / theta[rb.MOMENT_RATIO]
     shares = x[:, :4] @ np.linalg.pinv(rb.mixer(craft.geometry))
     speeds = np.sqrt(np.maximum(shares, 0.0))
-    H = (shares if craft.commands else speeds) @ craft.geometry[2]
+    H = (shares if craft.rotor_input.motors else speeds) @ craft.geometry[2]
     x[:, -3:-1] = rates[:, 1::-1] * H[:, None]  # q H, p H
     x[:, -1] = _derivative(H, period)
     return Motion(x, rates, shares, period)
@@ -189,7 +190,7 @@ def speed_noise(craft: Craft, std: Array, dt: float) -> Array:
         std: (rotors,) of one sample: rad/s, or 1 for commands.
         dt: s between samples.
     """
-    slope = np.ones_like(std) if craft.commands else 2.0 * np.sqrt(craft.mean_share)
+    slope = np.ones_like(std) if craft.rotor_input.motors else 2.0 * np.sqrt(craft.mean_share)
     forward = rb.forward_matrix(craft.theta)[:, :4] @ rb.mixer(craft.geometry).T
     scaled = forward * (slope * std)
     density: Array = dt * scaled @ scaled.T
@@ -214,7 +215,7 @@ def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) ->
     rotors = list(ROTOR_COLUMNS)
     driven = Q[:, rotors] @ spectrum[rotors]
     changes[Unknown.DELAY] = 1j * omega * driven
-    if craft.commands:
+    if craft.rotor_input.motors:
         changes[Unknown.LAG] = -1j * omega / (1.0 + 1j * omega * lag) * driven
         changes[Unknown.CURVE] = Q[:, :4] @ np.fft.rfft(_bent(motion, craft), axis=0).T / n
     assert len(changes) == rb.N_THETA + N_COORDINATES

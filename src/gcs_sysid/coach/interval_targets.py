@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import ARM, CORE_OF, REGISTRY, RotorInput
+from gcs_sysid.model.parameters import ARM, CORE_OF, REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 
 _SMALL = 0.05
 

@@ -11,6 +11,7 @@ from gcs_sysid.estimation.fit.search import COORDINATE_STD
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 
 _GYRATION = 0.55
 """Radius of gyration in roll and pitch over the arm; 0.54 to 0.57 of a Crazyflie, an Iris and the
@@ -52,16 +53,18 @@ class PriorVehicle(NamedTuple):
         return PriorVehicle(craft, std, kappa)
 
 
-def prior_vehicle(airframe: Airframe, *, commands: bool = False) -> PriorVehicle:
+def prior_vehicle(airframe: Airframe, rotor_input: RotorInput = RotorInput.SPEED) -> PriorVehicle:
     """The vehicle that an airframe file lets one expect; its priors replace rules of thumb."""
     rotors, arm = len(airframe.rotors), airframe.arm
     known = {name: value for name, (value, _) in airframe.priors.items()}
     mass = airframe.mass or known.get("mass") or 1.0
     weight = mass * GRAVITY
-    if commands:
-        thrust = airframe.T_max or weight / (rotors * _HOVER_COMMAND)
-    else:
-        thrust = airframe.k_T or known.get("k_T") or weight / (rotors * _HOVER_SPEED**2)
+    load = _HOVER_COMMAND if rotor_input.motors else _HOVER_SPEED**2
+    thrust = (
+        getattr(airframe, rotor_input.thrust)
+        or known.get(rotor_input.thrust)
+        or weight / (rotors * load)
+    )
     around = mass * (_GYRATION * arm) ** 2
     usual = np.array([REGISTRY[name].usual for name in rb.THETA])
     theta, std = np.where(rb.RELATIVE, around / thrust, arm) * usual.T
@@ -71,7 +74,7 @@ def prior_vehicle(airframe: Airframe, *, commands: bool = False) -> PriorVehicle
             relative = parameter.scale == "thrust"
             theta[rb.THETA.index(parameter.theta)] = value / (thrust if relative else 1.0)
     most = None if airframe.T_max is None else airframe.T_max * rotors / weight
-    craft = Craft(airframe.geometry, theta, weight / thrust, commands, most)
+    craft = Craft(airframe.geometry, theta, weight / thrust, rotor_input, most)
     coordinates = COORDINATE_STD.copy()
     return PriorVehicle(craft, np.concatenate([std, coordinates]), thrust / mass)
 
@@ -79,7 +82,7 @@ def prior_vehicle(airframe: Airframe, *, commands: bool = False) -> PriorVehicle
 def prior_noise(craft: Craft) -> Noise:
     """Of usual sensors: see GYRO_DENSITY, SPEED_STD and RATE."""
     gyro = 0.5 * GYRO_DENSITY**2 * np.eye(3)
-    if craft.commands:
+    if craft.rotor_input.motors:
         return Noise(gyro, ACCELERATION_DENSITY * np.eye(3))
     std = np.full(craft.geometry.shape[1], SPEED_STD)
     return Noise(gyro, speed_noise(craft, std, 1.0 / RATE))

@@ -175,7 +175,7 @@ def with_delay(vehicle: Vehicle) -> Vehicle:
     """The vehicle with the delay from commands to rotors, where its result has it."""
     found = vehicle.result.timing.get("rotor_delay")
     if (
-        vehicle.result.rotor_input != "command"
+        not vehicle.result.rotor_input.motors
         or found is None
         or found.value is None
         or found.status not in ("identified", "weak")

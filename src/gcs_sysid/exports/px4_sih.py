@@ -55,7 +55,7 @@ def notes(vehicle: Vehicle) -> list[str]:
         out.append(f"unknown, left unchanged: {', '.join(kept)}")
     if abs(vehicle.get("thrust_curve") or 0.0) > _LITTLE_CURVE:
         out.append("SIH's thrust is linear in the output, this vehicle's is not")
-    elif vehicle.result.rotor_input == "speed":
+    elif not vehicle.result.rotor_input.motors:
         out.append("SIH's thrust is linear in the output: THR_MDL_FAC is 0 here")
     out.append(
         "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them: on the vehicle itself "

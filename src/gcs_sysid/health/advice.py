@@ -33,10 +33,9 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
         )
     if guess.arm_std:
         out.append("give --arm: the CG in mm scales with it")
-    if health.scale is None and health.available:
-        name = "T_max" if health.rotor_input == "command" else "k_T"
-        out.append(f"weigh the vehicle and give --mass KG for {name}")
-    if health.rotor_input == "command":
+    if health.scale is None and health.rotor_input is not None and health.available:
+        out.append(f"weigh the vehicle and give --mass KG for {health.rotor_input.thrust}")
+    if health.through_motors:
         out.append(
             "log rotor speeds (ESC telemetry): from commands, a weak motor looks like a shifted CG"
         )

@@ -22,11 +22,12 @@ from gcs_sysid.health.drive_health import (
 )
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.log_streams import Streams
+from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.reasons import blames_rotors
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
@@ -175,14 +176,10 @@ def health_of(
     curve = None
     if streams.commands is not None and len(windows.t):
         curve = curve_of(windows, airframe.command.thrust_curve, own, own_name)
-    by_speed = streams.speeds is not None and airframe.rotor_input != "command"
-    if airframe.T_max is not None and streams.commands is not None:
-        by_speed = False
-    c = None if by_speed else (None if curve is None else curve.c.value)
-    source = streams.speeds if by_speed else streams.commands
-    assert source is not None
+    rotor_input, source = _rotor_stream(streams, airframe)
+    c = curve.c.value if curve is not None and rotor_input.motors else None
     thrust = thrust_of(windows, c)
-    if not by_speed and c is None:
+    if rotor_input.motors and c is None:
         return Health("", airframe=airframe, reasons=("nothing was seen in flight",))
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
     sound &= ~windows.idle
@@ -194,11 +191,11 @@ def health_of(
         return _contradicted(airframe, _ORDER.format(guess.origin))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
-    health = _balances(streams, hover, thrust, curve if not by_speed else None, guess)
+    health = _balances(streams, hover, thrust, curve if rotor_input.motors else None, guess)
     load = load_of(hover, thrust, c)
     health = replace(
         health,
-        rotor_input="speed" if by_speed else "command",
+        rotor_input=rotor_input,
         rotor_source=source.source,
         seconds=hover.seconds,
         load=load,
@@ -240,6 +237,18 @@ def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Hea
         explained=health.explained,
         explained_coupled=health.explained_coupled,
     )
+
+
+def _rotor_stream(streams: Streams, airframe: Airframe) -> tuple[RotorInput, RotorStream]:
+    """The rotor stream that loads are taken from: measured where nothing asks for another."""
+    sources = {RotorInput.SPEED: streams.speeds, RotorInput.COMMAND: streams.commands}
+    given = airframe.anchor()
+    wanted = None if given is None else RotorInput.scaled_by(given[0])
+    for kind in (wanted, airframe.wanted_input, *RotorInput):
+        source = None if kind is None else sources[kind]
+        if kind is not None and source is not None:
+            return kind, source
+    raise ValueError("no rotor stream")
 
 
 def _contradicted(airframe: Airframe, reason: str) -> Health:
@@ -404,9 +413,8 @@ def _compared(
 
 def _of_another_kind(before: Load, now: Load) -> str:
     """Why loads cannot be compared; empty where they can."""
-    what = {"speed": "speeds", "command": "commands"}
     if before.kind != now.kind:
-        return f"its rotors were measured by {what[before.kind]}, here by {what[now.kind]}"
+        return f"its rotors were measured by {before.kind}s, here by {now.kind}s"
     if len(before.value) != len(now.value):
         return f"it has {len(before.value)} rotors, not {len(now.value)}"
     ratio = float(np.mean(np.log(now.value / before.value)))

@@ -66,14 +66,12 @@ def with_throttle(
     health: Health, streams: Streams, windows: Windows, hover: Windows, curve: Curve | None
 ) -> Health:
     """Throttle, thrust to weight, headroom, saturation and drift."""
-    thrust = thrust_of(
-        hover, None if health.rotor_input == "speed" or curve is None else curve.c.value
-    )
+    thrust = thrust_of(hover, None if not health.through_motors or curve is None else curve.c.value)
     lift = balance.lift_of(hover)
     minutes = (hover.t - hover.t.mean()) / 60.0
     effort = np.log(thrust.sum(axis=1) / lift)
     # Thrust for the same command: what falls with the battery.
-    if health.rotor_input == "speed" and streams.commands is not None and curve is not None:
+    if not health.through_motors and streams.commands is not None and curve is not None:
         commanded = thrust_of(hover, curve.c.value).sum(axis=1)
         if np.isfinite(commanded).all() and (commanded > 0.0).all():
             effort = np.log(commanded / lift)

@@ -29,7 +29,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "verdict": "available" if health.available else "refused",
         "reasons": list(health.reasons),
         "seconds_of_hover": health.seconds,
-        "rotor_input": health.rotor_input or None,
+        "rotor_input": health.rotor_input,
         "rotor_source": health.rotor_source or None,
         "cg": None if health.cg is None else {"x": plain(health.cg[0]), "y": plain(health.cg[1])},
         "cg_by_wind": (

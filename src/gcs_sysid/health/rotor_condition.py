@@ -30,6 +30,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Load:
     """What the rotors did for a unit of thrust over mass.
 
     Attributes:
-        kind: "speed" or "command".
+        kind: of rotor stream.
         value: (rotors,) Omega_i^2 or thrust share of T_max, per m/s^2.
         covariance: (rotors, rotors) of the logarithms of `value`.
         seconds: of hover.
@@ -47,7 +48,7 @@ class Load:
         gusts: m/s^2, by how much that force varied (rms of both axes); 0 in older files.
     """
 
-    kind: str
+    kind: RotorInput
     value: Array
     covariance: Array
     seconds: float
@@ -80,7 +81,7 @@ class Load:
             raise ValueError("loads of rotors must be positive, with a covariance")
         curve, force = table["thrust_curve"], table.get("force")
         return cls(
-            str(table["kind"]),
+            RotorInput(table["kind"]),
             value,
             covariance,
             float(table["seconds"]),
@@ -119,7 +120,7 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
     if len(sideways):
         x, y = sideways.mean(axis=0).tolist()
         force, gusts = (x, y), math.sqrt(float(sideways.var(axis=0).mean()))
-    kind = "speed" if c is None else "command"
+    kind = RotorInput.SPEED if c is None else RotorInput.COMMAND
     return Load(kind, values, covariance, windows.seconds, c, force, gusts)
 
 
@@ -212,7 +213,7 @@ def compare_loads(
     ones, yaw = np.ones(n), asked(unit[3])
     moves = asked(unit[:, 1:3])  # (n, 2) of a meter
     own = TUNING.rotor_repeats**2 * np.eye(n)
-    common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
+    common = TUNING.common_command if now.kind.motors else TUNING.common_speed
     of_before, of_now = _pooled(before, now)
     noise = of_before + of_now + own
     gusts = math.sqrt(max(max(before.gusts, now.gusts) ** 2 - TUNING.calm**2, 0.0))

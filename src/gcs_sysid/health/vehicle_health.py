@@ -9,6 +9,7 @@ from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Health:
         contradicted: whether the motion contradicts the airframe: then nothing that depends on its
             motor order is given, and `reasons` say so even where an analysis has its own.
         airframe: used for the balances.
-        rotor_input: "speed" or "command".
+        rotor_input: that loads were taken from.
         seconds: of hover.
         cg: x and y from the geometric center, m.
         by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
@@ -132,7 +133,7 @@ class Health:
     reasons: tuple[str, ...] = ()
     contradicted: bool = False
     airframe: Airframe | None = None
-    rotor_input: str = ""
+    rotor_input: RotorInput | None = None
     rotor_source: str = ""
     seconds: float = 0.0
     cg: tuple[Estimate, Estimate] | None = None
@@ -173,6 +174,11 @@ class Health:
         if self.airframe is not None and self.airframe.mass is not None:
             return self.airframe.mass
         return None if self.mass is None else self.mass.value
+
+    @property
+    def through_motors(self) -> bool:
+        """Whether loads are those of commands."""
+        return self.rotor_input is not None and self.rotor_input.motors
 
     @property
     def available(self) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.inspection.facts import RotorInput, RotorSource
+from gcs_sysid.inspection.facts import ChosenSource, RotorSource
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import WINDOW
@@ -128,18 +128,18 @@ class RotorJudge:
                 self._rotor_selector.learn(record_of.source, record_of.values[0])
             self._note(self._sampler.take(part.tracks))
 
-    def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
+    def finish(self, sources: Sequence[RotorSource]) -> ChosenSource:
         """The source that identification uses at the end."""
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector
         refused = rotor_selector.refused if believed is None else believed.refused or {}
         reasons = [f"{name} {why}" for name, why in refused.items()]
         if believed is None:
-            return RotorInput(None, tuple(reasons), rotor_selector.judged)
-        if believed.kind == "command" or believed.scale != 1.0:
+            return ChosenSource(None, tuple(reasons), rotor_selector.judged)
+        if believed.kind.motors or believed.scale != 1.0:
             reasons.append(f"rotors from {believed.name}, {believed.why}")
         span = believed.range
-        return RotorInput(
+        return ChosenSource(
             next((source for source in sources if source.message == believed.name), None),
             tuple(reasons),
             rotor_selector.judged,

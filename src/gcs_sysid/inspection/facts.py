@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.vehicles import RADIO, Vehicle
 
@@ -55,7 +56,7 @@ class RotorSource:
     """All rotors in one message."""
 
     message: str
-    kind: Literal["speed", "command"]
+    kind: RotorInput
     rate: float | None
     """Hz of the slowest of its streams."""
     repeats_percent: float
@@ -68,12 +69,12 @@ class RotorSource:
         return tuple(
             motor
             for motor, rotor in enumerate(self.rotors, 1)
-            if rotor.zero_percent > 95.0 or (self.kind == "command" and rotor.low == rotor.high)
+            if rotor.zero_percent > 95.0 or (self.kind.motors and rotor.low == rotor.high)
         )
 
 
 @dataclass(frozen=True)
-class RotorInput:
+class ChosenSource:
     """The source that identification uses, as the chain's own selector decides."""
 
     chosen: RotorSource | None
@@ -144,7 +145,7 @@ class Inspection:
     """Whether their number is unknown."""
     telemetry: Mapping[str, Any]
     """As in a result: counts, losses, messages."""
-    rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None))
+    rotor_input: ChosenSource = field(default_factory=lambda: ChosenSource(None))
     problems: tuple[str, ...] = ()
     """Why a link brings too little, as far as the link itself shows."""
     hover: float | None = None
@@ -237,7 +238,7 @@ def role(system: Vehicle) -> str:
 
 def unit(source: RotorSource) -> str:
     """Unit of its rotors' values."""
-    return "rad/s" if source.kind == "speed" else "autopilot's output"
+    return "autopilot's output" if source.kind.motors else source.kind.unit
 
 
 GROUPS = {

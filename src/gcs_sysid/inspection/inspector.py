@@ -21,10 +21,10 @@ from gcs_sysid.inspection.derived_facts import (
 )
 from gcs_sysid.inspection.facts import (
     AXES,
+    ChosenSource,
     ClockFacts,
     Inspection,
     RotorFacts,
-    RotorInput,
     RotorSource,
     StreamFacts,
     that_matter,
@@ -41,7 +41,7 @@ from gcs_sysid.inspection.stream_watch import (
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import Key, RecordBlock
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import ROTOR_STREAMS, Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.telemetry.clock import WRAP_US
 from gcs_sysid.telemetry.dataflash import ENTRIES
@@ -233,7 +233,7 @@ class Inspector:
             rotors=rotors or USUAL,
             rotors_assumed=rotors is None,
             telemetry=counts,
-            rotor_input=RotorInput(None) if self._judge is None else self._judge.finish(sources),
+            rotor_input=ChosenSource(None) if self._judge is None else self._judge.finish(sources),
             problems=(*problems, *telemetry.problems, *doubts),
         )
         return judged(inspection)
@@ -254,7 +254,7 @@ class Inspector:
             found.append(
                 RotorSource(
                     message=name,
-                    kind="speed" if stream is Stream.ROTOR_SPEED else "command",
+                    kind=ROTOR_STREAMS[stream],
                     rate=min(rates, default=None),
                     repeats_percent=max(w.tally.repeats_percent for w in watches.values()),
                     rotors=tuple(

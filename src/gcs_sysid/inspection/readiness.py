@@ -144,7 +144,7 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         return
     for reason in found.rotor_input.reasons:
         yield Finding("note", reason)
-    if chosen.kind == "command" and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
+    if chosen.kind.motors and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
         yield Finding(
             "limits",
             f"{chosen.message}'s commands at {chosen.rate:.0f} Hz leave out commands in between",
@@ -248,7 +248,7 @@ def _is_rough(found: Inspection) -> bool:
 
 
 def _is_by_commands(found: Inspection) -> bool:
-    return found.rotor_input.chosen is not None and found.rotor_input.chosen.kind == "command"
+    return found.rotor_input.chosen is not None and found.rotor_input.chosen.kind.motors
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:

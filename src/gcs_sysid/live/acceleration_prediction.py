@@ -12,10 +12,11 @@ from functools import lru_cache
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
+from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordinate
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput, RotorPath
+from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
@@ -94,13 +95,13 @@ class PredictionRows:
 
 def half_window(dt: float, rotor_input: RotorInput) -> int:
     """Samples on either side of a row's center, as the estimator takes them."""
-    tuning = COMMANDS if rotor_input == "command" else EstimatorTuning()
+    tuning = tuning_for(rotor_input, dt)
     return max(tuning.min_half_samples, round(tuning.half_width / dt))
 
 
 @lru_cache(maxsize=4)
-def _basis_of(lag: float, commands: bool, half_width: float) -> ActuatorDynamics:
-    return ActuatorDynamics((0.0,), (lag,), commands=commands, half_width=half_width)
+def _basis_of(lag: float, motors: bool, half_width: float) -> ActuatorDynamics:
+    return ActuatorDynamics((0.0,), (lag,), motors=motors, half_width=half_width)
 
 
 class Predictor:
@@ -112,7 +113,9 @@ class Predictor:
         rotor_input: what the samples hold, if there is no model.
     """
 
-    def __init__(self, dt: float, model: Model | None, rotor_input: RotorInput = "speed") -> None:
+    def __init__(
+        self, dt: float, model: Model | None, rotor_input: RotorInput = RotorInput.SPEED
+    ) -> None:
         self.half = half_window(dt, model.rotor_input if model else rotor_input)
         self.smoother = WindowSmoother(
             dt, self.half, (0.0 if model is None else float(model.coordinates[Coordinate.DELAY]),)
@@ -120,8 +123,8 @@ class Predictor:
         self._model = model
         self._path: RotorPath | None = None
         if model is not None:
-            lag, commands = float(model.coordinates[Coordinate.LAG]), model.rotor_input == "command"
-            basis = _basis_of(lag, commands, self.half * dt)
+            lag, motors = float(model.coordinates[Coordinate.LAG]), model.rotor_input.motors
+            basis = _basis_of(lag, motors, self.half * dt)
             self._path = RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
 
     def rows(self, piece: RotationSamples) -> PredictionRows:

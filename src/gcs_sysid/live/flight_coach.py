@@ -292,13 +292,13 @@ class Coach:
 
     def _prospect(self, fit: Fit) -> PredictedInformation:
         chain = self._chain
-        known = prior_vehicle(chain.airframe, commands=chain.rotor_input == "command")
+        known = prior_vehicle(chain.airframe, chain.rotor_input)
         estimator = chain.estimator
         assert estimator is not None
         usual = prior_noise(known.craft)
         prospect = predicted_information(fit, known, usual, estimator.free)
         gyro, torque = usual.gyro, usual.torque
-        if chain.rotor_input == "speed":
+        if not chain.rotor_input.motors:
             torque = speed_noise(prospect.craft, estimator.speed_std, estimator.dt)
         if fit.rotation is not None:
             gyro = estimator.gyro_density(fit.rotation, prospect.craft.theta)

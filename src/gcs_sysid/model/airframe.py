@@ -15,8 +15,8 @@ from gcs_sysid.errors import InputError, nearest
 from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.given_uncertainty import USUAL, GivenUncertainty, check_share
 from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 
-RotorInput = Literal["auto", "speed", "command"]
 AnchorName = Literal["mass", "k_T", "T_max"]
 ANCHORS: dict[AnchorName, str] = {name: REGISTRY[name].unit for name in get_args(AnchorName)}
 """The values that can set the scale, with their units."""
@@ -96,7 +96,7 @@ class Airframe:
     Attributes:
         name: as in the file.
         rotors: in the autopilot's motor order.
-        rotor_input: which telemetry carries the rotors' inputs.
+        rotor_input: which telemetry carries the rotors' inputs; "auto": the first sound.
         command: the range of actuator outputs.
         mass: kg, or None.
         k_T: N s^2, or None.
@@ -109,7 +109,7 @@ class Airframe:
 
     name: str
     rotors: tuple[Rotor, ...]
-    rotor_input: RotorInput = "auto"
+    rotor_input: RotorInput | Literal["auto"] = "auto"
     command: CommandRange = CommandRange()
     mass: float | None = None
     k_T: float | None = None
@@ -121,6 +121,15 @@ class Airframe:
     uncertainty: GivenUncertainty = USUAL
     placeholder: tuple[Rotor, ...] = ()
     """Rotors of a built-in layout, whose size is not that of any vehicle: see `_VEHICLES`."""
+
+    def __post_init__(self) -> None:
+        if self.rotor_input != "auto":
+            object.__setattr__(self, "rotor_input", RotorInput(self.rotor_input))
+
+    @property
+    def wanted_input(self) -> RotorInput | None:
+        """The kind of rotor stream asked for; None: whichever is sound."""
+        return None if self.rotor_input == "auto" else self.rotor_input
 
     @property
     def arm_known(self) -> bool:
@@ -198,19 +207,14 @@ class Airframe:
         Raises:
             InputError: it does not fit.
         """
-        if self.T_max is not None and self.rotor_input == "speed":
-            raise InputError(
-                "T_max cannot set the scale with rotor speeds as the input; give mass or k_T "
-                "(--mass, --k-t)"
-            )
-        if self.k_T is not None and self.rotor_input == "command":
-            raise InputError(
-                "k_T cannot set the scale with commands as the input; give mass or T_max "
-                "(--mass, --t-max)"
-            )
-
         own = self.anchor()
         if own is not None:
+            if self.wanted_input is not None and not self.wanted_input.fits(own[0]):
+                kind = self.wanted_input
+                raise InputError(
+                    f"{own[0]} cannot set the scale with {kind.words} as the input; give mass or "
+                    f"{kind.thrust} (--mass, --{kind.thrust.lower().replace('_', '-')})"
+                )
             check_share(*own, getattr(self.uncertainty, own[0]))
         check_share("arm", self.arm, self.uncertainty.arm)
 
@@ -323,10 +327,10 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     if not isinstance(name, str):
         raise InputError(f"{where}: name must be text, got {_shown(name)}")
     rotor_input = table.get("rotor_input", "auto")
-    if rotor_input not in ("auto", "speed", "command"):
-        raise InputError(
-            f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {_shown(rotor_input)}"
-        )
+    kinds = ["auto", *RotorInput]
+    if rotor_input not in kinds:
+        names = " or ".join([", ".join(f"'{kind}'" for kind in kinds[:-1]), f"'{kinds[-1]}'"])
+        raise InputError(f"{where}: rotor_input must be {names}, got {_shown(rotor_input)}")
     anchors: dict[str, Any] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.parameters import GRAVITY, RotorInput
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 
 _LONGEST_STEP = 0.01
 """s; longer steps between samples are divided. Body rates of a multirotor change by about a tenth
@@ -126,13 +127,7 @@ class FlightModel:
     def hover(self) -> Array:
         """(...) speed in rad/s or command at which the mean rotor carries the weight."""
         load = np.asarray(self.mass) * GRAVITY / self.thrust.sum(axis=-1)
-        if self.rotor_input == "speed":
-            speed: Array = np.sqrt(load)
-            return speed
-        c = np.asarray(self.thrust_curve)
-        # (1-c) u + c u^2 = load, in the form that holds at c = 0.
-        command: Array = 2.0 * load / (1.0 - c + np.sqrt((1.0 - c) ** 2 + 4.0 * c * load))
-        return command
+        return self.rotor_input.at_load(load, np.asarray(self.thrust_curve))
 
     def over_stretches(self) -> "FlightModel":
         """An ensemble (samples,) as (samples, 1): each sample then flies each of many inputs."""
@@ -180,7 +175,7 @@ class FlightModel:
         """
         times, inputs = self._checked(t, rotors)
         start = MotionState() if initial is None else initial
-        if self.rotor_input == "command":
+        if self.rotor_input.motors:
             inputs = self.lagged(times, inputs, start.rotors)
         forcing = self._forcing(times, inputs)
         steps = len(times) - 1
@@ -239,13 +234,9 @@ class FlightModel:
 
     def _forcing(self, t: Array, inputs: Array) -> _Forcing:
         x, y, s = self.geometry
-        if self.rotor_input == "speed":
-            load, turning = inputs * inputs, inputs
-        else:
-            c = np.asarray(self.thrust_curve)[..., None, None]
-            load = (1.0 - c) * inputs + c * inputs * inputs
-            # A rotor's speed goes with the root of its thrust, as `RotorPath` has it.
-            turning = (1.0 - c) * np.sqrt(np.clip(inputs, 0.0, None)) + c * inputs
+        curve = np.asarray(self.thrust_curve)[..., None, None]
+        load = self.rotor_input.load(inputs, curve)
+        turning = self.rotor_input.turning(inputs, curve)
         thrusts = load * self.thrust[..., None, :]
         total = thrusts.sum(axis=-1)
         cg_x, cg_y = self.cg[..., 0, None], self.cg[..., 1, None]

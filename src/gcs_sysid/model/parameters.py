@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from gcs_sysid.model.rotor_input import MEASURED, THROUGH_MOTORS, RotorInput
+
 GRAVITY = 9.80665
 """Standard gravity in m/s^2."""
 
-RotorInput = Literal["speed", "command"]
-INPUTS: tuple[RotorInput, ...] = ("speed", "command")
+INPUTS = tuple(RotorInput)
 Sign = Literal["positive", "not negative", "any"]
 ARM = "arm"
 """In reference values, the mean distance of the rotors from the geometric center, m."""
@@ -206,29 +207,29 @@ _DECLARED = (
     _offset("cg_y", "β", "to the right", 0),
     Parameter(
         "k_T", "k_T", "N s^2", "thrust of a rotor over its speed squared", _AGAINST_GRAVITY,
-        group="thrust", fit="scale", inputs=("speed",), core=("speed",), sign="positive",
+        group="thrust", fit="scale", inputs=MEASURED, core=MEASURED, sign="positive",
         prior=True, clock=_SLIGHT,
     ),
     Parameter(
         "k_M", "k_M", "N m s^2", "torque of a rotor over its speed squared", _GYROSCOPIC,
-        group="rotor torque", theta="moment_ratio", inputs=("speed",), core=("speed",),
+        group="rotor torque", theta="moment_ratio", inputs=MEASURED, core=MEASURED,
         sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
     ),
     Parameter(
         "T_max", "T_max", "N", "thrust of a rotor at full command", _AGAINST_GRAVITY,
-        group="thrust", fit="scale", inputs=("command",), core=("command",), sign="positive",
+        group="thrust", fit="scale", inputs=THROUGH_MOTORS, core=THROUGH_MOTORS, sign="positive",
         clock=_SLIGHT,
     ),
     Parameter(
         "thrust_curve", "c", "1", "T/T_max = (1-c) u + c u^2", "torque at low and at high command",
-        fit="actuator", scale="none", inputs=("command",),
+        fit="actuator", scale="none", inputs=THROUGH_MOTORS,
         reference=ReferenceValue(fixed=1.0),
     ),
     # Of usual propellers k_M / k_T is 0.07 of the arm.
     Parameter(
         "moment_ratio", "k_M/k_T", "m", "rotor torque over rotor thrust", _GYROSCOPIC,
         group="rotor torque", theta="moment_ratio", scale="none",
-        core=("command",), sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
+        core=THROUGH_MOTORS, sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
         usual=(0.07, 0.07),
     ),
     # Damping matters against inertia at 1 rad/s, a rotor against a five-hundredth of the body.
@@ -241,7 +242,7 @@ _DECLARED = (
     *(_axis_damping(axis) for axis in range(3)),
     Parameter(
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
-        "changes of rotor speed", theta="rotor_inertia", inputs=("speed",),
+        "changes of rotor speed", theta="rotor_inertia", inputs=MEASURED,
         sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
         reference=ReferenceValue(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
         in_flight=True,
@@ -260,7 +261,7 @@ _DECLARED = (
     ),
     Parameter(
         "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "fast rotation",
-        fit="actuator", scale="none", inputs=("command",), section="timing",
+        fit="actuator", scale="none", inputs=THROUGH_MOTORS, section="timing",
         sign="not negative", reference=ReferenceValue(fixed=0.05), clock=_FULL, in_flight=True,
         exponent=-3,
     ),
@@ -283,8 +284,6 @@ CORE_OF: dict[RotorInput, tuple[str, ...]] = {
     kind: tuple(n for n, p in REGISTRY.items() if kind in p.core) for kind in INPUTS
 }
 """What a complete identification consists of, by what the rotors' input is."""
-THRUST_OF: dict[RotorInput, Literal["k_T", "T_max"]] = {"speed": "k_T", "command": "T_max"}
-"""The thrust coefficient that everything is relative to."""
 
 
 def grouped(name: str) -> tuple[str, ...]:

@@ -120,7 +120,7 @@ def _settings(data: ReportData) -> Markup:
         "Recording": f"{_file_name(result.source)}, {made.log_bytes} bytes",
         "SHA-256": element("code", made.log_sha256, class_="hash"),
         "Estimate": result.estimator,
-        "Rotor input": {"speed": "measured speeds", "command": "commands"}[result.rotor_input],
+        "Rotor input": result.rotor_input.words,
     }
     if scale is not None:
         entries["Scale"] = f"{scale.anchor} = {scale.value:.9g} {PAGE.unit(scale.unit)}"

@@ -8,9 +8,14 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput
-from gcs_sysid.live.acceleration_prediction import Model, Predictor, RotationSamples, half_window
+from gcs_sysid.live.acceleration_prediction import (
+    Model,
+    Predictor,
+    RotationSamples,
+    half_window,
+)
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.smoothers import cosine_window
 
 _MOST_POINTS = 512
@@ -64,7 +69,7 @@ def predict(
     since: float,
     until: float,
     fitted_share: float,
-    rotor_input: RotorInput = "speed",
+    rotor_input: RotorInput = RotorInput.SPEED,
 ) -> Prediction:
     """Predict the angular acceleration of a flight.
 
@@ -80,7 +85,7 @@ def predict(
     predictor = Predictor(dt, model, rotor_input)
     found = []
     noise: SpeedNoise | CommandNoise | None = None
-    if model is not None and model.rotor_input == "command":
+    if model is not None and model.rotor_input.motors:
         noise = CommandNoise(model.geometry, dt, model.loop_cutoff)
     elif model is not None:
         noise = SpeedNoise(model.geometry, dt)

@@ -15,7 +15,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import interval95
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY, THRUST_OF
+from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result, Scale
 
 SCHEMA = "gcs-sysid/compare/1"
@@ -264,7 +265,7 @@ def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference])
 
 def _suspicion(mass: float, found: Mapping[str, Difference]) -> Iterable[str]:
     """Where thrust changed at given masses, the mass that would leave it as it was."""
-    for name in THRUST_OF.values():
+    for name in (kind.thrust for kind in RotorInput):
         thrust = found.get(name)
         if thrust is None or thrust.verdict != "changed":
             continue

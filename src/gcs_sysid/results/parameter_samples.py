@@ -12,7 +12,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import FlightModel
-from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY, THRUST_OF
+from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
 from gcs_sysid.results.notebook_view import needed
 from gcs_sysid.results.result import Result
 
@@ -151,9 +151,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
         values = {name: samples[name][0] for name in samples}
     else:
         values = dict(samples)
-    command = result.rotor_input == "command"
-    thrust = THRUST_OF[result.rotor_input]
-    torque = "moment_ratio" if command else "k_M"
+    thrust, torque = result.rotor_input.thrust, result.rotor_input.torque
     required = ("mass", *INERTIA, "cg_x", "cg_y", thrust, torque)
     if missing := [name for name in required if name not in values]:
         raise NoAnswerError(
@@ -177,7 +175,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
         thrust=thrusts,
         # With commands the ratio is that of torque and thrust. What canted rotors' thrust adds in
         # yaw goes with their torque.
-        torque=(torques * values[thrust][..., None] if command else torques)
+        torque=(torques * values[thrust][..., None] if result.rotor_input.motors else torques)
         + airframe.cant * thrusts,
         damping=np.stack([values.get(name, damping) for name in AXIS_DAMPINGS], axis=-1),
         drag=values.get("linear_drag", zero),

@@ -14,8 +14,9 @@ import numpy as np
 
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import KNOWN, Estimate
-from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, THRUST_OF, RotorInput
+from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
+from gcs_sysid.model.rotor_input import RotorInput
 
 Range = tuple[float, float]
 
@@ -147,20 +148,20 @@ def _sizes(
             f"this size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
         )
         return
-    name = THRUST_OF[rotor_input]
+    name = rotor_input.thrust
     thrust = found.get(name)
     if thrust is None or thrust <= 0.0:
         return
     low, high = RANGES.rotor
     high *= 2.0 if _coaxial(airframe) else 1.0
-    if rotor_input == "speed" and not _within(thrust / arm**4, (low, high)):
+    if not rotor_input.motors and not _within(thrust / arm**4, (low, high)):
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield (
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
             f"{arm:.3g} m: check mass (kg), arm (m) and the unit of the rotor speeds"
         )
     ratio = rotors * thrust / (mass * GRAVITY)
-    if rotor_input == "command" and not _within(ratio, RANGES.thrust_to_weight):
+    if rotor_input.motors and not _within(ratio, RANGES.thrust_to_weight):
         yield (
             f"full thrust is {ratio:.2g} times the weight, expected "
             f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}: check mass (kg), "
@@ -203,7 +204,7 @@ def _spins(
     """
     ratio, k_T = found.get("moment_ratio"), found.get("k_T")
     low, high = RANGES.moment_ratio
-    if rotor_input == "speed" and k_T is not None and k_T > 0.0:
+    if not rotor_input.motors and k_T is not None and k_T > 0.0:
         diameter = (4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25
     else:
         # The largest that do not touch their neighbors.

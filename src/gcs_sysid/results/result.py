@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.strict_json import json_text
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Result:
     source: str
     vehicle: dict[str, Any]
     scale: Scale | None
-    rotor_input: Literal["speed", "command"]
+    rotor_input: RotorInput
     parameters: dict[str, Estimate]
     estimator: Literal["online", "offline"] = "online"
     method: str = ""

@@ -10,6 +10,7 @@ from gcs_sysid.files import read_text
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import SCHEMA, Result, Scale, Verdict
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.strict_json import parse_json
@@ -64,7 +65,7 @@ def parse_result(document: object, where: str) -> Result:
         raise InputError(f"{where}: not a result of gcs-sysid (no schema {SCHEMA!r} in it)")
     table = _Table(document, where)
     rotor_input = table.text("rotor_input")
-    if rotor_input not in ("speed", "command"):
+    if rotor_input not in tuple(RotorInput):
         table.fail("rotor_input")
     return Result(
         verdict=cast(Verdict, table.one_of("verdict", get_args(Verdict))),
@@ -72,7 +73,7 @@ def parse_result(document: object, where: str) -> Result:
         source=table.text("source"),
         vehicle=table.table("vehicle").entries,
         scale=_scale(table),
-        rotor_input="speed" if rotor_input == "speed" else "command",
+        rotor_input=RotorInput(rotor_input),
         parameters=_estimates(table.table("parameters"), PARAMETERS),
         estimator="offline" if document.get("estimator") == "offline" else "online",
         method=one_line(str(document.get("method", ""))),

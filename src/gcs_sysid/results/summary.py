@@ -15,7 +15,8 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
+from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
@@ -59,7 +60,7 @@ def values_of(
     anchor: ScaleReference,
     arm: float,
     known: Mapping[str, Known],
-    rotor_input: RotorInput = "speed",
+    rotor_input: RotorInput = RotorInput.SPEED,
     lateness: float = 0.0,
     cant: float = 0.0,
 ) -> dict[str, Estimate]:
@@ -164,7 +165,7 @@ def next_anchor(
         until: s, session time of the change.
         mass_ratio: mass after over mass before, and its standard deviation; None: not known.
     """
-    kind = THRUST_OF["speed" if "k_T" in values else "command"]
+    kind = next(kind.thrust for kind in RotorInput if kind.thrust in values)
     thrust = values[kind]
     origin = f"the flight before {until:.1f} s"
     if anchor.kind == kind:
@@ -250,9 +251,9 @@ def event_of(
     return out
 
 
-def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
+def note_of(event: Event, rotor_input: RotorInput = RotorInput.SPEED) -> str:
     """A line for the event log."""
-    thrust = THRUST_OF[rotor_input]
+    thrust = rotor_input.thrust
     if event.change is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "

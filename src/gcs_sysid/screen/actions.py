@@ -166,7 +166,7 @@ class ActingApp(App[None]):
             self.say("No result yet.")
             return
         result = self.snapshot.result
-        thrust = "k_T" if result.rotor_input == "speed" else "T_max"
+        thrust = result.rotor_input.thrust
         words = {
             "mass": "mass, weighed, kg",
             "k_T": "k_T, thrust over speed squared, N s²",

@@ -22,11 +22,12 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.evidence import Evidence, evidence_of
 from gcs_sysid.estimation.parameters.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
-from gcs_sysid.estimation.record.tuning import COMMANDS, tuning_for_commands
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput, low_pass_delay
+from gcs_sysid.estimation.record.tuning import tuning_for
+from gcs_sysid.estimation.rows.rotor_signals import low_pass_delay
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Result
@@ -81,7 +82,7 @@ class Chain:
         selected = airframe
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
-            selected = replace(airframe, rotor_input="speed")
+            selected = replace(airframe, rotor_input=RotorInput.SPEED)
         rotor_selector = RotorSourceSelector(selected, anchor)
         rotor_selector.parameters |= options.parameters
         self.sampler = Sampler(
@@ -167,7 +168,7 @@ class Chain:
         """The offline estimate, or why there is none."""
         if self.tracker is None:
             return "no estimate from this flight"
-        if self.rotor_input != "speed":
+        if self.rotor_input.motors:
             return "--offline needs measured rotor speeds, this flight has commands"
         # Splines and likelihoods take a while to load, and few ask for them.
         from gcs_sysid.estimation.offline.offline import fit_offline
@@ -190,8 +191,8 @@ class Chain:
         Raises:
             InputError: it does not.
         """
-        used = self.airframe.rotor_input if self.rotors is None else self.rotors.kind
-        if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
+        used = self.airframe.wanted_input if self.rotors is None else self.rotors.kind
+        if used is not None and not used.fits(kind):
             raise InputError(f"{kind} cannot set the scale with {used}s as the rotors' input")
 
     def set_anchor(self, anchor: ScaleReference) -> None:
@@ -265,7 +266,7 @@ class Chain:
         """What the estimate rests on."""
         if self.rotors is not None:
             return self.rotors.kind
-        return "command" if self.airframe.rotor_input == "command" else "speed"
+        return self.airframe.wanted_input or RotorInput.SPEED
 
     @property
     def outdated(self) -> bool:
@@ -385,15 +386,16 @@ class Chain:
         own, changes = self.options.tuning, self.options.changes
         self.cutoffs = gyro, loop = self._known_cutoffs()
         tuning = replace(own, gyro_cutoff=gyro, speed_interval=rotors.interval)
-        if rotors.kind == "command":
+        if rotors.kind.motors:
             curve = self.airframe.command.thrust_curve
+            usual = tuning_for(rotors.kind, dt)
             tuning = replace(
-                tuning_for_commands(dt),
+                usual,
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
-                curves=COMMANDS.curves if curve is None else (curve,),
+                curves=usual.curves if curve is None else (curve,),
             )
         return Tracker(
             self.airframe.geometry,
@@ -408,7 +410,7 @@ class Chain:
         """By the parameters that have come, as far as they matter to the rotors' input in use."""
         given, selector = self.airframe.gyro_filter, self.rotor_selector
         known = selector.autopilot, selector.parameters
-        loop = loop_cutoff(*known) if self.rotor_input == "command" else None
+        loop = loop_cutoff(*known) if self.rotor_input.motors else None
         return gyro_cutoff(given, *known), loop
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:

@@ -114,7 +114,7 @@ class Findings:
 
     def _rotors(self) -> tuple[dict[str, Estimate], ...]:
         """Each rotor's coefficients; with commands there are none."""
-        if self.chain.rotor_input != "speed":
+        if self.chain.rotor_input.motors:
             return ()
         rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
         each = rotor_values(self._aligned_rotation, self._scale, rotors, cant)

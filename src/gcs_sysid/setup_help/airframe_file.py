@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import (
@@ -13,9 +14,9 @@ from gcs_sysid.model.airframe import (
     Airframe,
     AnchorName,
     Rotor,
-    RotorInput,
     parse_airframe,
 )
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.setup_help.checks import Finding, Sign
 from gcs_sysid.setup_help.layouts import (
     USUAL_ARM,
@@ -51,7 +52,7 @@ class AirframeAnswers:
     rotors: tuple[Rotor, ...]
     origin: str = ""
     scale: tuple[AnchorName, float] | None = None
-    rotor_input: RotorInput = "auto"
+    rotor_input: RotorInput | Literal["auto"] = "auto"
     imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -246,7 +247,8 @@ def _scale(airframe: Airframe) -> Finding:
     doubt = scale_doubt(name, value)
     if doubt:
         return Finding("scale", Sign.WARNING, doubt)
-    if (name, airframe.rotor_input) in {("T_max", "speed"), ("k_T", "command")}:
+    wanted = airframe.wanted_input
+    if wanted is not None and not wanted.fits(name):
         text = f"{name} cannot set the scale with rotor_input {airframe.rotor_input!r}"
         return Finding("scale", Sign.PROBLEM, text, ["give the mass instead"])
     return Finding("scale", Sign.OK, f"{name} = {value:g} {ANCHORS[name]}")

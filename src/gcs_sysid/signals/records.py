@@ -8,6 +8,8 @@ All values are SI, all axes body FRD or world NED, all times the vehicle's own c
 from enum import StrEnum
 from typing import NamedTuple
 
+from gcs_sysid.model.rotor_input import RotorInput
+
 
 class Stream(StrEnum):
     """The kinds of record, each with the layout of its `values`."""
@@ -33,6 +35,12 @@ class Stream(StrEnum):
     PARAMETER = "parameter"
     """value of the autopilot's parameter that `source` names; a fact, not a sample: its time is
     that of reception (0.0 before any clock), and it is not put on a time base."""
+
+
+ROTOR_STREAMS = {
+    Stream.ROTOR_SPEED: RotorInput.SPEED, Stream.ROTOR_COMMAND: RotorInput.COMMAND,
+}  # fmt: skip
+"""Streams of the rotors, and what they hold."""
 
 
 class Record(NamedTuple):

@@ -17,9 +17,10 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
-from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_readings import OddReading, held_rotor, odd_reading
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
@@ -53,7 +54,6 @@ _BEYOND = 3.0
 _ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
           "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
 """Of equals, the first; others after them."""
-_STREAMS = {Stream.ROTOR_SPEED: "speed", Stream.ROTOR_COMMAND: "command"}
 
 
 def family(source: str) -> str:
@@ -175,7 +175,7 @@ class RotorSourceSelector:
     def extend(self, tracks: Sequence[Track]) -> None:
         """Take the samples of a while of flight; those of rotors count."""
         for track in tracks:
-            if track.stream in _STREAMS and len(track.t):
+            if track.stream in ROTOR_STREAMS and len(track.t):
                 name = family(track.source)
                 self._stretches.setdefault(name, Stretch(track.stream)).extend(track)
                 self.repeats.setdefault(name, Repeats()).extend(track)
@@ -306,13 +306,13 @@ class RotorSourceSelector:
     def _choose(
         self, stretches: Mapping[str, Stretch], refused: dict[str, str]
     ) -> RotorSource | None:
-        wanted = self._airframe.rotor_input
-        if wanted == "auto":
-            kind = "" if self.anchor is None else self.anchor.kind
-            wanted = {"k_T": "speed", "T_max": "command"}.get(kind, "auto")  # type: ignore[assignment]
+        wanted = self._airframe.wanted_input
+        if wanted is None and self.anchor is not None:
+            wanted = RotorInput.scaled_by(self.anchor.kind)
         count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
-        for name in self._ranked(stretches, Stream.ROTOR_SPEED) if wanted != "command" else ():
+        speeds = self._ranked(stretches, Stream.ROTOR_SPEED)
+        for name in speeds if wanted in (None, RotorInput.SPEED) else ():
             stretch = stretches[name]
             copied = next((c for c in commands if self._copies(stretch, stretches[c])), None)
             if copied is not None:
@@ -322,11 +322,12 @@ class RotorSourceSelector:
             if odd is not None and odd.by_command:
                 refused[name] = odd.words
                 continue
+            why, scale = RotorInput.SPEED.words, 1.0
             if self._too_slow(stretch):
-                why = "measured speeds, read as rad/s in an rpm field, by the thrust needed"
-                return RotorSource("speed", name, why, scale=1.0 / _RPM, interval=_apart(stretch))
-            return RotorSource("speed", name, "measured speeds", interval=_apart(stretch))
-        for name in commands if wanted != "speed" else ():
+                why += ", read as rad/s in an rpm field, by the thrust needed"
+                scale = 1.0 / _RPM
+            return RotorSource(RotorInput.SPEED, name, why, scale=scale, interval=_apart(stretch))
+        for name in commands if wanted in (None, RotorInput.COMMAND) else ():
             range_ = self._range(name, stretches[name])
             if range_ is None:
                 refused[name] = (
@@ -337,11 +338,11 @@ class RotorSourceSelector:
             if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
                 refused[name] = "shows stopped rotors in flight"
                 continue
-            asked = wanted == "command"
+            asked = wanted is not None
             why = "commands, as requested" if asked else "commands: no usable measured speeds"
-            return RotorSource("command", name, why, range=range_)
+            return RotorSource(RotorInput.COMMAND, name, why, range=range_)
         for name in stretches:
-            refused.setdefault(name, f"{wanted} is wanted")
+            refused.setdefault(name, f"{wanted or 'auto'} is wanted")
         return None
 
     def _twin(self, choice: RotorSource, stretches: Mapping[str, Stretch]) -> str | None:

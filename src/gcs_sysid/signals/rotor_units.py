@@ -7,12 +7,12 @@ part of the result.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import CommandRange
+from gcs_sysid.model.rotor_input import RotorInput
 
 Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
@@ -184,7 +184,7 @@ class RotorSource:
         interval: s between readings; 0 where that does not matter.
     """
 
-    kind: Literal["speed", "command"]
+    kind: RotorInput
     name: str
     why: str
     range: Range | None = None

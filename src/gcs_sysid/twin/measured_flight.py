@@ -9,7 +9,7 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import attitude as quaternions
 from gcs_sysid.model.flight_model import FlightModel, MotionState
-from gcs_sysid.model.parameters import RotorInput
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.signals.recursions import lfilter
@@ -79,7 +79,7 @@ class MeasuredFlight:
         )
         v = np.where(np.isfinite(velocity), velocity, 0.0)
         start = MotionState(rates[:-1], q[:-1], v[:-1])
-        if self.rotor_input == "command":
+        if self.rotor_input.motors:
             lagged = model.lagged(self.t[part], rotors)
             start = MotionState(rates[:-1], q[:-1], v[:-1], rotors=lagged[:-1])
         pairs = np.stack([rotors[:-1], rotors[1:]], axis=1)
@@ -108,7 +108,7 @@ class FlightRecorder:
         self._source: RotorSource | None = None
         self.gyro_cutoff: float | None = None
         self.delay = 0.0
-        self.rotor_input: RotorInput = "speed"
+        self.rotor_input = RotorInput.SPEED
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
@@ -156,7 +156,7 @@ class FlightRecorder:
         t, x = np.concatenate(self._t), np.concatenate(self._rows).astype(np.float64)
         rates, attitude = _with_later_bias(t, x[:, 10:13], x[:, :3], x[:, 3:7], self._dt)
         rotors = _acting(t, x[:, 13:], self._dt, self.delay, self.gyro_cutoff)
-        settling = _SETTLED * motor_lag if self.rotor_input == "command" else 0.0
+        settling = _SETTLED * motor_lag if self.rotor_input.motors else 0.0
         if self.gyro_cutoff is not None:
             settling += _FILTER_SETTLED / self.gyro_cutoff
         return MeasuredFlight(

@@ -228,7 +228,7 @@ class Twin:
         carried: Array | None = None,
     ) -> Trajectory:
         record = self._record
-        if record.rotor_input == "command":
+        if record.rotor_input.motors:
             room = int(np.ceil(record.settling / record.dt))
             before = starts[:, None] + np.arange(-room, 1)
             lagged = model.lagged(record.dt * np.arange(room + 1), record.rotors[before])

@@ -169,11 +169,10 @@ def _rotors(snapshot: Snapshot) -> list[dict[str, Any]]:
     if not speeds or not all(map(math.isfinite, speeds)):
         return []
     mean = sum(speeds) / len(speeds)
-    command = snapshot.result.rotor_input == "command"
     places = snapshot.result.airframe.get("rotors", ())
     return [
         {
-            "value": f"{100.0 * speed:.0f} %" if command else f"{speed:.0f} rad/s",
+            "value": snapshot.result.rotor_input.shown(speed),
             "share": round(min(speed / mean, 2.0), 2) if mean > 0.0 else 0.0,
             "spin": places[i]["spin"] if i < len(places) else "",
         }

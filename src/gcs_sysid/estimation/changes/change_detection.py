@@ -94,7 +94,7 @@ class ChangeDetector:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
-        commands: whether commands are the rotors' input.
+        motors: whether they lie between the rotors' input and thrust.
         moments: whether the angular channels can be watched: not where the gyro is filtered.
     """
 
@@ -104,7 +104,7 @@ class ChangeDetector:
         dt: float,
         tuning: ChangeTuning | None = None,
         *,
-        commands: bool = False,
+        motors: bool = False,
         moments: bool = True,
     ) -> None:
         self.dt = dt
@@ -114,7 +114,7 @@ class ChangeDetector:
         self._closed: list[tuple[Array, Array, Array]] = []
         """Frames whose means are still to be taken: of a block's all at once."""
         self._geometry = geometry
-        self._commands, self._moments = commands, moments
+        self._motors, self._moments = motors, moments
         self._rotors = Rotors(dt, None)
         self._history = int(np.ceil(MAX_DELAY / dt)) + 3
         self._width = TABLE + geometry.shape[1] + 3
@@ -177,7 +177,7 @@ class ChangeDetector:
             Whether anything is monitored now.
         """
         found = reference_of(
-            fit, self._geometry, self.dt, commands=self._commands, moments=self._moments
+            fit, self._geometry, self.dt, motors=self._motors, moments=self._moments
         )
         before = self.reference
         matrix = found.matrix.copy()

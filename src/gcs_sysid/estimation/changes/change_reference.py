@@ -243,7 +243,7 @@ def form_rows(
 
 
 def reference_of(
-    fit: Fit, geometry: Array, dt: float, *, commands: bool = False, moments: bool = True
+    fit: Fit, geometry: Array, dt: float, *, motors: bool = False, moments: bool = True
 ) -> Reference:
     """A fit as a reference, on the axes where it is good enough.
 
@@ -251,7 +251,7 @@ def reference_of(
         fit: of the flight so far.
         geometry: (3, rotors).
         dt: s between samples.
-        commands: whether they are the rotors' input.
+        motors: whether they lie between the rotors' input and thrust.
         moments: whether the angular channels can be watched: not where the gyro is filtered.
     """
     matrix = np.full((4, N_X), np.nan)
@@ -264,10 +264,10 @@ def reference_of(
         known = _axes_known(rot) & moments
         Q = np.column_stack([rb.forward_matrix(rot.theta), np.zeros(3)])
         matrix[1:] = np.where(known[:, None], Q, np.nan)
-        if (known.any() or commands) and abs(rot.delay) < MAX_DELAY:
+        if (known.any() or motors) and abs(rot.delay) < MAX_DELAY:
             # To a quarter of a sample: a finer shift gains nothing, a whole one adds no lag.
             shift = round(4.0 * rot.delay / dt) / 4.0
-        if commands:
+        if motors:
             where, std = rot.coordinates, rot.coordinates_std
             actuator = Actuator(
                 float(where[Coordinate.LAG]),
@@ -277,7 +277,7 @@ def reference_of(
                 float(std[Coordinate.CURVE]),
             )
     stuck = rot is not None and rot.warm_start is not None and rot.warm_start.stuck
-    if commands and (actuator is None or stuck):
+    if motors and (actuator is None or stuck):
         matrix[:] = np.nan  # of commands nothing is known without lag and curve
     return Reference(geometry, matrix, shift, actuator)
 

@@ -15,7 +15,6 @@ from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.changes.early_change import actuator_of, early_change
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput
 from gcs_sysid.signals.samples import Samples
 
 _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
@@ -27,8 +26,6 @@ _BLURRED = 0.1
 _EARLY, _EARLY_GROWTH, _EARLY_END = 8.0, 1.45, 40.0
 """s of flight at which its unwatched beginning is first looked at, growth until it is again, and
 from when on it is not: by then every flight with input on all axes has a reference."""
-_ARM: dict[RotorInput, tuple[float, float]] = {"speed": (1.0, 1.2), "command": (5.0, 1.5)}
-"""s between new references of the detector, and growth of the record, whichever is later."""
 
 
 @dataclass
@@ -77,7 +74,7 @@ class ChangeWatch:
             geometry,
             dt,
             changes,
-            commands=tuning.rotor_input == "command",
+            motors=tuning.rotor_input.motors,
             moments=tuning.gyro_cutoff is None,
         )
         self._alarms: list[Alarm] = []
@@ -147,8 +144,8 @@ class ChangeWatch:
 
     def arm(self, fit: Fit, seconds: float) -> None:
         """Watch with a better reference, of so many s of flight."""
-        pause, growth = _ARM[self._tuning.rotor_input]
-        self.arm_at = max(seconds + pause, growth * seconds)
+        every, growth = self._tuning.reference_every, self._tuning.reference_growth
+        self.arm_at = max(seconds + every, growth * seconds)
         self._detector.arm(fit)
         if self._watched is None and self._detector.reference.watched[0] and self._recent:
             self._watched = float(self._recent[-1][0][-1]) + self._changes.warm_up
@@ -170,8 +167,8 @@ class ChangeWatch:
         if now - start < self._early_at:
             return None
         self._early_at = _EARLY_GROWTH * (now - start)
-        commands = self._tuning.rotor_input == "command"
-        actuator = actuator_of(fit.rotation, self._tuning.curves) if commands else None
+        motors = self._tuning.rotor_input.motors
+        actuator = actuator_of(fit.rotation, self._tuning.curves) if motors else None
         t, samples = self._remembered()
         until = now if self._watched is None else self._watched
         found = early_change(t, samples, self._dt, self._geometry, actuator, until)

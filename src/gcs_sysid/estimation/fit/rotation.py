@@ -234,7 +234,7 @@ def fit_rotation(
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimize(problem, unknowns, _WARM_ITERATIONS)
     stuck = np.zeros(len(bank), dtype=bool)
-    if basis.commands:
+    if basis.motors:
         for round_ in range(_ROUNDS + 1):
             # A search that steps out of the physical inertias only is at no minimum.
             stuck = Outcome(problem, point, noise).left >= _NEAR
@@ -244,7 +244,7 @@ def fit_rotation(
             # Curve and lag bend the valley: it takes many steps along.
             point, converged = minimize(problem, point.unknowns, MAX_ITERATIONS)
     pull = None
-    if basis.commands and noise.any():
+    if basis.motors and noise.any():
         problem, point, pull = without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
     outcome = Outcome(problem, point, noise)
@@ -288,7 +288,7 @@ def follow_rotation(
         K fits, each of which depends on `start` and its own instant alone.
     """
     assert start.warm_start is not None
-    noisy = basis.commands and bool(noise.any())
+    noisy = basis.motors and bool(noise.any())
     problem = Problem(totals, rows, basis, prior, noise if noisy else None)
     unknowns = start.warm_start.unknowns[None]
     scatter = start.warm_start.inflation, start.warm_start.widening
@@ -371,7 +371,7 @@ class Outcome:
         """
         problem, point = self._problem, self._point
         pull = np.zeros_like(self._scale)
-        if not problem.basis.commands:
+        if not problem.basis.motors:
             noise = problem.rows[:, None, None] * self._noise
             excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
             pull[:, : rb.N_THETA] = _times(point.WG, excess.reshape(len(pull), -1))
@@ -507,7 +507,7 @@ class Outcome:
             full += along[:, :, None] * along[:, None, :]
         r_squared = self._explained()
         stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
-        if problem.basis.commands and Unknown.CURVE in problem.free:
+        if problem.basis.motors and Unknown.CURVE in problem.free:
             # A fit that explains an axis worse than nothing is in a false minimum.
             astray = stuck | (r_squared.min(axis=1) < _ABSURD)
             for i in np.flatnonzero(astray).tolist():

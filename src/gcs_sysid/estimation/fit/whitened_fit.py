@@ -195,7 +195,7 @@ def fit_whitened(
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
-    scatters = disturbed and basis.commands and only is None
+    scatters = disturbed and basis.motors and only is None
     if scatters:
         along = curve_scatter(solved.problem, improved, batches, counts) / widening[0]
         spread = spread + outcome.spread_of(along[None] @ solved.point.hessian[0])
@@ -417,7 +417,7 @@ def _tried(
         # An axis' noise is its own.
         alike[[i for i in data.own if i != own], axis] = np.inf
     tried = point.unknowns.copy()
-    if basis.commands:
+    if basis.motors:
         tried[:, COORDINATES] = at  # plain rows have none
     return BankTrial(data.whiteners, data.time, tried, alike, point.hessian)
 
@@ -521,7 +521,7 @@ def _scanned(
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))
     found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
-    if basis.commands:
+    if basis.motors:
         found[:, COORDINATES] = nodes[best]  # plain rows have none
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)

@@ -257,7 +257,7 @@ class RotationEstimator:
         Speeds miss what happens between readings. The window has one damping for three axes.
         """
         sparse = is_sparse(self._speed_interval) and fit.lag_place is None
-        by_window = self._basis.commands and not fit.whiteners
+        by_window = self._basis.motors and not fit.whiteners
         if not (sparse or by_window):
             return fit
         found = self.moments(fit) if instant is None else instant.at(fit, self._record)

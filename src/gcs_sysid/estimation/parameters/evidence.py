@@ -14,7 +14,8 @@ from gcs_sysid.estimation.checks.layout_test import LEAST_RATE
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import Parameter, RotorInput
+from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.model.rotor_input import THROUGH_MOTORS, RotorInput
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -91,7 +92,7 @@ class Evidence:
             capped = list(parameter.axes)
         elif parameter.mean_torque:
             capped = [axis for axis in capped if not self.unmoved[axis]]
-        doubted = capped or (self.motors and parameter.inputs == ("command",))
+        doubted = capped or (self.motors and parameter.inputs == THROUGH_MOTORS)
         return replace(value, status="weak") if doubted and value.status == "identified" else value
 
 
@@ -121,11 +122,11 @@ def evidence_of(
         every = (True, True, True)
         return Evidence(every, (why, *(rest if hovered else ())), still=hovered, motors=motors)
     whitened = bool(fit.rotation.whiteners)
-    fine = whitened or rotor_input == "speed"
+    fine = whitened or not rotor_input.motors
     limit = RULES.whiteness if fine else RULES.whiteness_commands
     unpredicted = ~(found.r_squared >= RULES.least_r2)
     colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
-    colored &= not (filtered or (rotor_input == "speed" and dt > RULES.slow))
+    colored &= not (filtered or (not rotor_input.motors and dt > RULES.slow))
     reasons = []
     if unpredicted.any() and not hovered:
         worst = int(np.argmin(found.r_squared))

@@ -41,7 +41,8 @@ from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import ARM, PARAMETERS, RotorInput
+from gcs_sysid.model.parameters import ARM, PARAMETERS
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 _RIDGE = 1.0

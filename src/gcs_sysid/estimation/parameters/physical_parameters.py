@@ -28,11 +28,9 @@ from gcs_sysid.model.parameters import (
     GRAVITY,
     PARAMETERS,
     REGISTRY,
-    THRUST_OF,
     TIMING,
-    RotorInput,
-    grouped,
 )
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
 
@@ -94,7 +92,7 @@ def physical_parameters(
     translation: TranslationFit | None,
     arm: float,
     known: Mapping[str, Known] | None = None,
-    rotor_input: RotorInput = "speed",
+    rotor_input: RotorInput = RotorInput.SPEED,
     rigid_body_test: RigidBodyTest | None = None,
     lateness: float = 0.0,
     cant: float = 0.0,
@@ -122,12 +120,12 @@ def physical_parameters(
     bend = 0.0
     if translation is not None and translation.kappa > 0.0:
         bend = translation.curve_slope / translation.kappa
-    doubt = ERRORS.command * _slowness(rotation) if rotor_input == "command" else ERRORS.steps
-    scaled = doubt if rotor_input == "command" else 0.0
+    doubt = ERRORS.command * _slowness(rotation) if rotor_input.motors else ERRORS.steps
+    scaled = doubt if rotor_input.motors else 0.0
     raw = _scale_values(scale, rotation, rotor_input, bend, scaled)
     if rotation is not None:
         # A given T_max does not depend on the curve.
-        own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
+        own_bend = 0.0 if anchor.kind == rotor_input.thrust else bend
         floor = _cg_floor(translation, arm, rotor_input)
         raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
         shift = math.hypot(
@@ -137,7 +135,7 @@ def physical_parameters(
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
         raw |= _axis_values(rotation, scale, own_bend, scaled)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
-        if rotor_input == "speed" and rotation is not None:
+        if not rotor_input.motors and rotation is not None:
             lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
         spread = math.hypot(translation.delta_std, lateness * translation.quickness)
         raw["linear_drag"] = scale.mass * translation.delta, scale.mass * spread
@@ -180,7 +178,7 @@ def _scale_values(
     )
     found = (
         ("mass", scale.mass, scale.mass_share),
-        (THRUST_OF[rotor_input], scale.thrust, scale.thrust_share),
+        (rotor_input.thrust, scale.thrust, scale.thrust_share),
     )
     return {
         name: (value, value * math.hypot(share, bent, doubt))
@@ -217,7 +215,7 @@ def _rotation_values(
     # Errors of the curve move the relative values and the scale together.
     variance = std**2 + theta * bend * (2.0 * full[:n, curve] + theta * bend * full[curve, curve])
     bent = np.sqrt(np.maximum(variance, 0.0))
-    slowness = _slowness(rotation) if rotor_input == "command" else 0.0
+    slowness = _slowness(rotation) if rotor_input.motors else 0.0
     for name, p in PARAMETERS.items():
         if not p.theta or rotor_input not in p.inputs:
             continue
@@ -241,7 +239,7 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
     sum x_i 2 Omega d_i / sum Omega^2: sqrt(2) arm std(d) / sqrt(sum Omega^2), where the sum of the
     squares is g / kappa.
     """
-    if rotor_input == "command" or translation is None or not translation.kappa > 0.0:
+    if rotor_input.motors or translation is None or not translation.kappa > 0.0:
         return ERRORS.cg_floor * arm
     hover = math.sqrt(GRAVITY / translation.kappa)
     return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
@@ -407,7 +405,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Estimat
 
 def verdict(
     parameters: Mapping[str, Estimate],
-    rotor_input: RotorInput = "speed",
+    rotor_input: RotorInput = RotorInput.SPEED,
     rigid_body_test: RigidBodyTest | None = None,
     *,
     still: bool = False,
@@ -428,7 +426,7 @@ def verdict(
         reasons.append(f"not observable from this flight: {', '.join(missing)}")
     if weak:
         reasons.append(f"weak: {', '.join(weak)}")
-    torque = next(name for name in grouped("rotor torque") if name in core)
+    torque = rotor_input.torque
     if rigid_body_test is not None and rigid_body_test.contradicted:
         share = ", ".join(f"{value:.2f}" for value in rigid_body_test.share)
         reasons.append(

@@ -99,7 +99,7 @@ class FlightRecord:
         self.dt = dt
         self._smoother = smoother
         self.half_width = half_width
-        commands = tuning.rotor_input == "command"
+        commands = tuning.rotor_input.motors
         self.input_noise = (
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
@@ -115,7 +115,7 @@ class FlightRecord:
             smoother.delays,
             tuning.lags,
             tuning.curves,
-            commands=commands,
+            motors=commands,
             half_width=half_width,
             dt=dt,
             coupled=True,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gcs_sysid.estimation.record import article_estimator as article
-from gcs_sysid.estimation.rows.rotor_signals import RotorInput
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
 _WHITENED = 0.008
@@ -41,6 +41,8 @@ class EstimatorTuning:
         settle_interval: s, least time between full fits of a running history, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
+        reference_every: s between new references of the change detector, at least.
+        reference_growth: of the record between two of them, at least.
     """
 
     method: Literal["forward"] | article.Method = "forward"
@@ -50,7 +52,7 @@ class EstimatorTuning:
     bandwidth: float = 10.0
     leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
     delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
-    rotor_input: RotorInput = "speed"
+    rotor_input: RotorInput = RotorInput.SPEED
     lags: tuple[float, ...] = (0.0,)
     curves: tuple[float, ...] = (1.0,)
     gyro_cutoff: float | None = None
@@ -58,6 +60,8 @@ class EstimatorTuning:
     speed_interval: float = 0.0
     settle_interval: float = 2.0
     batch_time: float = 1.0
+    reference_every: float = 1.0
+    reference_growth: float = 1.2
 
     def whitens(self, dt: float) -> bool:
         """Whether rows of samples that are `dt` s apart are whitened.
@@ -65,7 +69,7 @@ class EstimatorTuning:
         Not those of a gyro behind a slow low-pass (with speeds: any), or of slow samples, or of
         commands whose lag is given: there the window is at least as good, and takes their place.
         """
-        commands = self.rotor_input == "command"
+        commands = self.rotor_input.motors
         return (
             self.smoother == "whitened"
             and self.method == "forward"
@@ -78,19 +82,24 @@ class EstimatorTuning:
 COMMANDS = EstimatorTuning(
     # Commands answer to the gyro's noise: a longer window lets less of that back in.
     half_width=0.2,
-    rotor_input="command",
+    rotor_input=RotorInput.COMMAND,
     leaks=(0.0, 0.3),
     delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
     lags=(0.0, 0.012, 0.025, 0.04, 0.06, 0.085, 0.13),
     curves=(-0.2, 1.2),
+    reference_every=5.0,
+    reference_growth=1.5,
 )
 """EstimatorTuning for commands as the rotors' input."""
 
 
-def tuning_for_commands(dt: float) -> EstimatorTuning:
-    """EstimatorTuning for commands that come every `dt` s.
+def tuning_for(rotor_input: RotorInput, dt: float) -> EstimatorTuning:
+    """Settings for inputs that come every `dt` s.
 
-    Aliased noise has all frequencies, the motion is slow: a leak weighs most what is certain, and
-    least the error of the aliased part.
+    Aliased noise of slow commands has all frequencies, the motion is slow: a leak weighs most what
+    is certain, and least the error of the aliased part.
     """
-    return COMMANDS if dt < SLOW_COMMANDS else replace(COMMANDS, leaks=(0.15,))
+    if not rotor_input.motors:
+        return EstimatorTuning()
+    made = replace(COMMANDS, rotor_input=rotor_input)
+    return made if dt < SLOW_COMMANDS else replace(made, leaks=(0.15,))

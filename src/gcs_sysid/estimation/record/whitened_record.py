@@ -84,7 +84,7 @@ class WhitenedRecord:
         """Which of the step's each of the basis' delays is."""
         self._columns: list[int] | None = None
         """Those taken of the rows; None: all."""
-        self._narrows = not basis.commands
+        self._narrows = not basis.motors
         self.narrowed = False
         """Whether whiteners and delays are fewer than at first: their numbers changed."""
         self._reference: ShockReference | None = None
@@ -191,7 +191,7 @@ class WhitenedRecord:
         )
         # Early fits are poor, and what is narrowed to rests on the latest. Records of commands are
         # made again, and never narrowed.
-        quick = self._columns is not None or self.basis.commands
+        quick = self._columns is not None or self.basis.motors
         shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=quick)
         half = _RECENT // 2
         for i in range(half):
@@ -225,7 +225,7 @@ class WhitenedRecord:
         rotors = np.arange(self.basis.width - BODY).reshape(-1, per_delay)[delays].ravel()
         columns = [*rotors.tolist(), *range(self.basis.width - BODY, self.basis.width)]
         self.basis = ActuatorDynamics(
-            self.basis.delays[delays], half_width=None, dt=self._dt, commands=self.basis.commands
+            self.basis.delays[delays], half_width=None, dt=self._dt, motors=self.basis.motors
         )
         self._delays, self._columns, self._overlaps = delays.tolist(), columns, None
         self.whiteners = tuple(self.whiteners[i] for i in keep)

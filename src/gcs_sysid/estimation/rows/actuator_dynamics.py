@@ -340,7 +340,7 @@ class ActuatorDynamics:
         delays: s, rising.
         lags: s, rising; several where commands are the input.
         curves: least and greatest thrust curve; one value where it is given. Not for speeds.
-        commands: whether commands are the input.
+        motors: whether lag and thrust curve lie between the input and thrust, as of commands.
         half_width: s, of the window that rows pass; None: they are of one step.
         dt: s between samples; 0: so little that motors are filtered as they are.
         coupled: whether there are further products of rates and H; else H has neither lag nor
@@ -353,17 +353,17 @@ class ActuatorDynamics:
         lags: Sequence[float] = (0.0,),
         curves: Sequence[float] = (1.0,),
         *,
-        commands: bool = False,
+        motors: bool = False,
         half_width: float | None = 0.1,
         dt: float = 0.0,
         coupled: bool = False,
     ) -> None:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
         curve = np.asarray(curves, float)
-        self.commands = commands
+        self.motors = motors
         self.curve_doubt = 0.0
         """One standard deviation of the thrust curve that no scatter shows; may change."""
-        self.sets = 2 if commands else 1
+        self.sets = 2 if motors else 1
         axes = (self.delays, self.lags, curve, np.zeros(1), np.zeros(1))
         self.low = np.array([axis[0] for axis in axes])
         self.high = np.array([axis[-1] for axis in axes])
@@ -376,7 +376,7 @@ class ActuatorDynamics:
         """Indices of the lags of H in the products, with commands."""
         self.coupled_shifts: tuple[int, ...] = ()
         """By how many samples H is past in the products, with speeds."""
-        if coupled and commands:
+        if coupled and motors:
             self.coupled_lags = tuple(range(len(self.lags)))
         elif coupled and len(self.delays) > 1:
             step = max(round(_PAST / dt), 1)
@@ -389,7 +389,7 @@ class ActuatorDynamics:
         self.bent_lags: tuple[int, ...] = ()
         """Indices of the lags of the bends."""
         # Of slow commands the squares' mean between samples is not known.
-        bendable = coupled and commands and dt < SLOW_COMMANDS
+        bendable = coupled and motors and dt < SLOW_COMMANDS
         if bendable and len(self.lags) > 1 and self.lags[0] == 0.0:
             self.bent_lags = tuple(range(len(self.lags) - 1, 0, -2))[::-1]
         self.bends = len(self.bent_lags) * N_BENT
@@ -401,17 +401,15 @@ class ActuatorDynamics:
             np.array([self.delays[e.delay] for e in self.elements]),
             np.array([self.lags[e.lag] for e in self.elements]),
             dt,
-            squared=commands,
+            squared=motors,
         )
         self._coupled_span: _Span | None = None
         if forms:
             past = -dt * np.array(self.coupled_shifts or (0,))
-            lags_of_H = self.lags[list(self.coupled_lags)] if commands else np.zeros(len(past))
+            lags_of_H = self.lags[list(self.coupled_lags)] if motors else np.zeros(len(past))
             past = np.broadcast_to(past, lags_of_H.shape)
             self._coupled_span = _Span(half_width, past, lags_of_H, dt)
-        self._lag_span = _Span(
-            half_width, np.zeros_like(self.lags), self.lags, dt, squared=commands
-        )
+        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt, squared=motors)
         # Without a lag there is no bend: its weight, which makes up the sum, goes nowhere.
         bent = self.lags[[0, *self.bent_lags]]
         self._bent_span = (
@@ -496,7 +494,7 @@ class ActuatorDynamics:
         That of speeds is the same at all of them, and is given so. That of commands, which motors
         filter, is given as (..., width, width) of rows of elements.
         """
-        return self.moments_at(noise, at) if self.commands else noise
+        return self.moments_at(noise, at) if self.motors else noise
 
     def body_places(self, columns: Sequence[int]) -> list[int]:
         """Where columns of x that do not come from the rotors lie in a row of elements."""
@@ -504,7 +502,7 @@ class ActuatorDynamics:
 
     def thrust_weights(self, at: Array) -> Array:
         """(thrusts,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
-        if not self.commands:
+        if not self.motors:
             return np.ones(1)
         targets = self._lag_span.targets(np.zeros(1), at[Coordinate.LAG : Coordinate.LAG + 1])
         weights = self._lag_span.weights_by(targets, (None,))[0]
@@ -520,7 +518,7 @@ class ActuatorDynamics:
     def _mixture(self, curve: Array, by: int | None) -> Array:
         """(K, sets) of w and w^2 at (K,) curves, differentiated by a coordinate or none."""
         one = np.ones_like(curve)
-        if not self.commands:
+        if not self.motors:
             return one[:, None]
         if by == Coordinate.CURVE:
             return np.stack([-one, one], axis=1)

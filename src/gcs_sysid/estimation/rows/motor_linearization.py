@@ -81,7 +81,7 @@ class LocalDynamics(ActuatorDynamics):
     def __init__(self, at: Array, of: LagOf, dt: float, *, curve: bool = True) -> None:
         super().__init__((0.0,))
         self.at = np.clip(at, LOW, HIGH)
-        self.commands = True
+        self.motors = True
         self.lag_place = LagPlace(of)
         self.free = tuple(i for i in range(N_COORDINATES) if curve or i != Coordinate.CURVE)
         self.low, self.high = LOW, HIGH

@@ -10,7 +10,6 @@ the rotors' side puts both in step again.
 """
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -18,8 +17,6 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, motor_filter
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.recursions import lfilter
-
-RotorInput = Literal["speed", "command"]
 
 _SETTLED = 5.0
 """Time constants after which a motor's past is forgotten."""
@@ -44,7 +41,7 @@ class RotorPath:
         gyro_cutoff: float | None = None,
     ) -> None:
         self._geometry = geometry
-        self._commands = basis.commands
+        self._motors = basis.motors
         lags = basis.lags
         self._bent = list(basis.bent_lags)
         self._filters = [motor_filter(dt, lag) for lag in lags]
@@ -70,7 +67,7 @@ class RotorPath:
             (lags * sets + bent lags, n) thrust as it acts.
         """
         bent = np.empty((0, len(rotors), 4))
-        if self._commands:
+        if self._motors:
             w, squares = self._lagged(rotors)
             mixed, H = self._of_commands(w)
             bent = (squares - w[self._bent] ** 2) @ rigid_body.mixer(self._geometry)

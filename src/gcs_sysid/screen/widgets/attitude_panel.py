@@ -106,7 +106,7 @@ class AttitudePanel(Lines):
         if view.snapshot is None or not view.snapshot.rotor_speeds:
             return [[("no rotor speeds", fmt.MUTED)]]
         speeds = view.snapshot.rotor_speeds
-        if view.snapshot.result.rotor_input == "command":
+        if view.snapshot.result.rotor_input.motors:
             return [
                 [
                     (f"rotor {number:<2}", fmt.MUTED),

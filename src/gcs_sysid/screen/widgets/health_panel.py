@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.number_format import PLAIN, decimals_for
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -56,7 +57,7 @@ def _wrapped(text: str, width: int, style: str) -> list[Line]:
 
 
 def _source(health: Mapping[str, Any]) -> Line:
-    by = "measured speeds" if health["rotor_input"] == "speed" else "commands"
+    by = RotorInput(health["rotor_input"]).words
     return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}; {_UNEQUAL}", fmt.MUTED)]
 
 
