@@ -11,7 +11,7 @@ from textual._context import visible_screen_stack
 from textual.pilot import Pilot
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.screen import Actions, Baseline, SysidApp
+from gcs_sysid.screen import Actions, EarlierResult, SysidApp
 from gcs_sysid.screen.scene import ReplayApp
 from gcs_sysid.screen.widgets.transport import Transport
 
@@ -93,7 +93,7 @@ def run_screen() -> RunScreen:
         size: tuple[int, int] = (80, 24),
         truth: Mapping[str, float] | None = fake.TRUTH,
         actions: Actions | None = None,
-        baseline: Baseline | None = None,
+        baseline: EarlierResult | None = None,
     ) -> AsyncIterator[Running]:
         source, clock = fake.FakeSource(first), Clock()
         actions = source.actions() if actions is None else actions

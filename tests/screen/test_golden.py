@@ -15,7 +15,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from gcs_sysid.results.snapshot import Advice, LinkState
-from gcs_sysid.screen import Baseline
+from gcs_sysid.screen import EarlierResult
 
 from . import fake
 
@@ -39,7 +39,7 @@ def ended():
     return replace(fake.snapshot(), link=fake.link(LinkState.ENDED, recording=""))
 
 
-BASELINE = Baseline("before.json", fake.earlier())
+BASELINE = EarlierResult("before.json", fake.earlier())
 STATES = {
     "flying": (fake.snapshot, fake.TRUTH, None),
     "all": (advised, None, BASELINE),

@@ -9,7 +9,7 @@ from textual.command import CommandPalette
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.dialogs import Choose, HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen
 from gcs_sysid.screen.widgets.convergence import Convergence
@@ -391,7 +391,7 @@ async def test_a_baseline_that_is_none_is_refused_in_a_line(run_screen, tmp_path
 
 async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
     four, six = (load_airframe(name).as_json() for name in ("px4-quad-x", "px4-hexa-x"))
-    baseline = Baseline("six.json", replace(fake.earlier(), airframe=six))
+    baseline = EarlierResult("six.json", replace(fake.earlier(), airframe=six))
     snapshot = replace(fake.snapshot(), result=replace(fake.result(), airframe=four))
     async with run_screen(snapshot, baseline=baseline) as s:
         assert s.answer().startswith("Baseline removed: ")

@@ -12,7 +12,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.notebook_view import text
 from gcs_sysid.results.snapshot import History, LinkState
-from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.formatting import choose_exponents
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
@@ -115,7 +115,7 @@ def test_every_snapshot_can_be_shown(make):
 
 
 def test_a_baseline_is_compared_with():
-    view = session_view(fake.snapshot(), {}, Baseline("before.json", fake.earlier()))
+    view = session_view(fake.snapshot(), {}, EarlierResult("before.json", fake.earlier()))
     assert view["baseline"]["name"] == "before.json"
     assert view["baseline"]["sign"] == "≠"
     assert "Ixx" in view["baseline"]["text"]

@@ -17,7 +17,7 @@ from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
@@ -55,7 +55,7 @@ def scene_of(
     announcer: Announcer | None = None,
 ) -> Scene:
     """The scene of a live session or a replay."""
-    known = None if baseline is None else Baseline(options.baseline, baseline)
+    known = None if baseline is None else EarlierResult(options.baseline, baseline)
     if isinstance(session, ReplaySession):
         actions, transport = replay_actions(session, truth, options), transport_of(session)
         return Scene(truth or {}, actions, transport, known, announcer, options.pilot)

@@ -10,7 +10,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.report.page_figures import (
-    Figures,
+    ChartData,
     add_prediction,
     add_rates,
     add_spectrum,
@@ -51,7 +51,7 @@ _DOUBT, _NEARLY_WHITE = 0.05, 1.5
 AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 
-def prediction(data: ReportData, figures: Figures) -> Markup:
+def prediction(data: ReportData, figures: ChartData) -> Markup:
     """Measured against predicted, on what was not fitted."""
     found = data.result.validation
     shown = add_prediction(figures, data)
@@ -149,7 +149,7 @@ def twin(data: ReportData) -> Child:
     )
 
 
-def residual(data: ReportData, figures: Figures) -> Markup | None:
+def residual(data: ReportData, figures: ChartData) -> Markup | None:
     """The spectrum of what is left, and whether it is noise."""
     found = data.result.validation
     if not found:
@@ -203,7 +203,7 @@ def _color(whiteness: float | None, p: float | None) -> str:
     return "slow disturbances" if whiteness > 1.0 else "fast disturbances"
 
 
-def excitation(data: ReportData, figures: Figures) -> Markup:
+def excitation(data: ReportData, figures: ChartData) -> Markup:
     """How each axis was moved."""
     shown = add_rates(figures, data)
     motion = data.inspection.get("excitation", {})
@@ -250,7 +250,7 @@ def _enough(axis: str, acceleration: float) -> Markup:
     return element("span", sign, word, class_=f"status {'identified' if good else 'weak'}")
 
 
-def events(data: ReportData, figures: Figures) -> Markup:
+def events(data: ReportData, figures: ChartData) -> Markup:
     """What happened, on the time axis."""
     shown = add_timeline(figures, data)
     listed = data.result.events

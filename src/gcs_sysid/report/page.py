@@ -8,7 +8,7 @@ from gcs_sysid.report import evidence_sections
 from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.health_picture import health_section
-from gcs_sysid.report.page_figures import Figures
+from gcs_sysid.report.page_figures import ChartData
 from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
@@ -35,7 +35,7 @@ _KEYS = (
 
 def render(data: ReportData) -> str:
     """The whole report as HTML text; the same data give the same text."""
-    figures = Figures()
+    figures = ChartData()
     sections: dict[str, Child] = {
         "health": health_section(data.health) if data.health else None,
         "verdict": findings.verdict(data),
@@ -75,7 +75,7 @@ def render(data: ReportData) -> str:
             sections.pop("health"),
             sections.pop("verdict"),
             element("p", _KEYS, id="keys", class_="note keys"),
-            element("noscript", element("p", "Figures need scripts; tables do not.")),
+            element("noscript", element("p", "ChartData need scripts; tables do not.")),
             *sections.values(),
         ),
         element("footer", f"gcs-sysid {data.provenance.versions.get('gcs-sysid', '')}"),
@@ -170,7 +170,7 @@ def _file_name(source: str) -> str:
     return source.replace("\\", "/").rstrip("/").rpartition("/")[2] or source
 
 
-def _json(figures: Figures) -> Markup:
+def _json(figures: ChartData) -> Markup:
     """The figures as JSON that cannot end the element that it is in."""
     text = json_text(figures.as_json(), separators=(",", ":"))
     for sign in "<>&\u2028\u2029":

@@ -29,8 +29,8 @@ SECONDS = {"label": "Time since the first record", "unit": "s"}
 
 
 @dataclass
-class Figures:
-    """The figures of a page, and the arrays that they share.
+class ChartData:
+    """The charts of a page, and the arrays that they share.
 
     Attributes:
         arrays: name -> base64 of float32.
@@ -58,7 +58,7 @@ def events_of(result: Result) -> list[dict[str, Any]]:
     ]
 
 
-def add_histories(figures: Figures, data: ReportData) -> list[str]:
+def add_histories(figures: ChartData, data: ReportData) -> list[str]:
     """Every parameter's estimate over the flight, with its band; the names that have one."""
     segments = [segment_estimates(part) for part in data.result.segments]
     shown = []
@@ -76,7 +76,7 @@ def add_histories(figures: Figures, data: ReportData) -> list[str]:
 
 
 def add_history(
-    figures: Figures,
+    figures: ChartData,
     history: History,
     name: str,
     most: int,
@@ -131,7 +131,7 @@ def add_history(
     return True
 
 
-def add_prediction(figures: Figures, data: ReportData) -> bool:
+def add_prediction(figures: ChartData, data: ReportData) -> bool:
     """Measured and predicted angular acceleration on what was not fitted; whether there is any."""
     found = data.prediction
     if found is None or not found.held_out.any():
@@ -164,7 +164,7 @@ def add_prediction(figures: Figures, data: ReportData) -> bool:
     return True
 
 
-def add_spectrum(figures: Figures, data: ReportData) -> bool:
+def add_spectrum(figures: ChartData, data: ReportData) -> bool:
     """The residual's spectrum beside that of white sensor noise; whether there is one."""
     found = data.spectrum
     if found is None:
@@ -192,7 +192,7 @@ def add_spectrum(figures: Figures, data: ReportData) -> bool:
     return True
 
 
-def add_rates(figures: Figures, data: ReportData) -> bool:
+def add_rates(figures: ChartData, data: ReportData) -> bool:
     """How the axes were moved over the whole flight; whether it flew."""
     found = data.prediction
     if found is None:
@@ -222,7 +222,7 @@ def add_rates(figures: Figures, data: ReportData) -> bool:
     return True
 
 
-def add_timeline(figures: Figures, data: ReportData) -> bool:
+def add_timeline(figures: ChartData, data: ReportData) -> bool:
     """When it flew, what was used and what was kept apart; whether there is anything to show."""
     rows = []
     flights = [[f["start"], f["end"]] for f in data.inspection.get("flights", ())]

@@ -10,7 +10,7 @@ from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.drawing import PlanView
-from gcs_sysid.report.page_figures import Figures, add_histories
+from gcs_sysid.report.page_figures import ChartData, add_histories
 from gcs_sysid.report.parts import (
     Child,
     Column,
@@ -245,7 +245,7 @@ def _segments(result: Result) -> Markup | None:
     )
 
 
-def convergence(data: ReportData, figures: Figures) -> Markup:
+def convergence(data: ReportData, figures: ChartData) -> Markup:
     """How every estimate settled."""
     names = add_histories(figures, data)
     if not names:

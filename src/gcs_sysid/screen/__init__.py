@@ -1,6 +1,6 @@
 """The live terminal screen: shows snapshots, knows neither MAVLink nor the estimator."""
 
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource
+from gcs_sysid.screen.view import Actions, EarlierResult, SnapshotSource
 
-__all__ = ["Actions", "Baseline", "SnapshotSource", "SysidApp"]
+__all__ = ["Actions", "EarlierResult", "SnapshotSource", "SysidApp"]

@@ -14,7 +14,7 @@ from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.dialogs import Choose, Enter
-from gcs_sysid.screen.view import Actions, Baseline
+from gcs_sysid.screen.view import Actions, EarlierResult
 
 
 class ActingApp(App[None]):
@@ -25,7 +25,7 @@ class ActingApp(App[None]):
         baseline: an earlier result to compare with.
     """
 
-    def __init__(self, actions: Actions, baseline: Baseline | None) -> None:
+    def __init__(self, actions: Actions, baseline: EarlierResult | None) -> None:
         super().__init__()
         self.actions = actions
         self.baseline = baseline
@@ -244,7 +244,7 @@ class ActingApp(App[None]):
             found = read_result(Path(os.path.expanduser(name)))
             if self.snapshot is not None:
                 compare(found, self.snapshot.result)  # another vehicle is refused
-            self.baseline = Baseline(name, found)
+            self.baseline = EarlierResult(name, found)
             return f"Compared with {name}: {found.verdict}, from {found.source or 'one flight'}"
 
         self._ask(load)

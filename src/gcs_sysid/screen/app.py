@@ -20,11 +20,12 @@ from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.dialogs import HelpScreen
-from gcs_sysid.screen.main_view import PAGES, MainScreen, PageBar
+from gcs_sysid.screen.key_commands import COMMANDS, PAGES
+from gcs_sysid.screen.main_view import MainScreen, PageBar
 from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
-from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource, View
+from gcs_sysid.screen.view import Actions, EarlierResult, SnapshotSource, View
 from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 DARK = Theme(
@@ -86,7 +87,7 @@ class SysidApp(ActingApp):
         source: SnapshotSource,
         truth: Mapping[str, float] | None = None,
         actions: Actions | None = None,
-        baseline: Baseline | None = None,
+        baseline: EarlierResult | None = None,
         title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -330,32 +331,20 @@ class SysidApp(ActingApp):
         ended = snapshot is not None and snapshot.link.state is LinkState.ENDED
         self.push_screen(HelpScreen(ended=ended))
 
-    def on_parameter_rows_chosen(self, message: ParameterRows.Chosen) -> None:
+    def on_parameter_rows_parameter_chosen(self, message: ParameterRows.ParameterChosen) -> None:
         """A click on a parameter chooses it."""
         self._select(message.parameter_name)
 
-    def on_page_bar_chosen(self, message: PageBar.Chosen) -> None:
+    def on_page_bar_page_chosen(self, message: PageBar.PageChosen) -> None:
         """A click on a page title shows the page."""
         self.action_go(message.page)
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """The actions, in the command palette."""
-        for title, meaning, action in (
-            ("Mark", "Mark this instant in the event log", self.action_mark),
-            ("Pilot view", "The coach in large print", self.action_pilot_view),
-            ("Call-outs", "Off, voice, bell", self.action_call_outs),
-            ("Reset", "Discard the data so far and restart the estimate", self.action_reset),
-            ("Record", "Start or stop recording", self.action_record),
-            ("Pause", "Freeze or resume the display", self.action_pause),
-            ("Export", "Write the values for a simulator", self.action_export),
-            ("Report", "Write a report of the flight so far", self.action_report),
-            ("Scale", "Enter mass or rotor thrust", self.action_scale),
-            ("Baseline", "Compare with an earlier result", self.action_baseline),
-            ("Vehicle", "Choose among the vehicles on the link", self.action_vehicle),
-            ("Dark/light", "Switch between dark and light", self.action_toggle_dark),
-            ("Help", "Keys and statuses", self.action_help),
-        ):
-            yield SystemCommand(title, meaning, action)
+        for command in COMMANDS:
+            if command.title:
+                action = getattr(self, f"action_{command.bindings[0][1]}")
+                yield SystemCommand(command.title, command.meaning, action)
         for page in self._main.pages:
             yield SystemCommand(
                 f"Page {PAGES[page]}", "Show it", lambda page=page: self.action_go(page)

@@ -15,25 +15,7 @@ from textual.widgets.option_list import Option
 
 from gcs_sysid.results.words import CHANGE, STATUS
 from gcs_sysid.screen import formatting as fmt
-
-KEYS = (
-    ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
-    ("tab  1-6", "next page or plot; 6: health"),
-    ("m", "mark this instant in the event log"),
-    ("l", "pilot view: the coach in large print"),
-    ("a", "call-outs: off, voice, bell"),
-    ("r", "reset: discard the data so far; asks first"),
-    ("o", "start or stop recording"),
-    ("p", "pause the display; identification continues"),
-    ("e", "export the values for a simulator, into a new file"),
-    ("h", "report of the flight so far (HTML), into a new file"),
-    ("s", "scale: enter mass or rotor thrust"),
-    ("b", "compare with an earlier result"),
-    ("v", "choose the vehicle, if there are several"),
-    ("d", "dark or light"),
-    ("pgup pgdn", "scroll the events"),
-    ("ctrl+p  ? q", "command palette, this help, quit"),
-)
+from gcs_sysid.screen.key_commands import COMMANDS, KeyCommand
 
 
 class Choose(ModalScreen[str | None]):
@@ -62,7 +44,7 @@ class Choose(ModalScreen[str | None]):
                 yield Static(Content(self._hint))
 
     @on(OptionList.OptionSelected)
-    def take(self, event: OptionList.OptionSelected) -> None:
+    def answer(self, event: OptionList.OptionSelected) -> None:
         """Answer with what was chosen."""
         self.dismiss(event.option.id)
 
@@ -100,7 +82,7 @@ class Enter(ModalScreen[str | None]):
             yield Static(Content(self._hint))
 
     @on(Input.Submitted)
-    def take(self, event: Input.Submitted) -> None:
+    def answer(self, event: Input.Submitted) -> None:
         """Answer with what was written."""
         self.dismiss(event.value.strip())
 
@@ -109,16 +91,16 @@ class Enter(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-def help_text(keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> Content:
+def help_text(commands: Sequence[KeyCommand] = COMMANDS, *, ended: bool = False) -> Content:
     """The whole help.
 
     Args:
-        keys: what to press, and what it does.
+        commands: what keys do.
         ended: whether the flight is over, so that there is nothing more to fly.
     """
     parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
-    for key, meaning in keys:
-        parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
+    for command in commands:
+        parts += [(f"{command.written:<11}", "bold $text-primary"), f" {command.meaning}\n"]
     parts.append(("Status\n", "bold underline"))
     for status, word in STATUS.items():
         style = fmt.STATUS_STYLE[status]
@@ -134,7 +116,7 @@ class HelpScreen(ModalScreen[None]):
     """Help over the main screen; any of its keys closes it.
 
     Args:
-        keys: what to press, and what it does.
+        commands: what keys do.
         ended: whether the flight is over.
     """
 
@@ -142,16 +124,16 @@ class HelpScreen(ModalScreen[None]):
         ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
     ]
 
-    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS, *, ended: bool = False) -> None:
+    def __init__(self, commands: Sequence[KeyCommand] = COMMANDS, *, ended: bool = False) -> None:
         super().__init__()
-        self._keys, self._ended = keys, ended
+        self._commands, self._ended = commands, ended
 
     def compose(self) -> ComposeResult:
         """One box in the middle."""
         with VerticalScroll(id="help-box") as box:
             box.border_title = "Help"
             box.border_subtitle = "esc closes"
-            yield Static(help_text(self._keys, ended=self._ended))
+            yield Static(help_text(self._commands, ended=self._ended))
 
     def on_click(self) -> None:
         """A click anywhere closes it too."""

@@ -13,6 +13,7 @@ from textual.widget import Widget
 from textual.widgets import Footer
 
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.key_commands import COMMANDS, PAGES, bindings_of
 from gcs_sysid.screen.view import Panel, View
 from gcs_sysid.screen.widgets.acceleration import AccelerationPanel
 from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
@@ -25,15 +26,6 @@ from gcs_sysid.screen.widgets.parameter_table import ParameterTable
 from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
 from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
-PAGES = {
-    "parameters": "Parameters",
-    "plot": "Plot",
-    "motion": "Motion",
-    "vehicle": "Vehicle",
-    "events": "Events",
-    "health": "Health",
-}
-"""Name of each page (and of its CSS class), and its title."""
 COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
 """From this size on, all panels stand side by side; below it, pages."""
 WIDE_WIDTH, WIDE_HEIGHT = 196, 40
@@ -51,7 +43,7 @@ Hiding = Banner | VerdictPanel | CoachPanel
 class PageBar(Widget):
     """One line of page titles; a click or a number key chooses one."""
 
-    class Chosen(Message):
+    class PageChosen(Message):
         """The user clicked on a page."""
 
         def __init__(self, page: str) -> None:
@@ -93,7 +85,7 @@ class PageBar(Widget):
         x = 0
         for name, title in self._titles():
             if x <= event.x < x + len(title):
-                self.post_message(self.Chosen(name))
+                self.post_message(self.PageChosen(name))
                 return
             x += len(title) + 1
 
@@ -120,30 +112,7 @@ class MainScreen(Screen[None]):
     AUTO_FOCUS = None
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q", "app.quit", "Quit"),
-        Binding("m", "app.mark", "Mark"),
-        # With shift too: no slip turns a harmless key into this one, and it asks first.
-        Binding("r,R", "app.reset", "Reset", key_display="r"),
-        Binding("l", "app.pilot_view", "Large"),
-        Binding("o", "app.record", "Record"),
-        Binding("p", "app.pause", "Pause"),
-        Binding("e", "app.export", "Export"),
-        Binding("h", "app.report", "Report"),
-        Binding("s", "app.scale", "Scale"),
-        Binding("b", "app.baseline", "Base", show=False),
-        Binding("question_mark", "app.help", "Help", key_display="?"),
-        Binding("a", "app.call_outs", "Call-outs", show=False),
-        Binding("v", "app.vehicle", "Vehicle", show=False),
-        Binding("d", "app.toggle_dark", "Dark/light", show=False),
-        Binding("down,j", "app.select(1)", "Select", show=False),
-        Binding("up,k", "app.select(-1)", "Select", show=False),
-        Binding("tab", "app.page(1)", "Page", show=False),
-        Binding("shift+tab", "app.page(-1)", "Page", show=False),
-        Binding("pageup", "app.scroll_events(-1)", "Scroll events", show=False),
-        Binding("pagedown", "app.scroll_events(1)", "Scroll events", show=False),
-        *(
-            Binding(str(n), f"app.go('{page}')", title, show=False)
-            for n, (page, title) in enumerate(PAGES.items(), start=1)
-        ),
+        *bindings_of(COMMANDS),
     ]
 
     class Ready(Message):

@@ -9,24 +9,15 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from textual.app import SystemCommand
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.screen import Screen
 
 from gcs_sysid.screen.app import SysidApp
 from gcs_sysid.screen.call_outs import Announcer
-from gcs_sysid.screen.dialogs import KEYS, HelpScreen
-from gcs_sysid.screen.view import Actions, Baseline, SnapshotSource
+from gcs_sysid.screen.dialogs import HelpScreen
+from gcs_sysid.screen.key_commands import COMMANDS, REPLAY_COMMANDS, bindings_of
+from gcs_sysid.screen.view import Actions, EarlierResult, SnapshotSource
 from gcs_sysid.screen.widgets.transport import Transport, TransportBar
-
-STEP, LEAP = 10.0, 60.0
-"""s that a key goes on or back, and with shift."""
-
-REPLAY_KEYS = (
-    ("space  p", "pause or resume the replay"),
-    ("← →", f"{STEP:.0f} s back or on; with shift {LEAP:.0f} s"),
-    ("home end", "to the beginning, to the end (or click on the bar)"),
-    ("[ ]  - +", "slower, faster: 1x, 10x, max"),
-)
 
 
 class ReplayApp(SysidApp):
@@ -42,17 +33,7 @@ class ReplayApp(SysidApp):
         time_source: as of `SysidApp`.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("space", "pause", "Pause", show=False),
-        Binding("left", f"skip(-{STEP})", "Back", show=False),
-        Binding("right", f"skip({STEP})", "On", show=False),
-        Binding("shift+left", f"skip(-{LEAP})", "Back", show=False),
-        Binding("shift+right", f"skip({LEAP})", "On", show=False),
-        Binding("home", "seek(0.0)", "To the beginning", show=False),
-        Binding("end", "to_end", "To the end", show=False),
-        Binding("left_square_bracket,minus", "speed(-1)", "Slower", show=False),
-        Binding("right_square_bracket,plus,equals_sign", "speed(1)", "Faster", show=False),
-    ]
+    BINDINGS: ClassVar[list[BindingType]] = [*bindings_of(REPLAY_COMMANDS)]
 
     def __init__(
         self,
@@ -60,7 +41,7 @@ class ReplayApp(SysidApp):
         transport: Transport,
         truth: Mapping[str, float] | None = None,
         actions: Actions | None = None,
-        baseline: Baseline | None = None,
+        baseline: EarlierResult | None = None,
         title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -98,14 +79,14 @@ class ReplayApp(SysidApp):
         playback = None if self.snapshot is None else self.snapshot.playback
         self.action_seek(0.0 if playback is None else playback.duration)
 
-    def on_transport_bar_chosen(self, message: TransportBar.Chosen) -> None:
+    def on_transport_bar_position_chosen(self, message: TransportBar.PositionChosen) -> None:
         """A click into the bar goes there."""
         self.action_seek(message.position)
 
     def action_help(self) -> None:
         """Show the help screen."""
-        live = [line for line in KEYS if line[0] != "p"]
-        self.push_screen(HelpScreen((*REPLAY_KEYS, *live)))
+        live = [command for command in COMMANDS if command.title != "Pause"]
+        self.push_screen(HelpScreen((*REPLAY_COMMANDS, *live)))
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """The actions, in the command palette."""
@@ -135,7 +116,7 @@ class Scene:
     truth: Mapping[str, float] = field(default_factory=dict)
     actions: Actions = field(default_factory=Actions)
     transport: Transport | None = None
-    baseline: Baseline | None = None
+    baseline: EarlierResult | None = None
     announcer: Announcer | None = None
     large: bool = False
 

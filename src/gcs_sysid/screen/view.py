@@ -67,7 +67,7 @@ class Actions:
 
 
 @dataclass(frozen=True)
-class Baseline:
+class EarlierResult:
     """An earlier result to compare with."""
 
     name: str

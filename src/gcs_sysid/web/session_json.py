@@ -6,7 +6,7 @@ from typing import Any
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.report.page_figures import Figures, add_history
+from gcs_sysid.report.page_figures import ChartData, add_history
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.estimate_history import known_history
 from gcs_sysid.results.number_format import PAGE, clock, clock_tenths, duration
@@ -29,7 +29,7 @@ from gcs_sysid.screen.snapshot_view import (
     sign_of,
     standing_of,
 )
-from gcs_sysid.screen.view import Baseline
+from gcs_sysid.screen.view import EarlierResult
 from gcs_sysid.web.result_json import result_rows
 
 MOST_POINTS = 240
@@ -38,7 +38,7 @@ _EVENTS = 40
 
 
 def session_view(
-    snapshot: Snapshot, truth: Mapping[str, float], baseline: Baseline | None
+    snapshot: Snapshot, truth: Mapping[str, float], baseline: EarlierResult | None
 ) -> dict[str, Any]:
     """All but the plot.
 
@@ -98,7 +98,7 @@ def history_view(
     parameter = REGISTRY.get(name)
     if parameter is None:
         raise InputError(f"no parameter {name!r}")
-    plot, text = Figures(), f"{name}: no estimate yet."
+    plot, text = ChartData(), f"{name}: no estimate yet."
     t, value, half = known_history(snapshot.history, name)
     if len(t):
         last = 0.0 if math.isnan(half[-1]) else float(half[-1])
@@ -110,7 +110,7 @@ def history_view(
     return {"name": name, "text": text, **plot.as_json()}
 
 
-def _baseline(snapshot: Snapshot, baseline: Baseline | None) -> dict[str, str] | None:
+def _baseline(snapshot: Snapshot, baseline: EarlierResult | None) -> dict[str, str] | None:
     if baseline is None:
         return None
     try:

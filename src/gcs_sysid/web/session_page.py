@@ -72,7 +72,7 @@ class SessionPage:
         self._folder = Path()
 
     def add_to(self, application: web.Application) -> None:
-        """As `Part` says."""
+        """As `SiteContent` says."""
         application.add_routes(
             [
                 web.get("/live", self._live),

@@ -26,7 +26,7 @@ _SHUTDOWN = 2.0
 """s that responses under way have to end."""
 
 
-class Part(Protocol):
+class SiteContent(Protocol):
     """What a site serves beside its fixed files."""
 
     page: str
@@ -42,14 +42,14 @@ class Site:
     Args:
         host: address or name to listen on.
         port: 0 for any that is free.
-        part: what is served.
+        content: what is served.
 
     Attributes:
         access: who may look.
     """
 
-    def __init__(self, host: str, port: int, part: Part) -> None:
-        self._host, self._port, self._part = host, port, part
+    def __init__(self, host: str, port: int, content: SiteContent) -> None:
+        self._host, self._port, self._content = host, port, content
         self.access = Access(host)
         self._bound: Future[int] = Future()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -114,7 +114,7 @@ class Site:
             middlewares=[self.access.middleware, _errors_in_a_line], client_max_size=MOST_BODY
         )
         application.on_response_prepare.append(self.access.prepare)
-        page = asset(self._part.page)
+        page = asset(self._content.page)
 
         async def index(_: web.Request) -> web.StreamResponse:
             return web.Response(text=page, content_type="text/html")
@@ -132,7 +132,7 @@ class Site:
         application.add_routes(
             [web.get("/", index), web.get("/assets/{name}", file), web.get("/role", role)]
         )
-        self._part.add_to(application)
+        self._content.add_to(application)
         return application
 
 

@@ -96,12 +96,12 @@ class Workbench:
         self._pool: WorkerPool | None = None
 
     def add_to(self, application: web.Application) -> None:
-        """As `Part` says."""
+        """As `SiteContent` says."""
         application.add_routes(
             [
                 web.get("/airframes", self._airframes),
                 web.get("/items", self._list),
-                web.put("/items", self._take),
+                web.put("/items", self._upload),
                 web.delete("/items/{id}", self._drop),
                 web.post("/items/{id}/look", self._look),
                 web.post("/items/{id}/analysis", self._analyze),
@@ -153,7 +153,7 @@ class Workbench:
 
     # -- uploads
 
-    async def _take(self, request: web.Request) -> web.StreamResponse:
+    async def _upload(self, request: web.Request) -> web.StreamResponse:
         """Take a log, or a result that was saved before, piece by piece."""
         name = file_name(request.query.get("name", ""))
         suffix = Path(name).suffix.lower()

@@ -139,7 +139,7 @@ def _lit(line: Line, width: int) -> Line:
 class ParameterRows(Lines):
     """The parameters, one a line."""
 
-    class Chosen(Message):
+    class ParameterChosen(Message):
         """The user clicked on a parameter."""
 
         def __init__(self, name: str) -> None:
@@ -169,7 +169,7 @@ class ParameterRows(Lines):
     def on_click(self, event: events.Click) -> None:
         """Choose the parameter under the mouse for the plot."""
         if event.y < len(self.parameters):
-            self.post_message(self.Chosen(self.parameters[event.y].name))
+            self.post_message(self.ParameterChosen(self.parameters[event.y].name))
 
     def on_mouse_move(self, event: events.MouseMove) -> None:
         """Say what the parameter under the mouse is."""

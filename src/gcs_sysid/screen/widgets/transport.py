@@ -12,12 +12,11 @@ from gcs_sysid.results.number_format import clock
 from gcs_sysid.results.snapshot import Playback
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.snapshot_view import playback_text
+from gcs_sysid.screen.widgets.lines import Line
 
 KEYS = "space · ← → 10 s · [ ] speed"
 _LEAST_BAR = 10
 """Columns; below it the bar gives way to the numbers."""
-
-Part = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class TransportBar(Widget):
 
     DEFAULT_CSS = "TransportBar { height: 1; background: $panel; padding: 0 1; }"
 
-    class Chosen(Message):
+    class PositionChosen(Message):
         """The user clicked into the bar."""
 
         def __init__(self, position: float) -> None:
@@ -61,16 +60,16 @@ class TransportBar(Widget):
             if self.is_mounted:
                 self.refresh()
 
-    def _layout(self) -> tuple[list[Part], int, int, list[Part]]:
+    def _layout(self) -> tuple[Line, int, int, Line]:
         """What stands before the bar, its first column and width, and what stands after it."""
         playback = self._playback
         if playback is None:
             return [], 0, 0, []
-        before: list[Part] = [
+        before: Line = [
             (f"{playback_text(playback):<14} ", "bold $text-primary"),
             (f"{clock(playback.position)} ", ""),
         ]
-        after: list[Part] = [(f" {clock(playback.duration)}", "")]
+        after: Line = [(f" {clock(playback.duration)}", "")]
         if self.size.width >= 76:
             after.append((f"  {KEYS}", fmt.MUTED))
         start = sum(len(text) for text, _ in before)
@@ -85,7 +84,7 @@ class TransportBar(Widget):
             return Content("")
         share = playback.position / playback.duration if playback.duration > 0.0 else 0.0
         done = min(round(share * width), width)
-        bar: list[Part] = [("━" * done, "$text-primary"), ("─" * (width - done), fmt.MUTED)]
+        bar: Line = [("━" * done, "$text-primary"), ("─" * (width - done), fmt.MUTED)]
         return Content.assemble(*before, *bar, *after)
 
     def on_click(self, event: events.Click) -> None:
@@ -95,4 +94,4 @@ class TransportBar(Widget):
         column = event.x - 1 - start
         if self._playback is not None and width and 0 <= column < width:
             share = column / max(width - 1, 1)
-            self.post_message(self.Chosen(share * self._playback.duration))
+            self.post_message(self.PositionChosen(share * self._playback.duration))
