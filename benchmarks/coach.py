@@ -94,7 +94,7 @@ class Flight:
         for _ in range(ticks):
             frames = self._autopilot.poll(self.simulation.tick)
             if frames:
-                self.chain.take(self._link.take(self._scanner.feed(b"".join(frames))))
+                self.chain.take(self._link.gather(self._scanner.feed(b"".join(frames))))
             self.simulation.step()
 
     def finish(self) -> Result:

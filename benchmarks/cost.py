@@ -100,7 +100,7 @@ def frame_rates(log: Path) -> dict[str, float]:
         chain, link = linked(load_airframe("paper"))
         began = time.process_time()
         for i in range(0, len(frames), size):
-            chain.take(link.take(frames[i : i + size], 1.7e9))
+            chain.take(link.gather(frames[i : i + size], 1.7e9))
         chain.take(link.rest())
         chain.finish()
         rates[name] = samples / (time.process_time() - began)

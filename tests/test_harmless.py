@@ -17,10 +17,10 @@ from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.sanitize import LONGEST_LINE, one_line
+from gcs_sysid.telemetry.link import UdpLink
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.signing import read_key
-from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.swings import read_plan
 

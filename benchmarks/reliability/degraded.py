@@ -217,7 +217,7 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
                     then = outcome_of(chain.result())
                     found.append(Return(waiting.pop(0), back, then))
                     used, back = None, np.inf
-            chain.take(link.take([frame]))
+            chain.take(link.gather([frame]))
     return found
 
 

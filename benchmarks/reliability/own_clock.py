@@ -26,9 +26,8 @@ from gcs_sysid.live import live_session as live
 from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.link import Address, Chunk, Link
+from gcs_sysid.telemetry.link import Address, Link, ReceivedBytes, UdpLink
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.udp_link import DATAGRAMS_AT_ONCE
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
 
@@ -77,7 +76,7 @@ class PlayedLink(Link):
         for t, frames in moments(read_tlog(recording)):
             yield t, b"".join(frames)
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """What has arrived; leaps to the next datagram if that comes in time."""
         if self._began is None:
             self._began = self._clock.now()
@@ -85,12 +84,12 @@ class PlayedLink(Link):
             left = self._began + self._next[0] - self._clock.now()
             self._clock.wait(min(left, timeout))
         now = self._clock.now()
-        chunks: list[Chunk] = []
-        while self._next is not None and len(chunks) < DATAGRAMS_AT_ONCE:
+        chunks: list[ReceivedBytes] = []
+        while self._next is not None and len(chunks) < UdpLink.DATAGRAMS_AT_ONCE:
             arrived, data = self._began + self._next[0], self._next[1]
             if arrived > now:
                 break
-            chunks.append(Chunk(data, _VEHICLE))
+            chunks.append(ReceivedBytes(data, _VEHICLE))
             self._times.arrive(int(1e9 * arrived), len(data))
             self._next = next(self._datagrams, None)
         self.ended = self._next is None

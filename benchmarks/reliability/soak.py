@@ -40,7 +40,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.live.live_session import LiveOptions, LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge import sensor_faults as sensor_faults
@@ -120,12 +120,12 @@ class Played(Link):
         super().__init__(parse_url("udpin:127.0.0.1:14550"))
         self._rest: Iterator[tuple[float, list[bytes]]] = moments(read_tlog(recording))
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """The next few."""
         del timeout
         chunks = []
         for _, frames in self._rest:
-            chunks.append(Chunk(b"".join(frames), _ADDRESS))
+            chunks.append(ReceivedBytes(b"".join(frames), _ADDRESS))
             if len(chunks) == _AT_ONCE:
                 return chunks
         self.ended = True

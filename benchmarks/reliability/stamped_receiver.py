@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 from gcs_sysid.live import receiver_main
-from gcs_sysid.telemetry import udp_link
-from gcs_sysid.telemetry.link import Chunk
+from gcs_sysid.telemetry.link import ReceivedBytes, UdpLink
 
 ARRIVAL = struct.Struct("<qI")
 """Of a datagram: us since 1970 of its arrival, and its bytes."""
@@ -22,13 +21,13 @@ def main() -> int:
     """Receive, as the tool does."""
     path, buffer, mixed = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "1"
     if buffer:
-        udp_link.RECEIVE_BUFFER = buffer
+        UdpLink.RECEIVE_BUFFER = buffer
     if mixed:
-        udp_link.FLOOD = sys.maxsize
-    read, run = udp_link.UdpLink._read, receiver_main.ReceiverMain.run
+        UdpLink.FLOOD = sys.maxsize
+    read, run = UdpLink._read, receiver_main.ReceiverMain.run
     arrivals = path.open("wb")
 
-    def stamped(link: udp_link.UdpLink, from_socket: socket.socket) -> Chunk:
+    def stamped(link: UdpLink, from_socket: socket.socket) -> ReceivedBytes:
         chunk = read(link, from_socket)
         arrivals.write(ARRIVAL.pack(chunk.time_us or 0, len(chunk.data)))
         return chunk
@@ -37,7 +36,7 @@ def main() -> int:
         run(receiver)
         arrivals.close()
 
-    udp_link.UdpLink._read = stamped  # type: ignore[method-assign]
+    UdpLink._read = stamped  # type: ignore[method-assign]
     receiver_main.ReceiverMain.run = to_the_end  # type: ignore[method-assign]
     return receiver_main.main()
 

@@ -29,7 +29,7 @@ from benchmarks.reliability.stamped_receiver import ARRIVAL
 from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.live import receiver_process
 from gcs_sysid.live.live_estimate import LiveEstimate
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
 SAMPLED_EVERY = 0.5
@@ -124,7 +124,7 @@ def watch(times: Times) -> None:
     """Have the tool's estimate keep times from now on."""
     learn = LiveEstimate.learn
 
-    def timed(estimate: LiveEstimate, batch: Batch, garbage_bytes: int) -> None:
+    def timed(estimate: LiveEstimate, batch: ReceivedFrames, garbage_bytes: int) -> None:
         before = estimate.chain.renewals
         learn(estimate, batch, garbage_bytes)
         size = sum(len(frame.raw) for frame in batch.frames)

@@ -22,11 +22,10 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.link import PersistentLink, SerialLink, TcpLink
+from gcs_sysid.telemetry.link import PersistentLink, SerialLink, TcpLink, UdpLink
 from gcs_sysid.telemetry.messages import message_name, unpack
 from gcs_sysid.telemetry.signing import Signer, SigningClock
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
 LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)

@@ -9,7 +9,7 @@ from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.urls import LinkUrl
 
 LOADS = """
@@ -41,7 +41,7 @@ class Silence(Link):
     def __init__(self) -> None:
         super().__init__(LinkUrl("udpin", "udpin:nowhere"))
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         return []
 
     def send(self, data: bytes) -> None:

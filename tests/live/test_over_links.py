@@ -17,10 +17,9 @@ from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.telemetry.link import SerialLink, TcpLink
+from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot

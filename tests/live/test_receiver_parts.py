@@ -20,7 +20,7 @@ from gcs_sysid.live.reception import (
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -36,7 +36,7 @@ def frames(paper_flight):
 
 def test_items_and_figures_arrive_as_they_were(frames):
     said = [
-        Batch(1_750_000_000_000_000, frames), ResetMark(7), RecordingCut(),
+        ReceivedFrames(1_750_000_000_000_000, frames), ResetMark(7), RecordingCut(),
         Toggled("recording to ünüsual.tlog"), Failure("a defect"), Ended(),
     ]  # fmt: skip
     report = receiver_wire.Report(
@@ -129,7 +129,7 @@ def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(frames
     size = sum(len(frame.raw) for frame in frames)
     monkeypatch.setattr(receiver_main, "MOST_WAITING", 200_000)
     some = 400_000 // size
-    outbox.put_items([Batch(n, frames) for n in range(some)])
+    outbox.put_items([ReceivedFrames(n, frames) for n in range(some)])
     assert 0 < outbox.unlearnt < some * len(frames)
     outbox.put_items([RecordingCut(), Ended()])
     with os.fdopen(reads, "rb") as pipe:
@@ -137,7 +137,7 @@ def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(frames
         while not got or not isinstance(got[-1], Ended):
             got.append(receiver_wire.read_item(*receiver_wire.read_message(pipe)))
     outbox.close()
-    handed = sum(len(item.frames) for item in got if isinstance(item, Batch))
+    handed = sum(len(item.frames) for item in got if isinstance(item, ReceivedFrames))
     assert handed + outbox.unlearnt == some * len(frames)
     assert [type(item) for item in got[-2:]] == [RecordingCut, Ended]
 
@@ -146,7 +146,7 @@ def test_an_outbox_whose_reader_is_gone_waits_for_nobody(frames):
     reads, writes = os.pipe()
     outbox = Outbox(os.fdopen(writes, "wb", buffering=0))
     os.close(reads)
-    outbox.put_items([Batch(1, frames)])
+    outbox.put_items([ReceivedFrames(1, frames)])
     outbox.close()
 
 

@@ -23,7 +23,7 @@ from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import LinkUrl
 from tests.live.test_live_session import LONGEST, assert_same_numbers
@@ -68,7 +68,7 @@ def items(receiver, enough):
 
 
 def frames_in(got):
-    return [frame for item in got if isinstance(item, Batch) for frame in item.frames]
+    return [frame for item in got if isinstance(item, ReceivedFrames) for frame in item.frames]
 
 
 def until(said):

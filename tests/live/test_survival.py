@@ -21,7 +21,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -151,7 +151,7 @@ def session():
     link = FakeLink()
     session = LiveSession(link, load_airframe("paper"), LiveOptions(duration=1e9))
     session._publish(LinkState.WAITING)
-    link.ready.append(Chunk(heartbeat(), ("10.0.0.1", 14550)))
+    link.ready.append(ReceivedBytes(heartbeat(), ("10.0.0.1", 14550)))
     rounds(session)
     session.link = link
     return session
@@ -169,7 +169,7 @@ def flood(session, link, make, count, rng):
     before = tracemalloc.get_traced_memory()[0]
     for start in range(0, count, AT_ONCE):
         link.ready.extend(
-            Chunk(make(rng, n), (f"10.0.{n >> 8 & 255}.{n & 255}", 1024 + n % 60_000))
+            ReceivedBytes(make(rng, n), (f"10.0.{n >> 8 & 255}.{n & 255}", 1024 + n % 60_000))
             for n in range(start, min(start + AT_ONCE, count))
         )
         rounds(session)
@@ -243,7 +243,7 @@ def flown(link, count, start=0):
     rng = random.Random(5)
     raws = [heartbeat(sequence=start)]
     raws += [imu(10**7 + 4000 * n, rng, sequence=n) for n in range(start + 1, start + count)]
-    link.ready.extend(Chunk(raw, ("10.0.0.1", 14550)) for raw in raws)
+    link.ready.extend(ReceivedBytes(raw, ("10.0.0.1", 14550)) for raw in raws)
     return raws
 
 

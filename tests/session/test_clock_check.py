@@ -82,7 +82,7 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, undisturbed):
 def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
     chain, link = linked(airframe, ChainOptions(history_interval=None))
     for time_us, frame in read_tlog(received(8000.0)):
-        chain.take(link.take([frame], time_us * 1e-6))
+        chain.take(link.gather([frame], time_us * 1e-6))
     chain.take(link.rest())
     live = chain.finish()
     assert (live.verdict, live.reasons) == (fast.verdict, fast.reasons)
@@ -94,7 +94,7 @@ def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, f
 def drift_of(ppm, seconds=40):
     drift = ClockDrift()
     for i in range(seconds):
-        drift.take(i * (1.0 + 1e-6 * ppm), 1.75e9 + i)
+        drift.add_moment(i * (1.0 + 1e-6 * ppm), 1.75e9 + i)
     return drift
 
 

@@ -90,7 +90,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
     chain, link = linked(airframe, ChainOptions(history_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
-        chain.take(link.take([frame]))
+        chain.take(link.gather([frame]))
     chain.take(link.rest())
     result = chain.finish()
     # A log has wall-clock times, which frames alone do not have.

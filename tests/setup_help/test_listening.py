@@ -17,7 +17,7 @@ from gcs_sysid.setup_help.listening import (
     start_command,
 )
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
@@ -39,7 +39,7 @@ class Told(Link):
         self.closed = False
 
     def receive(self, timeout):
-        return [Chunk(self._datagrams.pop(0), ("1.2.3.4", 5))] if self._datagrams else []
+        return [ReceivedBytes(self._datagrams.pop(0), ("1.2.3.4", 5))] if self._datagrams else []
 
     def send(self, data):
         pytest.fail("the doctor sends nothing")

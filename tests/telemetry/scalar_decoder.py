@@ -413,7 +413,9 @@ class ScalarIntake:
             self._note("reset", "estimate reset by the user")
             return None
         first = self.selector.chosen
-        self.selector.take(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
+        self.selector.note_senders(
+            *(np.array([n], np.uint8) for n in (frame.system, frame.component))
+        )
         if frame.message_id == 0:
             self.selector.hear(frame)
         known, is_chosen = first is not None, self.selector.is_chosen(frame)
@@ -436,7 +438,7 @@ class ScalarIntake:
                 if count >= min(4, len(record.values)):
                     self.turning.add(record.source)
             if wall is not None and clock.now is not None:
-                self.drift.take(clock.now, wall)
+                self.drift.add_moment(clock.now, wall)
         return record
 
     def _decode(self, frame: Frame) -> Record | None:
@@ -471,7 +473,7 @@ class ScalarIntake:
         if who == chosen.address:
             vehicle_type, autopilot, mode = _type_and_mode(heartbeat.payload)
             armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            if self._contradictions.take(vehicle_type, autopilot, armed=armed):
+            if self._contradictions.note_heartbeat(vehicle_type, autopilot, armed=armed):
                 self._note("senders", "")
             return
         other = self.selector.systems.get(who)

@@ -9,7 +9,12 @@ from benchmarks import blackbox_log as bbl
 from benchmarks.blackbox_log import BlackboxWriter, Field
 from benchmarks.reliability.fuzz.blackbox_reference import PlainReader
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry import blackbox_frames, blackbox_search, blackbox_times, byte_window
+from gcs_sysid.telemetry import (
+    blackbox_frames,
+    blackbox_predictors,
+    blackbox_search,
+    byte_window,
+)
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import read_frames
 
@@ -201,7 +206,7 @@ def test_shortcuts_do_not_show(monkeypatch, garbage):
     for many in (0, 10**6):
         monkeypatch.setattr(blackbox_search, "_FEW_JUMPS", many)
         monkeypatch.setattr(blackbox_search, "_FEW_GAPS", many)
-        monkeypatch.setattr(blackbox_times, "_DOUBTS", many or 1)
+        monkeypatch.setattr(blackbox_predictors, "_DOUBTS", many or 1)
         monkeypatch.setattr(byte_window, "_CROWD", float(many))
         assert_as_plain(data)
 

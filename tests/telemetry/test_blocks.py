@@ -300,8 +300,8 @@ def test_sequence_numbers_are_counted_alike(seed):
         piece = numbers[at : at + rng.randrange(1, 500)]
         at += len(piece)
         for number in piece:
-            single.take(number)
-        blocks.take_block(np.array(piece, np.uint8))
+            single.count(number)
+        blocks.count_block(np.array(piece, np.uint8))
         assert vars(blocks) == vars(single)
 
 
@@ -345,9 +345,9 @@ def test_nothing_is_decoded_frame_by_frame_while_nothing_is_odd(tmp_path, make_s
     path = tmp_path / "even.tlog"
     path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
     taken = []
-    take = RecordDecoder.take
+    take = RecordDecoder.decode
     monkeypatch.setattr(
-        RecordDecoder, "take", lambda self, *args: taken.append(None) or take(self, *args)
+        RecordDecoder, "decode", lambda self, *args: taken.append(None) or take(self, *args)
     )
     intake = Intake()
     blocks = [intake.block(block) for block in TlogReader(path, 1 << 16).blocks()]

@@ -172,18 +172,18 @@ def test_drift_is_told_through_jitter_and_wrong_stamps(ppm):
         wall = WALL + vehicle / (1.0 + 1e-6 * ppm) + rng.expovariate(200.0)
         if rng.random() < 0.001:
             wall += rng.uniform(-1e6, 1e6)
-        drift.take(vehicle, wall)
+        drift.add_moment(vehicle, wall)
     # 5 ms of jitter over 200 s.
     assert drift.ppm == pytest.approx(ppm, abs=10.0)
 
 
 def test_drift_takes_bounded_memory_and_no_short_stretch():
     drift = ClockDrift()
-    drift.take(1.0, WALL)
-    drift.take(11.0, WALL + 10.0)
+    drift.add_moment(1.0, WALL)
+    drift.add_moment(11.0, WALL + 10.0)
     assert drift.ppm is None
     for i in range(20_000):
-        drift.take(11.0 + i, WALL + 10.0 + 0.5 * i)
+        drift.add_moment(11.0 + i, WALL + 10.0 + 0.5 * i)
     assert len(drift._moments) <= drift.MOST
     assert drift.ppm == pytest.approx(1e6, rel=0.01)
 
@@ -191,9 +191,9 @@ def test_drift_takes_bounded_memory_and_no_short_stretch():
 def test_drift_begins_anew_on_a_reboot():
     drift = ClockDrift()
     for i in range(100):
-        drift.take(1000.0 + 2.0 * i, WALL + i)
+        drift.add_moment(1000.0 + 2.0 * i, WALL + i)
     for i in range(100):
-        drift.take(1.0 + i, WALL + 200.0 + i)
+        drift.add_moment(1.0 + i, WALL + 200.0 + i)
     assert drift.ppm == pytest.approx(0.0, abs=1.0)
 
 
@@ -202,7 +202,7 @@ def told(vehicle_of, jitter, seconds):
     rng = random.Random(5)
     drift = ClockDrift()
     for wall in range(seconds + 1):
-        drift.take(10.0 + vehicle_of(wall) - rng.uniform(0.0, jitter), WALL + wall)
+        drift.add_moment(10.0 + vehicle_of(wall) - rng.uniform(0.0, jitter), WALL + wall)
     return drift.bounds
 
 
@@ -232,7 +232,7 @@ def test_bounds_of_a_few_moments_are_not_told():
     assert told(lambda wall: wall, 0.0, 9) is None
     drift = ClockDrift()
     for i in range(30):
-        drift.take(10.0 + i, WALL)  # a recorder without a clock
+        drift.add_moment(10.0 + i, WALL)  # a recorder without a clock
     assert drift.bounds is None
 
 
@@ -243,9 +243,9 @@ def test_blocks_of_moments_are_noted_as_one_by_one():
     vehicle = 10.0 + 1.0001 * (wall - WALL)
     single, blocks = ClockDrift(), ClockDrift()
     for v, w in zip(vehicle.tolist(), wall.tolist(), strict=True):
-        single.take(v, w)
+        single.add_moment(v, w)
     for start, stop in ((0, 1), (1, 1), (1, 90), (90, 2500), (2500, 4000)):
-        blocks.take_block(vehicle[start:stop], wall[start:stop])
+        blocks.add_moments(vehicle[start:stop], wall[start:stop])
     assert blocks._moments == single._moments
     assert blocks.ppm == pytest.approx(100.0, abs=0.1)
     assert blocks.bounds == single.bounds
@@ -254,25 +254,25 @@ def test_blocks_of_moments_are_noted_as_one_by_one():
 def test_moments_are_thinned_evenly_when_they_become_too_many():
     drift = ClockDrift()
     for i in range(ClockDrift.MOST + 1):
-        drift.take(10.0 + i, WALL + i)
+        drift.add_moment(10.0 + i, WALL + i)
         assert len(drift._moments) == (i + 1 if i < ClockDrift.MOST else 513)
     # Every other one stays, and the next ones are kept as far apart.
     assert [v for v, _ in drift._moments] == [
         10.0 + 2.0 * i for i in range(ClockDrift.MOST // 2 + 1)
     ]
     assert ClockDrift.MOST == 1024
-    drift.take(10.0 + 1025.0, WALL + 1025.0)
+    drift.add_moment(10.0 + 1025.0, WALL + 1025.0)
     assert len(drift._moments) == 513
-    drift.take(10.0 + 1026.0, WALL + 1026.0)
+    drift.add_moment(10.0 + 1026.0, WALL + 1026.0)
     assert len(drift._moments) == 514
 
 
 def test_moments_are_a_second_apart_and_begin_anew_a_second_back():
     drift = ClockDrift()
     for vehicle, wall in ((10.0, 0.0), (10.9, 0.9), (11.0, 1.0), (10.5, 2.0), (9.4, 3.0)):
-        drift.take(vehicle, wall)
+        drift.add_moment(vehicle, wall)
     assert drift._moments == [(9.4, 3.0)]
-    drift.take(9.4 - 0.9, 4.0)  # reordered on the way, no reboot
+    drift.add_moment(9.4 - 0.9, 4.0)  # reordered on the way, no reboot
     assert len(drift._moments) == 2
 
 
@@ -280,7 +280,7 @@ def test_moments_are_a_second_apart_and_begin_anew_a_second_back():
 def test_a_drift_is_told_from_twenty_seconds_on(seconds, told):
     drift = ClockDrift()
     for i in range(seconds + 1):
-        drift.take(10.0 + 1.001 * i, WALL + i)
+        drift.add_moment(10.0 + 1.001 * i, WALL + i)
     assert (drift.ppm == pytest.approx(1000.0, abs=0.1)) if told else drift.ppm is None
     assert drift.bounds == pytest.approx((1000.0, 1000.0), abs=0.1)
 
@@ -289,7 +289,7 @@ def test_scatter_is_about_the_offset_that_is_usual():
     """Three of four moments are 10 ms late: the fourth is off, not those."""
     drift = ClockDrift()
     for i in range(41):
-        drift.take(10.0 + i - 0.01 * (i % 4 > 0), WALL + i)
+        drift.add_moment(10.0 + i - 0.01 * (i % 4 > 0), WALL + i)
     low, high = drift.bounds
     assert high - low == pytest.approx(2e6 * 8.0 * 0.01 / 40.0, rel=0.06)
 
@@ -298,9 +298,9 @@ def test_bounds_are_eight_times_the_scatter_about_the_line():
     # Every other moment is 10 ms late: offsets lie 5 ms either way of their median, over 40 s.
     drift = ClockDrift()
     for i in range(41):
-        drift.take(10.0 + i - 0.01 * (i % 2), WALL + i)
+        drift.add_moment(10.0 + i - 0.01 * (i % 2), WALL + i)
     low, high = drift.bounds
     assert high - low == pytest.approx(2e6 * 8.0 * 0.01 / 40.0, rel=0.06)
     assert drift.bounds is drift.bounds  # not reckoned again
-    drift.take(51.0, WALL + 41.0)
+    drift.add_moment(51.0, WALL + 41.0)
     assert drift.bounds != (low, high)

@@ -30,7 +30,7 @@ class OneByOne:
 
     def decode(self, frame):
         out = TrackCollector()
-        taken = self.inner.take(FrameBlock.of([frame]), np.ones(1, bool), out)
+        taken = self.inner.decode(FrameBlock.of([frame]), np.ones(1, bool), out)
         if frame.message_id in STATE_IDS:
             now = float(taken.moments.now[-1])
             return self.inner.take_state(frame, now)

@@ -6,10 +6,8 @@ import sys
 import pytest
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.telemetry import udp_link as link_module
-from gcs_sysid.telemetry.link import Chunk, Link, open_link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes, UdpLink, open_link
 from gcs_sysid.telemetry.receiver import Receiver
-from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 FLOOD = 40
@@ -57,10 +55,10 @@ class Field:
 
 @pytest.fixture
 def field(monkeypatch):
-    monkeypatch.setattr(link_module, "FLOOD", FLOOD)
-    monkeypatch.setattr(link_module, "STRANGERS_AT_ONCE", 1)
+    monkeypatch.setattr(UdpLink, "FLOOD", FLOOD)
+    monkeypatch.setattr(UdpLink, "STRANGERS_AT_ONCE", 1)
     # The smallest that Linux gives: a handful of datagrams.
-    monkeypatch.setattr(link_module, "RECEIVE_BUFFER", 1)
+    monkeypatch.setattr(UdpLink, "RECEIVE_BUFFER", 1)
     field = Field()
     yield field
     field.close()
@@ -87,7 +85,7 @@ def test_a_flood_that_fills_the_buffer_costs_the_vehicle_nothing(field):
 
 @linux
 def test_without_a_socket_of_its_own_the_vehicle_is_lost_in_the_flood(field, monkeypatch):
-    monkeypatch.setattr(link_module, "FLOOD", sys.maxsize)
+    monkeypatch.setattr(UdpLink, "FLOOD", sys.maxsize)
     field.flood(100)
     field.say(field.vehicle, b"0")
     assert field.heard(field.vehicle) == []
@@ -189,7 +187,7 @@ HOME, FORGER = ("10.0.0.1", 14550), ("10.6.6.6", 666)
 
 
 def told(receiver, link, sender, *sources):
-    link.chunks = [Chunk(sender.heartbeat().raw, source) for source in sources]
+    link.chunks = [ReceivedBytes(sender.heartbeat().raw, source) for source in sources]
     receiver.poll(0.0)
     return link.answers
 

@@ -9,7 +9,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.ground_station import LOST_AFTER, GroundStation
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name, unpack
 from gcs_sysid.telemetry.stream_restoration import OBSERVED_FOR
 from gcs_sysid.telemetry.transceiver import Transceiver
@@ -58,7 +58,7 @@ class Talk:
         self.said = []
 
     def hear(self, *frames, source=("vehicle", 1)):
-        self.link.arriving += [Chunk(frame.raw, source) for frame in frames]
+        self.link.arriving += [ReceivedBytes(frame.raw, source) for frame in frames]
         self.turn(0.0)
 
     def turn(self, seconds):

@@ -10,7 +10,7 @@ RNG = np.random.default_rng
 
 def counted(t):
     loss = ImuLoss()
-    loss.take(np.asarray(t))
+    loss.add_times(np.asarray(t))
     return loss.counts
 
 
@@ -65,10 +65,10 @@ def test_late_and_repeated_samples_are_no_lost_ones():
 
 def test_a_reboot_and_an_absence_are_no_loss():
     loss = ImuLoss()
-    loss.take(even(250.0, 20.0))
-    loss.take(even(250.0, 20.0, 60.0))
+    loss.add_times(even(250.0, 20.0))
+    loss.add_times(even(250.0, 20.0, 60.0))
     loss.restart()
-    loss.take(even(250.0, 20.0, 1.0))
+    loss.add_times(even(250.0, 20.0, 1.0))
     assert loss.counts == (15_000, 0, 0.0)
 
 
@@ -79,7 +79,7 @@ def test_how_samples_come_together_changes_nothing(size):
     t = t[rng.random(len(t)) >= 0.3]
     loss = ImuLoss()
     for at in range(0, len(t), size):
-        loss.take(t[at : at + size])
+        loss.add_times(t[at : at + size])
         if size > 100:
             assert loss.counts.received == min(at + size, len(t))
     assert loss.counts == counted(t)
@@ -110,6 +110,6 @@ def test_many_samples_at_once_are_counted_as_one_by_one(late):
         t[k : k + 8] = random.permutation(t[k : k + 8])
     single = ImuLoss()
     for start in range(0, len(t), 7):
-        single.take(t[start : start + 7])
+        single.add_times(t[start : start + 7])
     assert counted(t) == single.counts
     assert single.counts.missing > 500

@@ -23,7 +23,7 @@ def ground_station(make_sender):
 
 
 def heard(selector, frame):
-    selector.take(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
+    selector.note_senders(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
     if frame.message_id == 0:
         selector.hear(frame)
     return selector.is_chosen(frame)
@@ -224,10 +224,10 @@ def test_a_clock_that_keeps_going_back_does_not_have_a_log_read_again_and_again(
         frames += [sender.imu(100.0 + 0.01 * i + 0.001 * k) for k in range(4)]
         frames += [sender.attitude(10.0 + 0.01 * i + 0.001 * k) for k in range(2)]
     looked_at = []
-    take = RecordDecoder.take
+    take = RecordDecoder.decode
     monkeypatch.setattr(
         RecordDecoder,
-        "take",
+        "decode",
         lambda self, block, *rest: looked_at.append(len(block)) or take(self, block, *rest),
     )
     intake = Intake()

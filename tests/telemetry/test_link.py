@@ -9,11 +9,9 @@ import time
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.telemetry import udp_link
-from gcs_sysid.telemetry.link import Chunk, Link, open_link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes, UdpLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.receiver import TOGETHER, Receiver
-from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0
@@ -298,7 +296,7 @@ def test_a_datagram_is_stamped_when_it_arrives_however_late_it_is_read():
 
 @linux
 def test_what_the_system_drops_is_counted(monkeypatch):
-    monkeypatch.setattr(udp_link, "RECEIVE_BUFFER", 1)  # the smallest that Linux gives
+    monkeypatch.setattr(UdpLink, "RECEIVE_BUFFER", 1)  # the smallest that Linux gives
     with (
         UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", "127.0.0.1")) as link,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
@@ -320,7 +318,7 @@ def test_what_arrived_together_is_one_batch_and_what_did_not_is_not(sender):
 
         def receive(self, timeout):
             times = (1_000_000, 1_000_500, 1_000_500 + TOGETHER, 2_000_000, None)
-            return [Chunk(sender.heartbeat().raw, ("10.0.0.1", 14550), t) for t in times]
+            return [ReceivedBytes(sender.heartbeat().raw, ("10.0.0.1", 14550), t) for t in times]
 
         def send(self, data):
             raise AssertionError("nothing is to be sent")

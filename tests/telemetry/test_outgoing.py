@@ -197,7 +197,7 @@ def test_no_other_module_writes_to_a_link_or_socket():
             ):
                 writers.add(name)
     # web/ speaks to browsers.
-    links = {"telemetry/link.py", "telemetry/udp_link.py", "telemetry/outgoing.py"}
+    links = {"telemetry/link.py", "telemetry/outgoing.py"}
     assert writers <= links | {"web/share.py"}
 
 
@@ -217,7 +217,7 @@ def test_no_other_module_opens_a_socket_or_a_port():
                 users.add(name)
     # Screens may use asyncio for their timers; web/ speaks to browsers.
     users = {user for user in users if not user.startswith(("screen/", "web/"))}
-    assert users <= {"telemetry/link.py", "telemetry/udp_link.py"}
+    assert users <= {"telemetry/link.py"}
 
 
 @pytest.mark.slow

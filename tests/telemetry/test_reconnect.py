@@ -7,11 +7,9 @@ import pytest
 
 from gcs_sysid.errors import LinkError
 from gcs_sysid.telemetry.link import (
-    FIRST_PAUSE,
-    LONGEST_PAUSE,
-    Chunk,
     Link,
     PersistentLink,
+    ReceivedBytes,
     open_link,
 )
 from gcs_sysid.telemetry.receiver import Receiver
@@ -42,7 +40,7 @@ class Plug(Link):
     def receive(self, _timeout):
         assert not self.ended
         if self.pieces:
-            return [Chunk(self.pieces.pop(0), None)]
+            return [ReceivedBytes(self.pieces.pop(0), None)]
         self.ended = True
         self.breaks += 1
         return []
@@ -92,9 +90,9 @@ def test_attempts_grow_rarer_but_not_too_rare(clock):
         link.receive(0.05)
         clock.now += 0.001
     pauses = [b - a for a, b in zip([100.0, *tries], tries, strict=False)]
-    assert pauses[0] == pytest.approx(FIRST_PAUSE, abs=0.06)
+    assert pauses[0] == pytest.approx(PersistentLink.FIRST_PAUSE, abs=0.06)
     assert pauses == pytest.approx(sorted(pauses), abs=0.06)
-    assert max(pauses) == pytest.approx(LONGEST_PAUSE, abs=0.06)
+    assert max(pauses) == pytest.approx(PersistentLink.LONGEST_PAUSE, abs=0.06)
     assert len(tries) > 10
 
 
@@ -105,9 +103,11 @@ def test_one_that_hangs_up_at_once_every_time_is_called_ever_more_rarely(clock):
         link.receive(0.05)
         clock.now += 0.001
     pauses = [b - a for a, b in zip([100.0, *tries], tries, strict=False)]
-    assert pauses[:4] == pytest.approx([FIRST_PAUSE * 2**n for n in range(4)], abs=0.1)
-    assert max(pauses) == pytest.approx(LONGEST_PAUSE, abs=0.1)
-    assert pauses[9] == pytest.approx(FIRST_PAUSE, abs=0.1)  # data came
+    assert pauses[:4] == pytest.approx(
+        [PersistentLink.FIRST_PAUSE * 2**n for n in range(4)], abs=0.1
+    )
+    assert max(pauses) == pytest.approx(PersistentLink.LONGEST_PAUSE, abs=0.1)
+    assert pauses[9] == pytest.approx(PersistentLink.FIRST_PAUSE, abs=0.1)  # data came
 
 
 def test_what_is_sent_while_it_is_gone_is_counted(clock):

@@ -5,7 +5,7 @@ import pytest
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.marks import RESET_TEXT
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.receiver import Receiver
@@ -50,7 +50,7 @@ class Field:
 
     def hear(self, source, *frames):
         """Frames of one datagram; those that were believed."""
-        self.link.arriving = [Chunk(b"".join(frame.raw for frame in frames), source)]
+        self.link.arriving = [ReceivedBytes(b"".join(frame.raw for frame in frames), source)]
         return self.receiver.poll(0.0)
 
 
@@ -124,7 +124,7 @@ def test_two_that_speak_by_turns_are_told_of_once(sender, forged):
     for n in range(20):
         sequence += [(FORGER, forged[:1]), (HOME, [sender.imu(1.0 + n)])]
     for n, (source, frames) in enumerate(sequence):
-        link.arriving = [Chunk(frame.raw, source) for frame in frames]
+        link.arriving = [ReceivedBytes(frame.raw, source) for frame in frames]
         for batch in transceiver.receive(0.0):
             intake.frames(batch.frames)
         station.follow(0.1 * n, intake)
@@ -154,7 +154,7 @@ def test_a_reset_that_comes_over_the_link_is_none(with_key, sender, make_sender,
     state.secret_key, state.sign_outgoing, state.timestamp = key, with_key, 2**47
     words = [f"{RESET_TEXT}, not", RESET_TEXT]
     frames = [forger.frame(mavlink.MAVLink_statustext_message(5, w.encode())) for w in words]
-    link.arriving = [Chunk(frame.raw, FORGER) for frame in frames]
+    link.arriving = [ReceivedBytes(frame.raw, FORGER) for frame in frames]
     (batch,) = transceiver.receive(0.0)
     assert batch.frames == frames[:1]  # neither used nor recorded
     station.tick(0.0, Intake())
@@ -181,7 +181,7 @@ def test_arming_now_and_then_is_no_contradiction():
     watch = Contradictions()
     for flight in range(50):
         for n in range(8):
-            assert not watch.take(2, 12, armed=n >= 4), flight
+            assert not watch.note_heartbeat(2, 12, armed=n >= 4), flight
     assert not watch.found
 
 

@@ -97,7 +97,7 @@ def test_the_key_is_never_sent(clock):
 def test_frames_with_the_right_key_are_believed_whatever_they_are(signing, check, make_message):
     vehicle, rng = signing(), random.Random(3)
     for cls in mavlink.mavlink_map.values():
-        assert check.take(vehicle.frame(make_message(cls, rng))) is None
+        assert check.refusal_of(vehicle.frame(make_message(cls, rng))) is None
     assert check.accepted == len(mavlink.mavlink_map)
     assert check.refused == {}
 
@@ -107,50 +107,52 @@ def test_a_frame_changed_on_the_way_is_not_believed(signing, check, at):
     raw = bytearray(signing().heartbeat().raw)
     raw[at] ^= 0x10
     frame = read_frame(bytes(raw))
-    assert check.take(frame) is Refusal.WRONG_KEY or frame.valid is Validity.BAD_CRC
+    assert check.refusal_of(frame) is Refusal.WRONG_KEY or frame.valid is Validity.BAD_CRC
     assert check.accepted == 0
 
 
 def test_another_key_is_refused_and_counted(signing, check):
     attacker = signing(OTHER)
     for _ in range(5):
-        assert check.take(attacker.heartbeat()) is Refusal.WRONG_KEY
+        assert check.refusal_of(attacker.heartbeat()) is Refusal.WRONG_KEY
     assert check.refused == {Refusal.WRONG_KEY: 5}
 
 
 def test_what_is_repeated_is_refused(signing, check):
     vehicle = signing()
     frames = [vehicle.imu(1.0 + 0.004 * i) for i in range(10)]
-    assert [check.take(frame) for frame in frames] == [None] * 10
-    assert [check.take(frame) for frame in frames] == [Refusal.REPLAYED] * 10
-    assert check.take(vehicle.heartbeat()) is None
+    assert [check.refusal_of(frame) for frame in frames] == [None] * 10
+    assert [check.refusal_of(frame) for frame in frames] == [Refusal.REPLAYED] * 10
+    assert check.refusal_of(vehicle.heartbeat()) is None
 
 
 def test_forged_times_leave_no_trace(signing, check):
     """Else one frame with a time far ahead would shut the vehicle out."""
     vehicle = signing()
-    check.take(vehicle.heartbeat())
-    check.take(signing(OTHER, time=NOW + 10**9).heartbeat())
-    assert check.take(vehicle.heartbeat()) is None
+    check.refusal_of(vehicle.heartbeat())
+    check.refusal_of(signing(OTHER, time=NOW + 10**9).heartbeat())
+    assert check.refusal_of(vehicle.heartbeat()) is None
 
 
 def test_a_recording_of_yesterday_is_refused(signing, check):
-    assert check.take(signing(time=NOW - 86400 * UNITS).heartbeat()) is Refusal.TOO_OLD
-    assert check.take(signing(time=NOW - 59 * UNITS, link=4).heartbeat()) is None
+    assert check.refusal_of(signing(time=NOW - 86400 * UNITS).heartbeat()) is Refusal.TOO_OLD
+    assert check.refusal_of(signing(time=NOW - 59 * UNITS, link=4).heartbeat()) is None
 
 
 def test_each_link_of_each_system_has_its_own_time(signing, check):
     fast, slow, other = signing(), signing(time=NOW - UNITS, link=4), signing(system=2)
     for sender in (fast, slow, other, fast, slow, other):
-        assert check.take(sender.heartbeat()) is None
+        assert check.refusal_of(sender.heartbeat()) is None
 
 
 def test_without_a_signature_only_radios_are_believed(make_sender, check):
     vehicle, radio = make_sender(), make_sender(51, 68)
-    assert check.take(vehicle.heartbeat()) is Refusal.UNSIGNED
-    assert check.take(make_sender().frame(mavlink.MAVLink_timesync_message(0, 1), 1)) is not None
+    assert check.refusal_of(vehicle.heartbeat()) is Refusal.UNSIGNED
+    assert (
+        check.refusal_of(make_sender().frame(mavlink.MAVLink_timesync_message(0, 1), 1)) is not None
+    )
     status = mavlink.MAVLink_radio_status_message(200, 190, 100, 30, 20, 0, 0)
-    assert check.take(radio.frame(status)) is None
+    assert check.refusal_of(radio.frame(status)) is None
     assert check.refused == {Refusal.UNSIGNED: 2}
 
 
@@ -163,24 +165,24 @@ def test_signed_frames_go_through_the_scanner_in_any_pieces(signing, check):
         frames += scanner.feed(data[at : at + step])
         at += step
     frames += scanner.flush()
-    assert [check.take(frame) for frame in frames] == [None] * 200
+    assert [check.refusal_of(frame) for frame in frames] == [None] * 200
     assert scanner.garbage_bytes == 0
 
 
 def test_our_time_is_never_behind_what_is_believed(signing, check, clock):
-    check.take(signing(OTHER, time=NOW + 5000 * UNITS).heartbeat())
-    assert clock.take() == NOW + 1
-    check.take(signing(time=NOW + 100 * UNITS).heartbeat())
-    assert clock.take() == NOW + 100 * UNITS + 1
+    check.refusal_of(signing(OTHER, time=NOW + 5000 * UNITS).heartbeat())
+    assert clock.next_time() == NOW + 1
+    check.refusal_of(signing(time=NOW + 100 * UNITS).heartbeat())
+    assert clock.next_time() == NOW + 100 * UNITS + 1
 
 
 def test_our_time_does_not_go_back_when_the_wall_clock_does(tmp_path):
     state = tmp_path / "key.time"
     first = SigningClock(state, now=lambda: NOW)
-    last = [first.take() for _ in range(100)][-1]
+    last = [first.next_time() for _ in range(100)][-1]
     first.close()
     second = SigningClock(state, now=lambda: NOW - 86400 * UNITS)
-    assert second.take() > last
+    assert second.next_time() > last
 
 
 def test_our_time_does_not_go_back_after_a_crash(tmp_path):
@@ -190,16 +192,16 @@ def test_our_time_does_not_go_back_after_a_crash(tmp_path):
     last = 0
     for _ in range(200):
         wall += UNITS
-        last = first.take()
+        last = first.next_time()
     second = SigningClock(state, now=lambda: 0)  # no close: it was killed
-    assert last < second.take() <= last + RESERVED + 1
+    assert last < second.next_time() <= last + RESERVED + 1
 
 
 def test_time_kept_ahead_shuts_out_nobody(tmp_path, signing):
     state = tmp_path / "key.time"
-    SigningClock(state, now=lambda: NOW).take()  # killed after one frame
+    SigningClock(state, now=lambda: NOW).next_time()  # killed after one frame
     check = SignatureCheck(KEY, SigningClock(state, now=lambda: NOW))
-    assert check.take(signing(time=NOW - 30 * UNITS).heartbeat()) is None
+    assert check.refusal_of(signing(time=NOW - 30 * UNITS).heartbeat()) is None
 
 
 @pytest.mark.parametrize("content", [b"", b"nonsense", b"\xff\xfe", b"-5", b"9" * 40])
@@ -207,14 +209,14 @@ def test_a_damaged_state_file_does_no_harm(tmp_path, content):
     state = tmp_path / "key.time"
     state.write_bytes(content)
     clock = SigningClock(state, now=lambda: NOW)
-    assert NOW <= clock.take() < 2**48
+    assert NOW <= clock.next_time() < 2**48
 
 
 def test_a_state_that_cannot_be_kept_is_told(tmp_path):
     clock = SigningClock(tmp_path / "no such folder" / "key.time", now=lambda: NOW)
-    assert clock.take() == NOW + 1
+    assert clock.next_time() == NOW + 1
     assert "cannot keep the time of signatures" in clock.problem
-    assert clock.take() == NOW + 2
+    assert clock.next_time() == NOW + 2
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ def test_frames_in_what_repeats_itself_are_those_found_one_by_one(raws, pattern)
     garbage = ((frame if pattern == "frame" else pattern) * 6000)[:6000]
     content = as_log(raws[:20]) + garbage + as_log(raws[20:40]) + garbage[:2500]
     data = np.frombuffer(content + bytes(300), np.uint8)
-    good = tlog_scan._Chain(content, data, len(content)).good().tolist()
+    good = tlog_scan._RecordChain(content, data, len(content)).good().tolist()
     frames = ((at, read_frame(content, at)) for at in range(len(content)))
     one_by_one = [at for at, frame in frames if frame and frame.valid is Validity.OK]
     assert good == one_by_one

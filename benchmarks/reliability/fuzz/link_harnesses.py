@@ -22,7 +22,7 @@ from gcs_sysid.telemetry.frames import (
 )
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Address, Chunk, Link
+from gcs_sysid.telemetry.link import Address, Link, ReceivedBytes
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
@@ -221,10 +221,10 @@ class _FakeLink(Link):
 
     def __init__(self) -> None:
         super().__init__(LinkUrl("udpin", "udpin:127.0.0.1:14550", "127.0.0.1", 14550))
-        self.waiting: list[Chunk] = []
+        self.waiting: list[ReceivedBytes] = []
         self.sent: list[bytes] = []
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """As `Link` says; never waits."""
         came, self.waiting = self.waiting, []
         return came
@@ -286,7 +286,7 @@ def check_answers(data: bytes) -> None:
     often: Counter[int] = Counter()
     now = 0.0
     for i, raw in enumerate(raws):
-        link.waiting.append(Chunk(raw, ("10.0.0.1", 14550 + raw[-1] % 3)))
+        link.waiting.append(ReceivedBytes(raw, ("10.0.0.1", 14550 + raw[-1] % 3)))
         if raw[-1] & 7 == 0:
             link.breaks += 1
         for batch in transceiver.receive(0.0):
@@ -331,7 +331,7 @@ def check_signatures(data: bytes) -> None:
         frame = read_frame(bytes(raw))
         if frame is None or frame.valid is Validity.BAD_CRC:
             continue
-        if check.take(frame) is None and frame.message_id != MESSAGE_IDS["RADIO_STATUS"]:
+        if check.refusal_of(frame) is None and frame.message_id != MESSAGE_IDS["RADIO_STATUS"]:
             assert frame.raw in sendable, "a frame that nobody signed was believed"
             assert frame.raw not in believed, "a repeated frame was believed"
             believed.add(frame.raw)

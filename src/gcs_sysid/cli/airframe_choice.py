@@ -151,7 +151,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     from gcs_sysid.session.reported_layout import reported_layout
     from gcs_sysid.telemetry.intake import Intake
     from gcs_sysid.telemetry.parameter_requests import ParameterRequests
-    from gcs_sysid.telemetry.receiver import Batch
+    from gcs_sysid.telemetry.receiver import ReceivedFrames
     from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
 
     wait = 0.05  # s on the link at a time
@@ -166,7 +166,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
         items = receiver.next_items(wait)
         taken += items
         for item in items:
-            if isinstance(item, Batch):
+            if isinstance(item, ReceivedFrames):
                 intake.frames(item.frames, 1e-6 * item.time_us)
         now, vehicle = time.monotonic(), intake.vehicle
         if now - beat_at >= HEARTBEAT_EVERY:

@@ -21,7 +21,7 @@ from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.vehicles import Vehicle
 
 
@@ -110,7 +110,7 @@ class LiveEstimate:
         """What the airframe says otherwise than the vehicle; empty where they agree."""
         return self._origin.airframe_problems(self.chain.airframe)
 
-    def learn(self, batch: Batch, garbage_bytes: int) -> None:
+    def learn(self, batch: ReceivedFrames, garbage_bytes: int) -> None:
         """Learn from frames, or count them at least.
 
         Args:
@@ -121,7 +121,7 @@ class LiveEstimate:
         try:
             if self.duty is Duty.IDENTIFY:
                 self.intake.garbage_bytes = garbage_bytes
-                self._learn_from(self._gathering.take(batch.frames, wall))
+                self._learn_from(self._gathering.gather(batch.frames, wall))
             elif self.duty is Duty.WATCH:
                 self.intake.frames(batch.frames, wall)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
@@ -160,7 +160,7 @@ class LiveEstimate:
         """Do what the recording says at this place."""
         try:
             self.need()
-            self._learn_from(self._gathering.take([reset_mark()], 1e-6 * time_us))
+            self._learn_from(self._gathering.gather([reset_mark()], 1e-6 * time_us))
         except InputError as error:
             self.note(f"not done: {error}")
         except Exception as defect:  # noqa: BLE001 - the flight goes on all the same

@@ -36,7 +36,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import HeardVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.transceiver import Transceiver
 
@@ -337,7 +337,7 @@ class LiveSession:
 
     def _accept(self, item: Item) -> None:
         match item:
-            case Batch():
+            case ReceivedFrames():
                 self._estimate.learn(item, self._source.link_report.garbage_bytes)
                 self._report_result()
             case ResetMark(time_us):

@@ -28,7 +28,7 @@ from gcs_sysid.live.reception import Failure, Item, Reception
 from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -75,7 +75,7 @@ class Outbox:
         """Hand over items; frames only if there is room."""
         for item in items:
             data = wire.item_message(item)
-            if isinstance(item, Batch) and self._size + len(data) > MOST_WAITING:
+            if isinstance(item, ReceivedFrames) and self._size + len(data) > MOST_WAITING:
                 self.unlearnt += len(item.frames)
             else:
                 self.put(data)
@@ -186,7 +186,7 @@ class ReceiverMain:
             items = self._taken(0.0 if self._finished else POLL)
             self._send_report()
             self._outbox.put_items(items)
-            if 0 < sum(len(i.frames) for i in items if isinstance(i, Batch)) < FEW:
+            if 0 < sum(len(i.frames) for i in items if isinstance(i, ReceivedFrames)) < FEW:
                 time.sleep(GATHER)
 
     def _taken(self, timeout: float) -> list[Item]:

@@ -20,7 +20,7 @@ from gcs_sysid.live.reception import (
     Toggled,
 )
 from gcs_sysid.telemetry.frames import Frame, read_frame
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.transceiver import LinkReport
@@ -73,7 +73,7 @@ def json_message(kind: bytes, content: Any) -> bytes:
 def item_message(item: Item) -> bytes:
     """An item of `reception`."""
     match item:
-        case Batch(time_us, frames):
+        case ReceivedFrames(time_us, frames):
             return message(FRAMES, TIME.pack(time_us) + b"".join(f.raw for f in frames))
         case ResetMark(time_us):
             return message(RESET, TIME.pack(time_us))
@@ -91,7 +91,7 @@ def read_item(kind: bytes, body: bytes) -> Item:
     """The item that a message holds."""
     match kind:
         case b"F":
-            return Batch(TIME.unpack_from(body)[0], list(_frames(body)))
+            return ReceivedFrames(TIME.unpack_from(body)[0], list(_frames(body)))
         case b"M":
             return ResetMark(TIME.unpack(body)[0])
         case b"C":

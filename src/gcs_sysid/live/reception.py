@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.transceiver import LinkReport, Port, Requests, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -44,7 +44,7 @@ class Ended(NamedTuple):
     """All was handed over, and the recording is closed."""
 
 
-Item = Batch | ResetMark | RecordingCut | Toggled | Failure | Ended
+Item = ReceivedFrames | ResetMark | RecordingCut | Toggled | Failure | Ended
 
 
 @dataclass(frozen=True)

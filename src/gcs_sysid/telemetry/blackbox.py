@@ -21,7 +21,7 @@ from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import Frames, read_frames
+from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
 from gcs_sysid.telemetry.blackbox_search import DISARM
 from gcs_sysid.telemetry.dialect import mavlink
@@ -118,7 +118,7 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
             raise InputError(f"{path} cannot be read as a blackbox log: {error}") from error
         listed = _listed(path, data, starts)
         raise InputError(f"session {number} of {path}: {error}; {listed}") from error
-    return _Reader(header, frames).read()
+    return _SessionReader(header, frames).read()
 
 
 def _listed(path: Path, data: bytes, starts: list[int]) -> str:
@@ -150,10 +150,10 @@ def flight_sessions(path: Path) -> list[int]:
     return found
 
 
-class _Reader:
+class _SessionReader:
     """Turns the frames of one session into streams."""
 
-    def __init__(self, header: Header, frames: Frames) -> None:
+    def __init__(self, header: Header, frames: BlackboxFrames) -> None:
         self._header, self._frames = header, frames
         self._t = frames.time_us * 1e-6
         fine = header.number("blackbox_high_resolution", 0.0) > 0.0

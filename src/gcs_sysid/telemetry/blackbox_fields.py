@@ -24,7 +24,7 @@ _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
 
 
-class _Part(Protocol):
+class _FieldRun(Protocol):
     """Fields that lie together in a frame."""
 
     first: int
@@ -211,7 +211,7 @@ _VARIABLE = (
 _NEW, _OLD = _table(_nibbles), _table(_old_nibbles)
 
 
-class Layout:
+class FrameLayout:
     """How the fields of one type of frame lie in it.
 
     Args:
@@ -258,18 +258,18 @@ class Layout:
         return out
 
 
-def _alike(part: _Part) -> _Part | int:
+def _alike(part: _FieldRun) -> _FieldRun | int:
     """Equal for groups of as many tagged numbers."""
     return part.count if isinstance(part, _TaggedNumbers) else part
 
 
-def _parts(definition: Definition, version: float) -> list[_Part]:
+def _parts(definition: Definition, version: float) -> list[_FieldRun]:
     # What increments by itself is not written, whatever its encoding.
     written = [
         NULL if predictor == INCREMENT else encoding
         for predictor, encoding in zip(definition.predictors, definition.encodings, strict=True)
     ]
-    parts: list[_Part] = []
+    parts: list[_FieldRun] = []
     i = 0
     while i < len(written):
         encoding = written[i]
@@ -293,7 +293,7 @@ def _parts(definition: Definition, version: float) -> list[_Part]:
     return parts
 
 
-def _group(encoding: int, first: int, version: float) -> _Part:
+def _group(encoding: int, first: int, version: float) -> _FieldRun:
     if encoding != TAG8_4S16:
         return _Tag2(first, variable=encoding == TAG2_3SVARIABLE)
     places, sizes = _OLD if version < 2 else _NEW

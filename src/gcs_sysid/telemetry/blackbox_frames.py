@@ -11,9 +11,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.blackbox_fields import Layout
+from gcs_sysid.telemetry.blackbox_fields import FrameLayout
 from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
-from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
+from gcs_sysid.telemetry.blackbox_predictors import FrameTable, fixed_frames, main_frames
 from gcs_sysid.telemetry.blackbox_search import (
     DISARM,
     LONGEST_EVENT,
@@ -40,7 +40,7 @@ _IS_USED = np.isin(np.arange(256), [RESUME, DISARM])
 
 
 @dataclass(frozen=True)
-class Frames:
+class BlackboxFrames:
     """What a session holds.
 
     Attributes:
@@ -56,11 +56,11 @@ class Frames:
         garbage_bytes: bytes that belong to no frame.
     """
 
-    main: Table
+    main: FrameTable
     time_us: Array
-    slow: Table
-    gps: Table
-    home: Table
+    slow: FrameTable
+    gps: FrameTable
+    home: FrameTable
     events: Array
     counts: dict[str, int]
     damaged: int
@@ -70,7 +70,7 @@ class Frames:
 
 def read_frames(
     data: bytes, header: Header, stop: int, wanted: Sequence[str] | None = None
-) -> Frames:
+) -> BlackboxFrames:
     """Read the frames of a session.
 
     Args:
@@ -83,7 +83,7 @@ def read_frames(
     Raises:
         InputError: it claims more values than its bytes can hold.
     """
-    layouts = {ord(k): Layout(frame, header.version) for k, frame in header.frames.items()}
+    layouts = {ord(k): FrameLayout(frame, header.version) for k, frame in header.frames.items()}
     columns = {letter: np.arange(layout.fields) for letter, layout in layouts.items()}
     columns[I] = columns[P] = _columns(header, wanted)
     claimed = {letter: len(of) for letter, of in columns.items()}
@@ -118,7 +118,7 @@ def read_frames(
         if frames.over[-1:].any():
             end = int(frames.ends[-1])
     written = {
-        letter: Table(
+        letter: FrameTable(
             tuple(layout.definition.names[i] for i in columns[letter]),
             np.concatenate(orders[letter]),
             np.concatenate(values[letter]),
@@ -133,7 +133,7 @@ def read_frames(
         fixed_frames(header, chr(k), written.get(k), main, time_us, written.get(H))
         for k in (S, G, H)
     )
-    return Frames(
+    return BlackboxFrames(
         main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=used_events,
         counts={chr(k): count for k, count in counts.items()},
         damaged=damaged,
@@ -156,7 +156,7 @@ def _named(names: Sequence[str], wanted: Collection[str]) -> Array:
 
 
 def _windows(
-    data: bytes, start: int, stop: int, layouts: dict[int, Layout]
+    data: bytes, start: int, stop: int, layouts: dict[int, FrameLayout]
 ) -> Iterator[tuple[ByteWindow, int, Found]]:
     """Stretches of a session, the position in the file of each, and the frames that begin in it."""
     margin = max(LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + _MARGIN
@@ -179,7 +179,7 @@ def _windows(
 
 
 def _events(window: ByteWindow, at: Array, order: Array) -> Array:
-    """(k, 4) as in `Frames`, those used of the events at (n,) positions, and with (n,) order."""
+    """(k, 4) as in `BlackboxFrames`: events used of those at (n,) positions, with (n,) order."""
     event = window.raw[at + 1]
     used = np.flatnonzero(_IS_USED[event])
     numbers = [window.numbers(window.nth(at[used] + 2, n)) for n in (0, 1)]

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.telemetry.blackbox_fields import Layout
+from gcs_sysid.telemetry.blackbox_fields import FrameLayout
 from gcs_sysid.telemetry.blackbox_format import MARKERS
 from gcs_sysid.telemetry.byte_window import CACHED, ByteWindow
-from gcs_sysid.telemetry.repeated_bytes import Repeats
+from gcs_sysid.telemetry.repeated_bytes import RepeatedBytes
 
 I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
 RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
@@ -60,7 +60,11 @@ class Found:
 
 
 def find_frames(
-    window: ByteWindow, at: int, stops: tuple[int, int], layouts: dict[int, Layout], margin: int
+    window: ByteWindow,
+    at: int,
+    stops: tuple[int, int],
+    layouts: dict[int, FrameLayout],
+    margin: int,
 ) -> Found:
     """The frames that begin in a window's first bytes.
 
@@ -81,7 +85,7 @@ def find_frames(
         may_begin &= first != letter
     repeats = None
     if 4 * np.count_nonzero(may_begin) > size:
-        repeats = Repeats(raw, size, stop, margin)
+        repeats = RepeatedBytes(raw, size, stop, margin)
     lengths = np.zeros(size, np.int32)
     for letter in np.flatnonzero(known).tolist():
         mine = first == letter
@@ -105,7 +109,7 @@ def find_frames(
 
 def _lengths(
     window: ByteWindow, letter: int, begin: Array, marks: Mask, stop: int,
-    layouts: dict[int, Layout],
+    layouts: dict[int, FrameLayout],
 ) -> Array:  # fmt: skip
     """(k,) bytes of frames of one letter that begin at (k,) positions; 0 where no other follows.
 

@@ -113,7 +113,7 @@ class VehicleClock:
         """How far Unix time is ahead of the time since boot, s; None until it is known."""
         return self._unix_minus_boot
 
-    def take(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
+    def follow_stamps(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
         """Follow stamps in the order in which they came, up to one that sets the clock back.
 
         Args:
@@ -268,7 +268,7 @@ class ClockDrift:
         self._bounds: tuple[float, float] | None = None
         self._outdated = False
 
-    def take(self, vehicle: float, wall: float) -> None:
+    def add_moment(self, vehicle: float, wall: float) -> None:
         """Note one moment on both clocks, s."""
         moments = self._moments
         if moments:
@@ -284,11 +284,11 @@ class ClockDrift:
             del moments[1::2]
             self._step *= 2.0
 
-    def take_block(self, vehicle: Array, wall: Array) -> None:
+    def add_moments(self, vehicle: Array, wall: Array) -> None:
         """Note (n,) moments, s, over which the vehicle's clock did not go back."""
         at = 0
         while at < len(wall):
-            self.take(float(vehicle[at]), float(wall[at]))
+            self.add_moment(float(vehicle[at]), float(wall[at]))
             far = np.abs(wall[at + 1 :] - self._moments[-1][1]) >= self._step
             if not far.any():
                 return

@@ -64,7 +64,7 @@ ENTRIES = (
     OnboardMessage("RATE", Stream.RATE_SETPOINT, ("RDes", "PDes", "YDes"), math.radians(1.0)),
 )
 """Entries whose columns are the values. Of a stream's, the first is read; of attitudes the one that
-comes most often. Outputs, ESCs, RPM and states take more, see `_Reader`."""
+comes most often. Outputs, ESCs, RPM and states take more, see `_EntryReader`."""
 _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
@@ -96,10 +96,10 @@ def read_dataflash(path: Path, window: int | None = None) -> Recording:
     """
     log = DataflashLog(path, _is_read, window)
     with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
-        return _Reader(log).read()
+        return _EntryReader(log).read()
 
 
-class _Reader:
+class _EntryReader:
     """Turns the entries of one log into streams."""
 
     def __init__(self, log: DataflashLog) -> None:

@@ -58,15 +58,15 @@ class EntryType:
     columns: tuple[str, ...]
 
 
-Layout = dict[str, tuple[np.dtype[Any], int, float | None]]
+EntryLayout = dict[str, tuple[np.dtype[Any], int, float | None]]
 """Column -> type, place in the entry and scale."""
 
 
 @dataclass
-class _Rows:
+class _EntryRows:
     """Entries of one type: their places in this window, and what is kept of those before."""
 
-    layout: Layout = field(default_factory=dict)
+    layout: EntryLayout = field(default_factory=dict)
     """Of the columns wanted; empty: its entries are counted alone."""
     count: int = 0
     places: "array[int]" = field(default_factory=lambda: array("q"))
@@ -101,7 +101,7 @@ class DataflashLog:
         self._wanted = wanted
         self._window = max(window or _WINDOW, _MARGIN + 1)
         self._types: dict[int, EntryType] = {}
-        self._rows = {_FMT: _Rows()}
+        self._rows = {_FMT: _EntryRows()}
         self._sizes = {_FMT: _FMT_SIZE}
         self._hunting = False  # whether the last window ended in garbage
         self._found: list[int] = []  # entries in what was searched, and up to where that was
@@ -158,15 +158,15 @@ class DataflashLog:
 
     def let_go(self, name: str, columns: Collection[str]) -> None:
         """Forget columns of a name: in a long log they are most of what is held."""
-        rows = self._rows_of(name) or _Rows()
+        rows = self._rows_of(name) or _EntryRows()
         for column in columns:
             rows.layout.pop(column, None)
             rows.columns.pop(column, None)
 
-    def _rows_of(self, name: str) -> _Rows | None:
+    def _rows_of(self, name: str) -> _EntryRows | None:
         return self._rows[self._by_name[name]] if name in self.counts else None
 
-    def _layout(self, name: str) -> Layout:
+    def _layout(self, name: str) -> EntryLayout:
         rows = self._rows_of(name)
         return {} if rows is None else rows.layout
 
@@ -271,11 +271,11 @@ class DataflashLog:
         self._sizes[number] = size
         self._searched = 0  # what was found was found without it
         self._types[number] = EntryType(name, size, letters, columns)
-        rows = self._rows[number] = _Rows(self._laid_out(self._types[number]))
+        rows = self._rows[number] = _EntryRows(self._laid_out(self._types[number]))
         rows.columns = {column: bytearray() for column in rows.layout}
         places[number] = rows.places
 
-    def _laid_out(self, entry: EntryType) -> Layout:
+    def _laid_out(self, entry: EntryType) -> EntryLayout:
         """Of the columns wanted."""
         at, layout = _HEADER, {}
         for column, letter in zip(entry.columns, entry.letters, strict=True):

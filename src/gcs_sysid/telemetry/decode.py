@@ -33,7 +33,7 @@ _NO_ORDER = np.empty(0, np.int64)
 
 
 class Taken(NamedTuple):
-    """How far `RecordDecoder.take` came."""
+    """How far `RecordDecoder.decode` came."""
 
     frames: int
     """How many were read."""
@@ -88,7 +88,7 @@ class RecordDecoder:
         """Whether there is anything to read in messages of a type."""
         return message_id in self._ids
 
-    def take(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
+    def decode(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
         """Read the messages of the table, up to a stamp that sets the clock back, or one frame.
 
         State messages are not read; the caller gives them to `take_state` one by one, with the
@@ -127,7 +127,7 @@ class RecordDecoder:
             frame: of `STATE_IDS`.
             now: s, the vehicle's clock; NaN before the first stamp.
         """
-        return self.states.take(frame, now if now == now else None)
+        return self.states.read(frame, now if now == now else None)
 
     def _forget_times(self) -> None:
         """Stamps of another boot do not apply."""
@@ -212,7 +212,7 @@ class RecordDecoder:
         sorting = np.argsort(order)
         sorting = sorting[: np.searchsorted(order[sorting], stop)]
         alone = len(sorting) > 0 and int(order[sorting[0]]) == first
-        t, after = self.clock.take(kind[sorting], raw[sorting], may_go_back=alone)
+        t, after = self.clock.follow_stamps(kind[sorting], raw[sorting], may_go_back=alone)
         if len(t) < len(sorting):
             stop = int(order[sorting[len(t)]])
         sorting = sorting[: len(t)]

@@ -54,7 +54,7 @@ class FrameGathering:
         self._latest: dict[_Sender, float] = {}
         self._wait: float | None = 0.0
 
-    def take(self, frames: Iterable[Frame], wall: float | None = None) -> RecordBlock:
+    def gather(self, frames: Iterable[Frame], wall: float | None = None) -> RecordBlock:
         """Take frames in the order received.
 
         Args:

@@ -61,7 +61,7 @@ class ImuLoss:
         self._before = np.empty(0)  # the last that are settled
         self._interval = 0.0
 
-    def take(self, t: Array) -> None:
+    def add_times(self, t: Array) -> None:
         """Take (n,) times of samples, s, in the order in which they came."""
         while len(t):
             room = self._rising(t) if len(t) >= _HELD else 0

@@ -201,7 +201,7 @@ class Intake:
         dropped, clock = self.decoder.dropped_messages, self.decoder.clock
         before, reboots = clock.now, clock.reboots
         chosens = self._from(frames, chosen)
-        taken = self.decoder.take(frames, (frames.validity == OK) & chosens, out)
+        taken = self.decoder.decode(frames, (frames.validity == OK) & chosens, out)
         frames, chosens = frames.part(0, taken.frames), chosens[: taken.frames]
         good = frames.validity == OK
         if not counted:
@@ -210,14 +210,14 @@ class Intake:
             self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
             self._add_events(frames.number, out)
         now = taken.moments.after(frames.number + np.arange(len(frames)))
-        self.monitor.take_chosen(
+        self.monitor.count_chosen(
             frames.message_id[chosens],
             frames.sequence[chosens],
             frames.size[chosens],
             now[chosens],
             frames.validity[chosens] == BAD_CRC,
         )
-        self.monitor.take_imu_times(taken.imu_times)
+        self.monitor.watch_imu_times(taken.imu_times)
         states = np.logical_or.reduce([frames.message_id == number for number in _STATES])
         rows = np.flatnonzero(good & states & (chosens | (frames.message_id == _HEARTBEAT)))
         end = clock.now
@@ -239,7 +239,7 @@ class Intake:
         out: TrackCollector,
     ) -> None:
         """Note what became of frames, and when those that made records came."""
-        made = out.take_new() - frames.number
+        made = out.new_orders() - frames.number
         ours = good & chosens
         counts = counts_of(frames.message_id[ours])
         fates = {
@@ -253,7 +253,7 @@ class Intake:
         timed = (walls > 0) & np.isfinite(now[made])
         if not timed.all():
             made, walls = made[timed], walls[timed]
-        self.drift.take_block(now[made], walls * 1e-6)
+        self.drift.add_moments(now[made], walls * 1e-6)
 
     @staticmethod
     def _from(frames: FrameBlock, vehicle: Vehicle) -> Mask:
@@ -261,9 +261,9 @@ class Intake:
         return mask
 
     def _count(self, frames: FrameBlock) -> None:
-        self.monitor.take(frames.validity)
+        self.monitor.count_frames(frames.validity)
         good = frames.validity == OK
-        self.selector.take(frames.system[good], frames.component[good])
+        self.selector.note_senders(frames.system[good], frames.component[good])
 
     def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:
         """Take a state message, or any heartbeat."""
@@ -354,7 +354,7 @@ class Intake:
             return
         vehicle_type, autopilot, mode = _heartbeat(heartbeat.payload)
         armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        if self._contradictions.take(vehicle_type, autopilot, armed=armed):
+        if self._contradictions.note_heartbeat(vehicle_type, autopilot, armed=armed):
             self._note("senders", *self._contradicting)
 
     def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:

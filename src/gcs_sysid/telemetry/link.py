@@ -16,6 +16,8 @@ import contextlib
 import errno
 import select
 import socket
+import struct
+import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -27,8 +29,6 @@ import serial
 from gcs_sysid.errors import LinkError
 from gcs_sysid.telemetry.urls import LinkUrl
 
-RECEIVE_BUFFER = 4 * 2**20
-"""Bytes asked of the system for a stream."""
 STREAM_PIECE = 65536
 CONNECT_TIMEOUT = 5.0
 """s."""
@@ -40,15 +40,22 @@ _KEEPALIVE = (
 )
 """Options of TCP, in s, s, tries and ms: a dead peer is noticed after about 10 s."""
 
+# Of Linux; Python names them from 3.12 and 3.14 on. Elsewhere a datagram came when it was read.
+SO_TIMESTAMPNS = 35
+SO_RXQ_OVFL = 40
+_SO_RCVBUFFORCE = 33
+_STAMP = struct.Struct("@ll")
+_COUNT = struct.Struct("@I")
+_ROOM = (
+    socket.CMSG_SPACE(_STAMP.size) + socket.CMSG_SPACE(_COUNT.size)
+    if sys.platform == "linux"
+    else 0
+)
+
 Address = tuple[str, int]
-FIRST_PAUSE = 0.5
-"""s before the first attempt to open it again; doubled after each one that failed."""
-LONGEST_PAUSE = 5.0
-PATIENCE = 1.0
-"""s that an attempt may take: nothing else happens meanwhile."""
 
 
-class Chunk(NamedTuple):
+class ReceivedBytes(NamedTuple):
     """Bytes that arrived: one datagram, or a piece of a stream."""
 
     data: bytes
@@ -82,7 +89,7 @@ class Link(ABC):
         self.unsent = 0
 
     @abstractmethod
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """Wait up to `timeout` s and return all that has arrived; empty when nothing has."""
 
     @abstractmethod
@@ -105,6 +112,9 @@ class Link(ABC):
 
 class TcpLink(Link):
     """A TCP connection, ours (`tcp`) or one that comes in (`tcpin`)."""
+
+    RECEIVE_BUFFER = 4 * 2**20
+    """Bytes asked of the system."""
 
     def __init__(self, url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> None:
         super().__init__(url)
@@ -132,7 +142,7 @@ class TcpLink(Link):
         peer.setblocking(False)
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with contextlib.suppress(OSError):
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.RECEIVE_BUFFER)
         # A peer whose network is gone says no goodbye.
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE:
@@ -141,7 +151,7 @@ class TcpLink(Link):
                     peer.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._peer, self._rest = peer, b""
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """Bytes that have arrived; takes a waiting connection first."""
         waiting = self._peer or self._listener
         if waiting is None:
@@ -161,7 +171,7 @@ class TcpLink(Link):
         except OSError:
             data = b""
         if data:
-            return [Chunk(data, None)]
+            return [ReceivedBytes(data, None)]
         self._peer.close()
         self._peer = None
         self.breaks += 1
@@ -190,6 +200,197 @@ class TcpLink(Link):
         self._peer = self._listener = None
 
 
+class UdpLink(Link):
+    """Datagrams, listening (`udpin`) or sending first (`udpout`).
+
+    A flood on the port fills the system's buffer, and further datagrams are lost unread. So, once
+    others send more than the vehicle ever would, its datagrams get a socket and a buffer of their
+    own: one bound to the same port and connected to the vehicle's address, which Linux prefers for
+    what comes from there. The others are read a few at a time.
+
+    Args:
+        url: what to open.
+        clock: steady, s.
+    """
+
+    datagrams = True
+
+    RECEIVE_BUFFER = 16 * 2**20
+    """Bytes asked of the system, which gives what its limit allows (Linux: net.core.rmem_max, 4 MB
+    on many; root may ask for more): 4 MB hold 4 s of a vehicle at 1 kHz, unread."""
+    LARGEST_DATAGRAM = 65536
+    DATAGRAMS_AT_ONCE = 512
+    FLOOD = 5000
+    """Datagrams of others in a second; a vehicle at 1 kHz sends 2000."""
+    STRANGERS_AT_ONCE = 64
+    """Datagrams of others that are read at a time while the vehicle's come apart."""
+    BACKLOG = 20_000
+    """Datagrams at most that wait in the system's buffer."""
+    SILENT_FOR = 2.0
+    """s without a datagram of the vehicle, after which its own socket is given up."""
+
+    def __init__(self, url: LinkUrl, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(url)
+        self._clock = clock
+        self._family, address = resolve(url, socket.SOCK_DGRAM)
+        self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
+        self._to: Address | None = None
+        self._apart: socket.socket | None = None
+        self._apart_spoke = False
+        self._apart_heard = 0.0
+        self._unreachable: Address | None = None
+        self._strangers = 0
+        self._strangers_since = 0.0
+        self._overflow: dict[socket.socket, int] = {}
+        try:
+            self._prepare(self._socket)
+            if url.kind == "udpin":
+                self._socket.bind(address)
+            else:
+                # Bound at once: an unbound socket cannot be waited for.
+                self._socket.bind(("", 0))
+                self._to = address
+        except OSError as error:
+            self._socket.close()
+            raise cannot_open(url, error) from error
+        self.url = with_port(url, self.port)
+
+    @property
+    def port(self) -> int:
+        """Local port number."""
+        return int(self._socket.getsockname()[1])
+
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
+        """Datagrams that have arrived, in order; of a flood of others, some."""
+        first = self._apart or self._socket
+        readable, _, _ = select.select([first], [], [], max(0.0, timeout))
+        chunks = self._drain(first, self.DATAGRAMS_AT_ONCE) if readable else []
+        if self._apart is None:
+            if self._is_flooded(chunks):
+                chunks += self._set_apart()
+            return chunks
+        if chunks:
+            self._apart_spoke, self._apart_heard = True, self._clock()
+        elif self._clock() - self._apart_heard > self.SILENT_FOR:
+            # It is gone, or sends from another address now: accept any sender again.
+            self._unreachable = None if self._apart_spoke else self._to
+            self._mix_again()
+        return chunks + self._drain(self._socket, self.STRANGERS_AT_ONCE)
+
+    def _drain(self, from_socket: socket.socket, most: int) -> list[ReceivedBytes]:
+        chunks: list[ReceivedBytes] = []
+        while len(chunks) < most:
+            try:
+                chunks.append(self._read(from_socket))
+            except BlockingIOError:
+                break
+            except ConnectionError:
+                continue  # ICMP port unreachable, in reply to something sent
+        return chunks
+
+    def _read(self, from_socket: socket.socket) -> ReceivedBytes:
+        if not _ROOM:
+            data, source = from_socket.recvfrom(self.LARGEST_DATAGRAM)
+            return ReceivedBytes(data, source[:2])
+        data, ancillary, _, source = from_socket.recvmsg(self.LARGEST_DATAGRAM, _ROOM)
+        time_us = None
+        for level, kind, content in ancillary:
+            if level != socket.SOL_SOCKET:
+                continue
+            if kind == SO_TIMESTAMPNS and len(content) == _STAMP.size:
+                seconds, ns = _STAMP.unpack(content)
+                time_us = seconds * 1_000_000 + ns // 1000
+            elif kind == SO_RXQ_OVFL and len(content) == _COUNT.size:
+                self._count_dropped(from_socket, *_COUNT.unpack(content))
+        return ReceivedBytes(data, source[:2], time_us)
+
+    def _count_dropped(self, from_socket: socket.socket, count: int) -> None:
+        """Take the system's count of what a socket dropped since it was opened, modulo 2^32.
+
+        What it drops of others, while the vehicle has a socket of its own, is no loss.
+        """
+        before, self._overflow[from_socket] = self._overflow.get(from_socket, 0), count
+        if from_socket is (self._apart or self._socket):
+            self.dropped += (count - before) % 2**32
+
+    def _is_flooded(self, chunks: list[ReceivedBytes]) -> bool:
+        """Whether others than the vehicle have sent too much in this second."""
+        if self._to is None or self._to == self._unreachable or sys.platform != "linux":
+            return False
+        now = self._clock()
+        if now - self._strangers_since > 1.0:
+            self._strangers, self._strangers_since = 0, now
+        self._strangers += sum(chunk.source != self._to for chunk in chunks)
+        return self._strangers > self.FLOOD
+
+    def _set_apart(self) -> list[ReceivedBytes]:
+        """Give the vehicle a socket of its own; what had come to the other one before."""
+        assert self._to is not None  # without it no sender is foreign
+        apart = socket.socket(self._family, socket.SOCK_DGRAM)
+        both = (self._socket, apart)
+        try:
+            self._prepare(apart)
+            # Two sockets on a port, for this one moment: no other can slip in afterwards.
+            for each in both:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            apart.bind(self._socket.getsockname())
+            apart.connect(self._to)
+        except OSError:
+            apart.close()
+            self._unreachable = self._to
+            return []
+        finally:
+            for each in both:
+                with contextlib.suppress(OSError):  # closed above
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        self._apart, self._apart_spoke, self._apart_heard = apart, False, self._clock()
+        self.floods += 1
+        # What came before is older than all that comes apart: the vehicle's share of it is kept.
+        before = self._drain(self._socket, self.BACKLOG)
+        return [chunk for chunk in before if chunk.source == self._to]
+
+    def _mix_again(self) -> None:
+        if self._apart is not None:
+            self._overflow.pop(self._apart, None)
+            self._apart.close()
+        self._apart = None
+        self._strangers = 0
+
+    def send(self, data: bytes) -> None:
+        """Send to the vehicle's address; nowhere while it is not known."""
+        if self._to is None:
+            self.unsent += 1
+            return
+        try:
+            self._socket.sendto(data, self._to)
+        except OSError:  # network gone for the moment; the next heartbeat tries again
+            self.unsent += 1
+
+    def answer_to(self, source: Address | None) -> None:
+        """Send to this address from now on (`udpin`); `udpout` keeps to what the user named."""
+        if self.url.kind == "udpin" and source is not None and source != self._to:
+            self._to = source
+            self._mix_again()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._mix_again()
+        self._socket.close()
+
+    def _prepare(self, datagrams: socket.socket) -> None:
+        datagrams.setblocking(False)
+        options = [(socket.SO_RCVBUF, self.RECEIVE_BUFFER)]
+        if sys.platform == "linux":
+            options += [
+                (_SO_RCVBUFFORCE, self.RECEIVE_BUFFER),
+                (SO_TIMESTAMPNS, 1),
+                (SO_RXQ_OVFL, 1),
+            ]
+        for option, value in options:
+            with contextlib.suppress(OSError):  # some systems refuse more than their limit
+                datagrams.setsockopt(socket.SOL_SOCKET, option, value)
+
+
 class SerialLink(Link):
     """A serial port. Waits by pyserial's own timeout: `select` on it works on POSIX alone."""
 
@@ -203,7 +404,7 @@ class SerialLink(Link):
         except (OSError, ValueError) as error:  # SerialException is an OSError
             raise cannot_open(url, error) from error
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """Bytes that have arrived."""
         if self.ended:
             return []
@@ -216,7 +417,7 @@ class SerialLink(Link):
         except (OSError, TypeError):  # unplugged; pyserial's TypeError: closed while reading
             self.ended = True
             self.breaks += 1
-        return [Chunk(bytes(data), None)] if data else []
+        return [ReceivedBytes(bytes(data), None)] if data else []
 
     def send(self, data: bytes) -> None:
         """Write to the port."""
@@ -259,8 +460,6 @@ def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     if url.kind == "serial":
         return SerialLink(url)
     if url.kind in ("udpin", "udpout"):
-        from gcs_sysid.telemetry.udp_link import UdpLink  # which builds on this module
-
         return UdpLink(url)
     return TcpLink(url, patience)
 
@@ -328,10 +527,16 @@ class PersistentLink(Link):
         sleep: waits for s.
     """
 
+    FIRST_PAUSE = 0.5
+    """s before the first attempt to open it again; doubled after each one that failed."""
+    LONGEST_PAUSE = 5.0
+    PATIENCE = 1.0
+    """s that an attempt may take: nothing else happens meanwhile."""
+
     def __init__(
         self,
         link: Link,
-        reopen: Callable[[LinkUrl], Link] = lambda url: open_link(url, PATIENCE),
+        reopen: Callable[[LinkUrl], Link] = lambda url: open_link(url, PersistentLink.PATIENCE),
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -343,7 +548,7 @@ class PersistentLink(Link):
         self._sleep = sleep
         self._breaks_before = 0
         self._unsent_while_down = 0
-        self._pause = FIRST_PAUSE
+        self._pause = self.FIRST_PAUSE
         self._next_try = 0.0
 
     @property
@@ -351,7 +556,7 @@ class PersistentLink(Link):
         """Whether the link is there at present."""
         return not self._link.ended
 
-    def receive(self, timeout: float) -> list[Chunk]:
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
         """What has arrived; while the link is gone, tries to open it when that is due."""
         if self._link.ended:
             self._try(timeout)
@@ -361,7 +566,7 @@ class PersistentLink(Link):
         self.floods = self._link.floods
         self._count_unsent()
         if chunks:
-            self._pause = FIRST_PAUSE
+            self._pause = self.FIRST_PAUSE
         if self._link.ended:
             self._link.close()
             self._next_try = self._clock() + self._pause
@@ -383,7 +588,7 @@ class PersistentLink(Link):
         self._link = link
 
     def _wait_longer(self) -> None:
-        self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
+        self._pause = min(2.0 * self._pause, self.LONGEST_PAUSE)
 
     def send(self, data: bytes) -> None:
         """Send where the link is there."""

@@ -33,7 +33,7 @@ _TYPES = {
 }  # fmt: skip
 
 
-class Layout(NamedTuple):
+class PayloadLayout(NamedTuple):
     """How the payload of one message type is laid out on the wire."""
 
     name: str
@@ -44,7 +44,7 @@ class Layout(NamedTuple):
     """Field name -> (index of its first value, number of values) after unpacking."""
 
 
-def _layout(message: Any) -> Layout:
+def _layout(message: Any) -> PayloadLayout:
     places: dict[str, tuple[int, int]] = {}
     at = 0
     lengths = dict(
@@ -58,10 +58,10 @@ def _layout(message: Any) -> Layout:
         places[name] = (at, count)
         at += count
     unpacker = message.unpacker
-    return Layout(message.msgname, unpacker, unpacker.size, places)
+    return PayloadLayout(message.msgname, unpacker, unpacker.size, places)
 
 
-LAYOUTS: dict[int, Layout] = {
+LAYOUTS: dict[int, PayloadLayout] = {
     message_id: _layout(message) for message_id, message in mavlink.mavlink_map.items()
 }
 MESSAGE_IDS: dict[str, int] = {layout.name: message_id for message_id, layout in LAYOUTS.items()}

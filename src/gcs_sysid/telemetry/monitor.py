@@ -48,7 +48,7 @@ class SequenceCount:
         self._newest: int | None = None
         self._seen = 0  # bit n: the number n behind the newest came
 
-    def take(self, sequence: int) -> None:
+    def count(self, sequence: int) -> None:
         """Count one message."""
         if self._newest is None:
             self._newest, self._seen, self.received, self.expected = sequence, 1, 1, 1
@@ -67,11 +67,11 @@ class SequenceCount:
         self.received += 1
         self.expected += ahead
 
-    def take_block(self, sequences: Array) -> None:
+    def count_block(self, sequences: Array) -> None:
         """Count (n,) messages, uint8."""
         singles = 0
         while singles < len(sequences) and self.expected < 2 * REORDERED:
-            self.take(int(sequences[singles]))
+            self.count(int(sequences[singles]))
             singles += 1
         sequences = sequences[singles:]
         if self._newest is None or not len(sequences):
@@ -85,7 +85,7 @@ class SequenceCount:
         ahead = numbers - newest[:-1]
         if (ahead > 256 - REORDERED).any() or (ahead <= -REORDERED).any():
             for sequence in sequences.tolist():
-                self.take(sequence)
+                self.count(sequence)
             return
         seen = [-n for n in range(REORDERED) if self._seen >> n & 1]
         numbers = np.sort(np.append(seen, numbers))
@@ -155,7 +155,7 @@ class Monitor:
         self._imu_step = 0.0
         self._imu_loss = ImuLoss()
 
-    def take(self, validity: Array) -> None:
+    def count_frames(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
         counts = counts_of(validity)
         self.received += counts.get(OK, 0)
@@ -168,7 +168,7 @@ class Monitor:
         self._counts.clear()
         self._sequence = SequenceCount()
 
-    def take_chosen(
+    def count_chosen(
         self, message_id: Array, sequence: Array, size: Array, now: Array, bad_crc: Mask
     ) -> None:
         """Count frames of the chosen vehicle while its clock runs on.
@@ -183,10 +183,10 @@ class Monitor:
         if bad_crc.any():
             for number, bad in zip(sequence.tolist(), bad_crc.tolist(), strict=True):
                 if not bad or self._sequence.follows(number):
-                    self._sequence.take(number)
+                    self._sequence.count(number)
             message_id, size, now = (part[~bad_crc] for part in (message_id, size, now))
         else:
-            self._sequence.take_block(sequence)
+            self._sequence.count_block(sequence)
         if not len(now):
             return
         self.heard += len(now)
@@ -248,24 +248,24 @@ class Monitor:
         counts.update(messages)
         sizes[0] += size
 
-    def take_imu_times(self, t: Array) -> None:
+    def watch_imu_times(self, t: Array) -> None:
         """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
-        self._imu_loss.take(t)
+        self._imu_loss.add_times(t)
         if self._imu_last is None:
             for first in t[:1].tolist():
-                self._take_imu_time(first)
+                self._watch_imu_time(first)
             t = t[1:]
         newest = np.maximum.accumulate(np.append(self._imu_last or 0.0, t))
         t = t[t > newest[:-1]]
         steps = np.diff(t, prepend=newest[0])
         start = 0
         for long in np.flatnonzero(steps > GAP).tolist():  # only there can a gap be
-            self._take_imu_steps(t[start:long], steps[start:long])
-            self._take_imu_time(float(t[long]))
+            self._watch_imu_steps(t[start:long], steps[start:long])
+            self._watch_imu_time(float(t[long]))
             start = long + 1
-        self._take_imu_steps(t[start:], steps[start:])
+        self._watch_imu_steps(t[start:], steps[start:])
 
-    def _take_imu_steps(self, t: Array, steps: Array) -> None:
+    def _watch_imu_steps(self, t: Array, steps: Array) -> None:
         """Take samples after steps that are no gaps."""
         if not len(t):
             return
@@ -275,7 +275,7 @@ class Monitor:
         left = (1.0 - _NEW_SHARE) ** np.arange(len(steps), -1, -1)
         self._imu_step = float(usual * left[0] + _NEW_SHARE * (left[1:] @ steps))
 
-    def _take_imu_time(self, t: float) -> None:
+    def _watch_imu_time(self, t: float) -> None:
         if self._imu_last is not None:
             step = t - self._imu_last
             if step <= 0.0:

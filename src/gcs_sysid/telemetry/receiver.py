@@ -15,7 +15,7 @@ TOGETHER = 8000
 """us; datagrams that arrived within so long are taken, and recorded, at one time."""
 
 
-class Batch(NamedTuple):
+class ReceivedFrames(NamedTuple):
     """Frames that arrived together, in their order."""
 
     time_us: int
@@ -68,17 +68,17 @@ class Receiver:
         """The frames of `receive`, however they came together."""
         return [frame for batch in self.receive(timeout) for frame in batch.frames]
 
-    def receive(self, timeout: float) -> list[Batch]:
+    def receive(self, timeout: float) -> list[ReceivedFrames]:
         """Wait up to `timeout` s for bytes; the accepted frames that they complete."""
         chunks = self._link.receive(timeout)
         now = time.time_ns() // 1000
-        batches: list[Batch] = []
+        batches: list[ReceivedFrames] = []
         began = last = 0  # of the batch that still grows, us
         frames: list[Frame] = []
         for data, source, time_us in chunks:
             arrived = now if time_us is None else time_us
             if frames and abs(arrived - began) > TOGETHER:
-                batches.append(Batch(last, frames))
+                batches.append(ReceivedFrames(last, frames))
                 frames = []
             self.received_bytes += len(data)
             scanner = self._scanner(source)
@@ -93,14 +93,14 @@ class Receiver:
             for source, scanner in self._scanners.items():
                 frames += self._believed(scanner.flush(), source)
         if frames:
-            batches.append(Batch(last, frames))
+            batches.append(ReceivedFrames(last, frames))
         return batches
 
     def _believed(self, found: list[Frame], source: Address | None) -> list[Frame]:
         """The accepted frames; replies go to the vehicle's address."""
         if self.check is None:
             before = self.whereabouts.address
-            believed = self.whereabouts.take(found, source, self._clock())
+            believed = self.whereabouts.accept(found, source, self._clock())
             if self.whereabouts.address != before:
                 self._link.answer_to(self.whereabouts.address)
         else:
@@ -115,7 +115,7 @@ class Receiver:
         """Those with the key's signature."""
         believed, whereabouts = [], self.whereabouts
         for frame in found:
-            refusal = check.take(frame)
+            refusal = check.refusal_of(frame)
             if refusal is None:
                 believed.append(frame)
             # A vehicle without a clock of its own begins with an old time. It learns the time

@@ -13,7 +13,7 @@ PERIOD = 840
 """Bytes after which all repeats itself that does so after one to eight, or another divisor."""
 
 
-class Repeats:
+class RepeatedBytes:
     """Which of some places are as the one a period before.
 
     Args:

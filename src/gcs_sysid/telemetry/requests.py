@@ -9,7 +9,6 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 from gcs_sysid.signals.samples import NEEDED_RATE
-from gcs_sysid.telemetry.group_requests import ASK_AGAIN_AFTER, ASKS_AT_MOST, ENOUGH, GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 from gcs_sysid.telemetry.stream_restoration import StreamRestoration
@@ -17,15 +16,27 @@ from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import (
     ARDUPILOT_LOOP_RATE,
+    ESC_GROUP,
+    GROUPS,
     IMU,
     USABLE,
     bytes_per_second,
+    fitting_groups,
     fitting_rates,
     interval_us,
     rotor_streams,
     too_slow,
 )
 
+ASK_AGAIN_AFTER = 5.0
+"""s between two requests for the same group or message: time for it to arrive and be judged."""
+ENOUGH = 0.7
+"""Part of the asked rate that satisfies: busy PX4 links give 160-182 Hz when asked for 200."""
+ASKS_AT_MOST = 60
+"""Unanswered requests for a group or message; five minutes. A stream that the vehicle has not got
+(ESC_STATUS without telemetry, say) need not be asked for during a whole flight."""
+_SILENT_BELOW = 0.3
+"""Hz. What came slower than this was not on."""
 HEARTBEAT_EVERY = 1.0
 """s."""
 INTRODUCTIONS = 3
@@ -43,6 +54,79 @@ HELPED = 0.7
 CUTS_AT_MOST = 3
 _LEAST_MESSAGES = 200
 """Fewer sent in `LOSS_JUDGED_EVERY` give no loss rate."""
+
+
+class GroupRequests:
+    """Keeps the asked rates of groups going, and gives the vehicle's own back.
+
+    ArduPilot before 4.0 sets rates by groups of messages alone.
+
+    Args:
+        gate: sends.
+        vehicle: that is asked.
+        arriving: message name -> Hz before anything was asked for: the vehicle's own rates.
+
+    Attributes:
+        asked: name of the message that a group was asked for -> Hz.
+        short: name -> Hz that arrive, of those that stay away however often they are asked for.
+    """
+
+    def __init__(self, gate: Requests, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
+        self.asked: dict[str, float] = {}
+        self.short: dict[str, float] = {}
+        self._gate = gate
+        self._vehicle = vehicle
+        self._own = dict(arriving)
+        self._asked_at: dict[str, float] = {}
+        self._asks: dict[str, int] = {}
+
+    def tick(
+        self,
+        now: float,
+        arriving: Mapping[str, float],
+        rate: float,
+        capacity: float | None,
+        speeds: str | None,
+    ) -> None:
+        """Do what is due.
+
+        Args:
+            now: any steady clock, s.
+            arriving: message name -> Hz observed.
+            rate: Hz wished for IMU and rotors.
+            capacity: bytes a second that the link carries; None: not known.
+            speeds: the message with rotor speeds, where the vehicle has any.
+        """
+        for name, hertz in fitting_groups(speeds, rate, capacity).items():
+            got = arriving.get(name, 0.0)
+            enough = got >= ENOUGH * hertz
+            if enough:
+                self._asks[name] = 0
+                self.short.pop(name, None)
+            elif self._asks.get(name, 0) > 1:
+                self.short[name] = got
+            changed = self.asked.get(name) != hertz
+            due = name not in self._asked_at or now - self._asked_at[name] >= ASK_AGAIN_AFTER
+            if changed or (not enough and due and self._asks.get(name, 0) < ASKS_AT_MOST):
+                self._asks[name] = self._asks.get(name, 0) + 1
+                self._asked_at[name] = now
+                if self._ask(name, hertz):
+                    self.asked[name] = hertz
+
+    def _ask(self, name: str, hertz: float) -> bool:
+        number = GROUPS.get(name, ESC_GROUP).number
+        return self._gate.request_group(self._vehicle.address, number, round(hertz))
+
+    def again(self) -> None:
+        """Request again: the vehicle may have forgotten."""
+        self._asked_at.clear()
+        self._asks.clear()
+
+    def close(self) -> None:
+        """Give the vehicle the rates that were seen before; what was silent falls silent."""
+        for name, asked in self.asked.items():
+            own = self._own.get(name, 0.0)
+            self._ask(name, 0.0 if own < _SILENT_BELOW else min(max(1.0, own), asked))
 
 
 class StreamRequests:
@@ -134,7 +218,7 @@ class StreamRequests:
             return
         self._came |= {name for name, hz in arriving.items() if hz > 0.0}
         self._turning |= set(turning)
-        share = self._loss.take(now, *lost_of, bytes_per_second(self.asked, self._rotors))
+        share = self._loss.cut_at(now, *lost_of, bytes_per_second(self.asked, self._rotors))
         if self._groups is None and self._knows_groups_alone(vehicle, arriving):
             self._turn_to_groups(vehicle, arriving)
         if self._groups is not None:
@@ -397,7 +481,7 @@ class _LossCut:
         self._settled = False
         self._since: tuple[float, int, int] | None = None
 
-    def take(self, now: float, lost: int, sent: int, asked: float) -> float | None:
+    def cut_at(self, now: float, lost: int, sent: int, asked: float) -> float | None:
         """Take the counts so far and bytes a second asked; the share lost when that is cut."""
         if self._since is None:
             self._since = now, lost, sent

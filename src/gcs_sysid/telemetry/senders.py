@@ -69,7 +69,7 @@ class Whereabouts:
             self.rival = None
             self._forget()
 
-    def take(self, found: list[Frame], source: Address | None, now: float) -> list[Frame]:
+    def accept(self, found: list[Frame], source: Address | None, now: float) -> list[Frame]:
         """Take the frames of one datagram.
 
         Args:
@@ -164,7 +164,7 @@ class Contradictions:
         self._said: tuple[int, int, bool] | None = None
         self._changed: deque[bool] = deque(maxlen=self.LATEST)
 
-    def take(self, vehicle_type: int, autopilot: int, *, armed: bool) -> bool:
+    def note_heartbeat(self, vehicle_type: int, autopilot: int, *, armed: bool) -> bool:
         """Take what a heartbeat says; whether that made it sure."""
         said = (vehicle_type, autopilot, armed)
         self._changed.append(self._said is not None and said != self._said)

@@ -106,7 +106,7 @@ class SigningClock:
         self.time = max(now(), kept)
         self._heard = max(0, kept - RESERVED)
 
-    def take(self) -> int:
+    def next_time(self) -> int:
         """The time for one more frame, later than any before."""
         self.time = min(max(self.time + 1, self._now()), LARGEST_TIME)
         if self.time >= self._reserved:
@@ -174,7 +174,7 @@ class Signer:
         checksum = crc16.mcrf4xx(bytes(body[1:]) + bytes([crc_extra]))
         body += checksum.to_bytes(2, "little")
         body.append(self._link_id)
-        body += self._clock.take().to_bytes(6, "little")
+        body += self._clock.next_time().to_bytes(6, "little")
         return bytes(body) + signature(self._key, bytes(body))
 
 
@@ -209,7 +209,7 @@ class SignatureCheck:
         self._clock = clock
         self._latest: dict[tuple[int, int, int], int] = {}
 
-    def take(self, frame: Frame) -> Refusal | None:
+    def refusal_of(self, frame: Frame) -> Refusal | None:
         """Judge one frame; None when it is accepted.
 
         Damaged frames pass: they are rejected and counted elsewhere. RADIO_STATUS passes unsigned,

@@ -20,9 +20,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.checksums import RunningChecksum, checksums_agree, rows_of
-from gcs_sysid.telemetry.frame_block import BAD_CRC, UNKNOWN, FrameBlock
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, FrameBlock
 from gcs_sysid.telemetry.frames import (
     CHECKSUM,
+    CRC_EXTRA,
     FLAG_SIGNED,
     HEADER_1,
     HEADER_2,
@@ -35,8 +36,7 @@ from gcs_sysid.telemetry.frames import (
     find_frame,
     read_frame,
 )
-from gcs_sysid.telemetry.repeated_bytes import Repeats
-from gcs_sysid.telemetry.tlog_headers import Headers, are_right, bytes_behind
+from gcs_sysid.telemetry.repeated_bytes import RepeatedBytes
 
 STAMP = 8
 MARGIN = 3 * (STAMP + LONGEST_FRAME)
@@ -62,6 +62,11 @@ _CACHED = 2**14
 """Candidates looked at together: their arrays stay in the cache."""
 ALONE = 2**20
 """Bytes of garbage after which no neighbor is waited for, however long it goes on."""
+_IDS = max(CRC_EXTRA) + 2
+_EXTRA = np.full(_IDS, -1, np.int16)
+"""Message id -> CRC_EXTRA, -1 where none is known; the last entry is for all larger ids."""
+for _message_id, _extra in CRC_EXTRA.items():
+    _EXTRA[_message_id] = _extra[0]
 
 
 @dataclass
@@ -114,7 +119,7 @@ class Scanner:
         size = len(content)
         data = np.frombuffer(content + bytes(LONGEST_FRAME + STAMP), np.uint8)
         limit = size if final else size - MARGIN
-        at, head = _Chain(content, data, limit).frames(hunting=self._hunting)
+        at, head = _RecordChain(content, data, limit).frames(hunting=self._hunting)
         stop = at + head.size
         before = np.concatenate([np.zeros(1, at.dtype), stop])[:-1]
         start = np.maximum(at - STAMP, before)
@@ -217,7 +222,69 @@ def _is_magic(data: Array) -> Mask:
     return is_magic
 
 
-class _Chain:
+class _Headers:
+    """Headers of the frames at given positions, and whether they are valid."""
+
+    def __init__(self, data: Array, at: Array) -> None:
+        head = rows_of(data, at, HEADER_2)
+        second = head[:, 0] == MAGIC_2
+        self.version = second + np.uint8(1)
+        self.payload_size = head[:, 1].copy()
+        self.payload_at = at + np.where(second, HEADER_2, HEADER_1)
+        payload_end = self.payload_at + self.payload_size
+        signed = second & (head[:, 2] == FLAG_SIGNED)
+        self.size = payload_end + CHECKSUM + SIGNATURE * signed - at
+        self.sequence = np.where(second, head[:, 4], head[:, 2])
+        self.system = np.where(second, head[:, 5], head[:, 3])
+        self.component = np.where(second, head[:, 6], head[:, 4])
+        low, middle, high = (head[:, i].astype(np.int32) for i in (7, 8, 9))
+        self.message_id = np.where(second, low | middle << 8 | high << 16, head[:, 5])
+        extra = _EXTRA[np.minimum(self.message_id, _IDS - 1)]
+        length = payload_end - at - 1
+        right = checksums_agree(data, at + 1, length, extra.astype(np.uint8))
+        self.validity = np.where(extra < 0, UNKNOWN, np.where(right, OK, BAD_CRC)).astype(np.uint8)
+
+    def first(self, count: int) -> "_Headers":
+        """The same of the first few."""
+        part = _Headers.__new__(_Headers)
+        part.__dict__ = {name: column[:count] for name, column in self.__dict__.items()}
+        return part
+
+
+def _bytes_behind(data: Array, at: Array) -> Callable[[int], Array]:
+    """Gives the bytes so many behind (n,) rising positions; where those are all bytes, in place."""
+    n, first = len(at), int(at[0]) if len(at) else 0
+    if n and int(at[-1]) - first == n - 1:
+        return lambda offset: data[first + offset : first + offset + n]
+    return lambda offset: data[offset:].take(at)
+
+
+def _are_right(data: Array, at: Array, agree: Callable[[Array, Array, Array], Mask]) -> Mask:
+    """(n,) whether frames at given positions are of known types, with the right checksum.
+
+    Args:
+        data: in which they lie.
+        at: (n,) their magic bytes.
+        agree: `checksums_agree` of positions, lengths and extra bytes.
+    """
+    behind = _bytes_behind(data, at)
+    length = behind(1) + np.intp(HEADER_1 - 1)  # without the magic byte
+    extra = _EXTRA.take(behind(5))
+    newer = np.flatnonzero(behind(0) == MAGIC_2)
+    if len(newer):
+        length[newer] += HEADER_2 - HEADER_1
+        low, middle, high = (data[at[newer] + i].astype(np.int32) for i in (7, 8, 9))
+        extra[newer] = _EXTRA[np.minimum(low | middle << 8 | high << 16, _IDS - 1)]
+    right = extra >= 0
+    if right.all():
+        return agree(at + np.intp(1), length, extra.astype(np.uint8))
+    known = np.flatnonzero(right)
+    extra = extra[known].astype(np.uint8)
+    right[known] = agree(at[known] + np.intp(1), length[known], extra)
+    return right
+
+
+class _RecordChain:
     """The frames in a piece of a file.
 
     Args:
@@ -245,7 +312,7 @@ class _Chain:
 
     def _led_to(self, at: Array) -> tuple[Array, Array]:
         """Which of some magic bytes may begin a whole frame, and where the next one's would be."""
-        behind = bytes_behind(self._data, at)
+        behind = _bytes_behind(self._data, at)
         second = behind(0) == MAGIC_2
         follows = at + behind(1)
         follows += HEADER_1 + CHECKSUM + STAMP
@@ -261,7 +328,7 @@ class _Chain:
         """(n,) where a frame with a right checksum begins, inside of others too."""
         if self._good is None:
             at, size = self._whole, len(self._content)
-            repeats = Repeats(self._data, at, size, LONGEST_FRAME + STAMP)
+            repeats = RepeatedBytes(self._data, at, size, LONGEST_FRAME + STAMP)
             if repeats:
                 right = repeats.fill(self._are_good(at[repeats.others]))
             else:
@@ -273,19 +340,19 @@ class _Chain:
         """(n,) whether the checksum of each candidate is right."""
         data = self._data
         if _CROWD * len(at) < len(data):
-            return are_right(data, at, partial(checksums_agree, data))
+            return _are_right(data, at, partial(checksums_agree, data))
         agree = RunningChecksum(data).agree
         pieces = (at[i : i + _CACHED] for i in range(0, len(at), _CACHED))
-        return np.concatenate([are_right(data, piece, agree) for piece in pieces])
+        return np.concatenate([_are_right(data, piece, agree) for piece in pieces])
 
-    def frames(self, *, hunting: bool) -> tuple[Array, Headers]:
+    def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
         """Where the frames begin, and what they say.
 
         Args:
             hunting: whether the piece begins in garbage, not with a record.
         """
         chain = self._wanted(self._by_length(hunting=hunting))
-        head = Headers(self._data, chain)
+        head = _Headers(self._data, chain)
         rejected = self._rejected(chain, head)
         if not len(rejected):
             return chain, head
@@ -297,7 +364,7 @@ class _Chain:
             found, done = self._detour(chain, int(chain[index]) - STAMP)
             pieces.append(np.array(found, chain.dtype))
         chain = self._wanted(np.concatenate([*pieces, chain[done:]]))
-        return chain, Headers(self._data, chain)
+        return chain, _Headers(self._data, chain)
 
     def _wanted(self, chain: Array) -> Array:
         return chain[: np.searchsorted(chain, self._limit, side="right")]
@@ -420,7 +487,7 @@ class _Chain:
             found.append(position)
         return found, len(chain)
 
-    def _rejected(self, chain: Array, head: Headers) -> Array:
+    def _rejected(self, chain: Array, head: _Headers) -> Array:
         """Which frames of the chain have a wrong checksum and a good frame inside.
 
         A damaged length can lead to another magic byte by chance.
@@ -460,7 +527,7 @@ def shows_a_record(head: bytes) -> bool:
     places = [position] if frame is not None else []
     if not places or not _begins_record(head, position):
         data = np.frombuffer(head + bytes(LONGEST_FRAME + STAMP), np.uint8)
-        places = _Chain(head, data, len(head)).good().tolist()
+        places = _RecordChain(head, data, len(head)).good().tolist()
     return any(_begins_record(head, at) for at in places)
 
 

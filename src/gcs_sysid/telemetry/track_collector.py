@@ -60,7 +60,7 @@ class TrackCollector:
             key = record.stream, record.source, record.offset, len(record.values)
             self._single.setdefault(key, []).append((order, record))
 
-    def take_new(self) -> Array:
+    def new_orders(self) -> Array:
         """(n,) rising, where the records stand that came since this was last asked."""
         made: Array = np.sort(np.concatenate([np.array([], np.int64), *self._new]))
         self._new.clear()

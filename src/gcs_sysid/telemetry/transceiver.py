@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import Batch, Receiver
+from gcs_sysid.telemetry.receiver import ReceivedFrames, Receiver
 from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
 from gcs_sysid.telemetry.urls import LinkUrl
@@ -130,7 +130,7 @@ class Transceiver:
         """Of the link."""
         return self._link.url
 
-    def receive(self, timeout: float) -> list[Batch]:
+    def receive(self, timeout: float) -> list[ReceivedFrames]:
         """Wait up to `timeout` s for bytes; the accepted frames."""
         return self._receiver.receive(timeout)
 

@@ -71,7 +71,7 @@ Topic = dict[str, Array]
 
 
 @dataclass
-class _Rows:
+class _TopicRows:
     """The rows of a topic: their places in this window, and those of before."""
 
     layout: np.dtype[np.void]
@@ -125,7 +125,7 @@ class UlogFile:
         self._formats = Formats()
         self._defining = True
         self._subscriptions: dict[int, _Subscription] = {}
-        self._rows: dict[tuple[str, int], _Rows] = {}
+        self._rows: dict[tuple[str, int], _TopicRows] = {}
         self._low = np.full(2**16, 2**17, np.int32)
         self._high = np.zeros(2**16, np.int32)
         self._longest = 0
@@ -326,7 +326,7 @@ class UlogFile:
             rows = self._rows.get((name, multi_id))
             if rows is None:
                 layout = self._formats.layout(name)
-                rows = _Rows(layout, self._kept(name, layout))
+                rows = _TopicRows(layout, self._kept(name, layout))
                 self._rows[name, multi_id] = rows
             self._subscribe(number, size - padding, size, rows.places)
         except InputError as error:

@@ -91,29 +91,29 @@ class VehicleStates:
         """Stamps of another boot do not apply."""
         self._landed_heard = -math.inf
 
-    def take(self, frame: Frame, now: float | None) -> Record | None:
-        """Take one of the messages of `STATE_IDS`; the record that it makes, if any.
+    def read(self, frame: Frame, now: float | None) -> Record | None:
+        """Read one of the messages of `STATE_IDS`; the record that it makes, if any.
 
         Args:
             frame: whose checksum is right.
             now: s, the vehicle's clock; None before the first stamp.
         """
         if frame.message_id == MESSAGE_IDS["PARAM_VALUE"]:
-            return self._take_parameter(frame.payload, now)
+            return self._read_parameter(frame.payload, now)
         if frame.message_id == MESSAGE_IDS["MESSAGE_INTERVAL"]:
-            self._take_interval(frame.payload)
+            self._read_interval(frame.payload)
             return None
         if frame.message_id == MESSAGE_IDS["HEARTBEAT"]:
-            return self._take_heartbeat(frame.payload, now)
-        return self._take_landed(frame.payload, now)
+            return self._read_heartbeat(frame.payload, now)
+        return self._read_landed(frame.payload, now)
 
-    def _take_interval(self, payload: bytes) -> None:
+    def _read_interval(self, payload: bytes) -> None:
         number, interval = _interval(payload)
         if number in KNOWN_IDS:
             self._intervals_heard += 1
             self.intervals[number] = interval, self._intervals_heard
 
-    def _take_landed(self, payload: bytes, now: float | None) -> Record | None:
+    def _read_landed(self, payload: bytes, now: float | None) -> Record | None:
         (state,) = _landed(payload)
         if state == mavlink.MAV_LANDED_STATE_UNDEFINED:
             return None
@@ -125,7 +125,7 @@ class VehicleStates:
         in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
         return Record(Stream.IN_AIR, now, (in_air,))
 
-    def _take_heartbeat(self, payload: bytes, now: float | None) -> Record | None:
+    def _read_heartbeat(self, payload: bytes, now: float | None) -> Record | None:
         self.autopilot, base_mode, status = _heartbeat(payload)
         if now is None:  # usual at the start: no reason to count it
             return None
@@ -142,7 +142,7 @@ class VehicleStates:
         self._armed = armed
         return Record(Stream.ARMED, now, (float(armed),))
 
-    def _take_parameter(self, payload: bytes, now: float | None) -> Record | None:
+    def _read_parameter(self, payload: bytes, now: float | None) -> Record | None:
         bytewise = self.autopilot == mavlink.MAV_AUTOPILOT_PX4
         name, value = read_parameter(payload, bytewise=bytewise)
         if not name or not math.isfinite(value):

@@ -133,7 +133,7 @@ class VehicleSelector:
         self.wanted = wanted
         self._shown: dict[tuple[int, int], tuple[int, int]] = {}
 
-    def take(self, systems: Array, components: Array) -> None:
+    def note_senders(self, systems: Array, components: Array) -> None:
         """Note the senders of many frames whose checksums are right, heartbeats aside.
 
         Args:
@@ -153,7 +153,7 @@ class VehicleSelector:
     def listen(self, frames: FrameBlock) -> None:
         """Note frames of anybody, heartbeats too."""
         good = frames.validity == OK
-        self.take(frames.system[good], frames.component[good])
+        self.note_senders(frames.system[good], frames.component[good])
         for row in np.flatnonzero(good & (frames.message_id == _HEARTBEAT)).tolist():
             self.hear(frames.frame(row))
 

@@ -28,7 +28,7 @@ IMU = ("HIGHRES_IMU", "RAW_IMU")
 """Messages requested for IMU data; the second for ArduPilot before 4.6, which lacks the first."""
 
 
-class Group(NamedTuple):
+class MessageGroup(NamedTuple):
     """A group of messages as ArduPilot sets their rates together."""
 
     number: int
@@ -40,13 +40,13 @@ class Group(NamedTuple):
 
 
 GROUPS = {
-    "RAW_IMU": Group(mavlink.MAV_DATA_STREAM_RAW_SENSORS, 160, MOST_OF_GROUP),
-    "SERVO_OUTPUT_RAW": Group(mavlink.MAV_DATA_STREAM_RC_CHANNELS, 100, MOST_OF_GROUP),
-    "ATTITUDE": Group(mavlink.MAV_DATA_STREAM_EXTRA1, 80, MOST_OF_GROUP),
-    "GLOBAL_POSITION_INT": Group(mavlink.MAV_DATA_STREAM_POSITION, 80, 10),
+    "RAW_IMU": MessageGroup(mavlink.MAV_DATA_STREAM_RAW_SENSORS, 160, MOST_OF_GROUP),
+    "SERVO_OUTPUT_RAW": MessageGroup(mavlink.MAV_DATA_STREAM_RC_CHANNELS, 100, MOST_OF_GROUP),
+    "ATTITUDE": MessageGroup(mavlink.MAV_DATA_STREAM_EXTRA1, 80, MOST_OF_GROUP),
+    "GLOBAL_POSITION_INT": MessageGroup(mavlink.MAV_DATA_STREAM_POSITION, 80, 10),
 }
 """Message that is needed -> the group of ArduPilot's that brings it."""
-ESC_GROUP = Group(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
+ESC_GROUP = MessageGroup(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
 """The group with ESC_TELEMETRY, which brings much besides."""
 
 LAST_ID_OF_VERSION_1 = 255
