@@ -19,10 +19,10 @@ from orangebox import Parser
 
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import Frames, read_frames
+from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
 
 
-def whole(path: Path) -> Frames:
+def whole(path: Path) -> BlackboxFrames:
     """Every field of the first session."""
     data = path.read_bytes()
     start, stop = session_starts(data)[:2]
@@ -35,7 +35,9 @@ def others(path: Path) -> tuple[list[str], list[tuple[Any, ...]]]:
     return parser.field_names, [frame.data for frame in parser.frames()]
 
 
-def differences(frames: Frames, names: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> int:
+def differences(
+    frames: BlackboxFrames, names: Sequence[str], rows: Sequence[tuple[Any, ...]]
+) -> int:
     """How many values of main and S frames differ from orangebox's."""
     main, slow = frames.main, frames.slow
     columns = {name: i for i, name in enumerate(names)}

@@ -23,7 +23,7 @@ from gcs_sysid.live import live_session as live_session
 from gcs_sysid.live.reception import Reception
 from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
@@ -60,7 +60,7 @@ class Air(Link):
         self._answers = []
         if self._silent[0] < self.now < self._silent[1]:
             return []
-        return [Chunk(raw, ("10.0.0.1", 14550)) for raw in said]
+        return [ReceivedBytes(raw, ("10.0.0.1", 14550)) for raw in said]
 
     def send(self, data):
         self._answers += self._vehicle.hear(data)

@@ -18,7 +18,7 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import Vehicle
@@ -423,7 +423,7 @@ class ScriptedLink(Link):
         due = 0
         while due < len(self.frames) and self.frames[due][0] <= self.now:
             due += 1
-        chunks = [Chunk(raw, ("127.0.0.1", 5)) for _, raw in self.frames[:due]]
+        chunks = [ReceivedBytes(raw, ("127.0.0.1", 5)) for _, raw in self.frames[:due]]
         del self.frames[:due]
         return chunks
 

@@ -1,12 +1,12 @@
 """What the receiver's process and a session's say to each other, as bytes.
 
 To the receiver go lines of JSON: the settings, then orders, each a list of a name and arguments.
-From it come messages, each a kind, a length and a body. Frames travel as they came over the link.
+From it come messages, each a kind, a length and a body. Frames travel as they came over the link,
+and are not checked again.
 """
 
 import json
 import struct
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any, BinaryIO
 
@@ -19,7 +19,7 @@ from gcs_sysid.live.reception import (
     ResetMark,
     Toggled,
 )
-from gcs_sysid.telemetry.frames import Frame, read_frame
+from gcs_sysid.telemetry.frames import join_frames, split_frames
 from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal
@@ -74,7 +74,7 @@ def item_message(item: Item) -> bytes:
     """An item of `reception`."""
     match item:
         case ReceivedFrames(time_us, frames):
-            return message(FRAMES, TIME.pack(time_us) + b"".join(f.raw for f in frames))
+            return message(FRAMES, TIME.pack(time_us) + join_frames(frames))
         case ResetMark(time_us):
             return message(RESET, TIME.pack(time_us))
         case RecordingCut():
@@ -91,7 +91,7 @@ def read_item(kind: bytes, body: bytes) -> Item:
     """The item that a message holds."""
     match kind:
         case b"F":
-            return ReceivedFrames(TIME.unpack_from(body)[0], list(_frames(body)))
+            return ReceivedFrames(TIME.unpack_from(body)[0], split_frames(body, TIME.size))
         case b"M":
             return ResetMark(TIME.unpack(body)[0])
         case b"C":
@@ -101,15 +101,6 @@ def read_item(kind: bytes, body: bytes) -> Item:
         case b"X":
             return Failure(body.decode())
     return Ended()
-
-
-def _frames(body: bytes) -> Iterable[Frame]:
-    at = TIME.size
-    while at < len(body):
-        frame = read_frame(body, at)
-        assert frame is not None, "what was a frame there is one here"
-        yield frame
-        at += len(frame.raw)
 
 
 def report_message(report: Report) -> bytes:

@@ -13,7 +13,6 @@ from gcs_sysid.telemetry.frames import (
     LONGEST_FRAME,
     Frame,
     Validity,
-    read_frame,
 )
 
 OK, UNKNOWN, BAD_CRC = range(3)
@@ -110,9 +109,7 @@ class FrameBlock:
 
     def frame(self, index: int) -> Frame:
         """One of them as an object."""
-        at = int(self.at[index])
-        frame = read_frame(self.data[at : at + int(self.size[index])].tobytes())
-        assert frame is not None
+        ((_, frame),) = self.part(index, index + 1)
         return frame
 
     def __iter__(self) -> Iterator[tuple[int, Frame]]:

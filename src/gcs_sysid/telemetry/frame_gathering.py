@@ -13,7 +13,7 @@ from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 
 _MOST_WAITING = 1024
@@ -27,12 +27,13 @@ _ROUNDING = 2e-6
 _Sender = tuple[int, int, int]
 _STAMPS = {
     MESSAGE_IDS[message.name]: (
-        picker(message.name, STAMP_FIELDS[message.stamp]),
+        field_bytes(message.name, STAMP_FIELDS[message.stamp]),
         1e-3 if message.stamp is Stamp.MS32 else 1e-6,
     )
     for message in MESSAGES
     if message.name in INERTIAL
 }
+"""Message -> where its stamp lies in the payload, all else of which is read later; its unit, s."""
 
 
 class FrameGathering:
@@ -89,8 +90,9 @@ class FrameGathering:
         stamp = _STAMPS.get(frame.message_id)
         if stamp is None:
             return frame.message_id in _AWAITED or frame.system == OWN_SYSTEM
-        pick, unit = stamp
+        place, unit = stamp
         sender = frame.system, frame.component, frame.message_id
-        self._latest[sender] = t = unit * pick(frame.payload)[0]
+        # Zeros that are cut off at the end of a payload are the highest bytes.
+        self._latest[sender] = t = unit * int.from_bytes(frame.payload[place], "little")
         wait = self._wait or 0.0
         return not 0.0 <= t - self._from.setdefault(sender, t) < wait - _ROUNDING

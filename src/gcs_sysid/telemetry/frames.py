@@ -13,6 +13,7 @@ The answer depends on the bytes alone, never on how they were cut into pieces.
 """
 
 import re
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -47,6 +48,10 @@ class Validity(StrEnum):
     """No CRC_EXTRA is known for the type: the content is unchecked."""
     BAD_CRC = "bad_crc"
     """Checksum wrong although the chain is intact: a changed definition, or corrupted."""
+
+
+_VALIDITIES = tuple(Validity)
+_MARK_OF = {validity: bytes([number]) for number, validity in enumerate(_VALIDITIES)}
 
 
 class Frame(NamedTuple):
@@ -102,9 +107,8 @@ def _frame_at(data: bytes, at: int, end: int) -> Frame | None:
     header = _header(data, at, end)
     if header is None:
         return None
-    total, payload_end, message_id, version = header
-    stop = at + total
-    if stop > end:
+    total, payload_end, message_id, _ = header
+    if at + total > end:
         raise _Need
     extra = CRC_EXTRA.get(message_id)
     if extra is None:
@@ -115,6 +119,13 @@ def _frame_at(data: bytes, at: int, end: int) -> Frame | None:
         valid = Validity.OK
     else:
         valid = Validity.BAD_CRC
+    return _cut(data, at, header, valid)
+
+
+def _cut(data: bytes, at: int, header: tuple[int, int, int, int], valid: Validity) -> Frame:
+    """The frame with a header that begins at `at`."""
+    total, payload_end, message_id, version = header
+    stop = at + total
     if version == 2:
         return Frame(
             data[at + 5], data[at + 6], data[at + 4], message_id,
@@ -132,6 +143,22 @@ def read_frame(data: bytes, at: int = 0) -> Frame | None:
         return _frame_at(data, at, len(data)) if at < len(data) else None
     except _Need:
         return None
+
+
+def join_frames(frames: Iterable[Frame]) -> bytes:
+    """Frames as bytes, each behind what its checksum was found to be; `split_frames` undoes it."""
+    return b"".join([_MARK_OF[frame.valid] + frame.raw for frame in frames])
+
+
+def split_frames(data: bytes, at: int = 0) -> list[Frame]:
+    """The frames that `join_frames` joined, from `at` on; no checksum is taken again."""
+    frames = []
+    while at < len(data):
+        header = _header(data, at + 1, len(data))
+        assert header is not None, "what was a frame there is one here"
+        frames.append(_cut(data, at + 1, header, _VALIDITIES[data[at]]))
+        at += 1 + header[0]
+    return frames
 
 
 def find_frame(data: bytes, at: int, stop: int, *, final: bool) -> tuple[int, Frame | None]:

@@ -116,6 +116,15 @@ def picker(message_name: str, *fields: str) -> Callable[[bytes], tuple[Any, ...]
     return lambda payload: pick(unpack_payload(payload[:size].ljust(size, b"\0")))
 
 
+def field_bytes(message_name: str, field: str) -> slice:
+    """Where a field lies in the payload of a message."""
+    fields = message_dtype(message_name).fields
+    assert fields is not None
+    kind, offset, *_ = fields[field]
+    start = offset - np.dtype(HEADER).itemsize
+    return slice(start, start + kind.itemsize)
+
+
 @cache
 def message_dtype(name: str) -> np.dtype[np.void]:
     """Type of the array that holds messages of a name: `HEADER`, then the fields.
