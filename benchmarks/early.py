@@ -22,6 +22,9 @@ from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.intervals import Z95
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.judge import Stage, judged
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
@@ -55,7 +58,7 @@ def drawn(count: int, seed: int) -> list[Vehicle]:
 def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
     """What a live session has on its screen at each of `TIMES`."""
     tracker = Tracker(GEOMETRY, DT, tuning_for(RotorInput.COMMAND, DT), ChangeTuning())
-    arm = float(np.mean(np.hypot(*GEOMETRY[:2])))
+    airframe = load_airframe("paper")
     anchor = ScaleReference("mass", mass)
     found = []
     for k in range(0, len(t), 50):
@@ -63,7 +66,9 @@ def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
         tracker.update(t[now], samples.part(now))
         fit = tracker.fit(quick=True)
         if len(found) < len(TIMES) and t[min(k + 49, len(t) - 1)] >= TIMES[len(found)] - DT:
-            found.append(values_of(fit, anchor, arm, {}, RotorInput.COMMAND))
+            seen = values_of(fit, anchor, airframe.arm, {}, RotorInput.COMMAND)
+            evidence = Evidence(seen, fit, airframe, RotorInput.COMMAND, checked=False)
+            found.append(judged(evidence, Stage.FLIGHT))
     return found
 
 

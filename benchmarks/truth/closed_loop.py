@@ -30,9 +30,9 @@ from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.parameters.status import RULES
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
+from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 from gcs_sysid.signals.samples import Samples

@@ -19,7 +19,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 PAPER = ("--airframe", "paper")
-ESTIMATE_KEYS = {"value", "std", "std_data", "std_given", "ci95", "unit", "status"}
+ESTIMATE_KEYS = {*("value", "std", "std_data", "std_given", "ci95", "unit", "status", "objections")}
 RESULT_KEYS = {
     *("schema", "verdict", "reasons", "source", "vehicle", "scale", "rotor_input"),
     *("parameters", "timing", "events", "segments", "validation", "telemetry"),

@@ -1,5 +1,7 @@
 """Where rotors are by how the vehicle turns: every order of a quad, hexas, coaxial pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,9 +10,13 @@ from gcs_sysid.health.airframe_guess import guess_airframe, layout_by_motion
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.judgement.judge import object_to
+from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer
 from gcs_sysid.report.health_picture import health_section
+from gcs_sysid.results.result import Result
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
@@ -171,14 +177,18 @@ def test_the_order_as_flown_keeps_its_cg_and_so_does_one_that_gusts_hide():
 def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
     found = health(BETAFLIGHT, moving=0.1)
     why = "the motion does not match these rotors: check motor order"
-    withheld = beside_analysis(found, "refused", ("gyro spikes", why))
+    note = Objection("gyro spikes", verdict="identified", by="data")
+    wrong = Objection(why, verdict="refused", by=ROTORS)
+    nothing = Result("identified", (), "", {}, None, "speed", {})
+    withheld = beside_analysis(found, object_to(nothing, [note, wrong]))
     assert withheld.contradicted
     assert not withheld.available
     assert why in withheld.reasons[0]
     assert document_of(withheld)["autopilot_parameters"] == {}
     # Any other refusal leaves it, and so does the same reason below a result.
-    assert beside_analysis(found, "refused", ("no attitude (ATTITUDE)",)) is found
-    assert beside_analysis(found, "partial", (why,)) is found
+    elsewhere = Objection("no attitude (ATTITUDE)", verdict="refused", by="data")
+    assert beside_analysis(found, object_to(nothing, [elsewhere])) is found
+    assert beside_analysis(found, object_to(nothing, [replace(wrong, verdict="partial")])) is found
 
 
 def test_frames_of_ardupilot():

@@ -28,7 +28,7 @@ def test_interval_is_the_normal_95_percent():
 def test_json_is_strict_whatever_the_numbers(bad):
     text = result(a=Estimate(bad, 1.0, "m", "weak"), b=Estimate(1.0, bad, "m", "weak")).dumps()
     table = json.loads(text, parse_constant=pytest.fail)["parameters"]
-    rest = {"std_given": 0.0, "ci95": None, "unit": "m", "status": "weak"}
+    rest = {"std_given": 0.0, "ci95": None, "unit": "m", "status": "weak", "objections": []}
     assert table["a"] == {"value": None, "std": 1.0, "std_data": 1.0} | rest
     assert table["b"] == {"value": 1.0, "std": None, "std_data": None} | rest
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.telemetry.imu_loss import ImuLoss, loss_reason
+from gcs_sysid.telemetry.imu_loss import ImuLoss
 
 RNG = np.random.default_rng
 
@@ -83,19 +83,6 @@ def test_how_samples_come_together_changes_nothing(size):
         if size > 100:
             assert loss.counts.received == min(at + size, len(t))
     assert loss.counts == counted(t)
-
-
-def told(percent):
-    return {"imu_loss": {"missing_percent": percent, "longest": 2.2}}
-
-
-def test_what_px4_leaves_out_is_not_told_and_serious_loss_is():
-    assert loss_reason(told(2.0)) == ("", False)
-    words, capped = loss_reason(told(40.0))
-    assert words.startswith("40 % of the IMU's samples are missing by their timestamps")
-    assert not capped
-    assert loss_reason(told(70.0))[1]
-    assert loss_reason({}) == ("", False)
 
 
 @pytest.mark.parametrize("late", [0, 40])

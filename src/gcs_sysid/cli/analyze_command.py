@@ -129,7 +129,7 @@ class _Hover:
             result: of the analysis.
         """
         found = replace(self._assessed(), source=self._log)
-        health = beside_analysis(found, result.verdict, result.reasons)
+        health = beside_analysis(found, result)
         return health if health.reported else None
 
     def _assessed(self) -> Health:

@@ -28,7 +28,7 @@ def shares(
     out: dict[str, float | None] = {}
     for name in CORE_OF[rotor_input]:
         found = values[name]
-        if found.status == "given":
+        if found.std == 0.0:  # given
             continue
         if found.value is None or found.std is None:
             out[name] = None

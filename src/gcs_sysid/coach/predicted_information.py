@@ -19,9 +19,9 @@ from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import bartlett
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.thrust_estimator import MIN_MOMENTUM_SECONDS
-from gcs_sysid.estimation.parameters.status import RULES
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.intervals import Z95
+from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 

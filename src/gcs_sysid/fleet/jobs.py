@@ -106,7 +106,7 @@ def analyze(task: Task) -> Document:
         result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
         made = result.as_json()
         found = records.health(str(job.log), Given(job.airframe))
-        health = beside_analysis(found, result.verdict, result.reasons)
+        health = beside_analysis(found, result)
         if health.reported:
             made["health"] = document_of(health)
     except InputError as error:

@@ -1,7 +1,7 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,10 +25,11 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
+from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.session.reasons import blames_rotors
+from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
@@ -216,15 +217,15 @@ def health_of(
     return replace(health, advice=(*refused, *advice_of(health, given, guess)))
 
 
-def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Health:
+def beside_analysis(health: Health, result: Result) -> Health:
     """The health to show beside an analysis: withheld where that was refused by the rotors.
 
     Args:
         health: of the same log and airframe.
-        verdict: of the analysis.
-        reasons: for it.
+        result: of the analysis.
     """
-    refused = verdict == "refused" and next(filter(blames_rotors, reasons), None)
+    blamed = (objection.reason for objection in result.objections if objection.by == ROTORS)
+    refused = result.verdict == "refused" and next(blamed, None)
     if not refused or health.contradicted or not health.available:
         return health
     assert health.airframe is not None

@@ -38,8 +38,8 @@ from gcs_sysid.inspection.stream_watch import (
     pending,
     set_back,
 )
+from gcs_sysid.judgement.clock_doubt import clock_doubt
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import Key, RecordBlock
 from gcs_sysid.signals.records import ROTOR_STREAMS, Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
@@ -207,7 +207,7 @@ class Inspector:
         self._flight.turn(self.duration, flying=False)
         self._count_wraps()
         telemetry = self._telemetry
-        doubt = clock_doubt(telemetry.drift, telemetry.parameters)
+        doubt = clock_doubt(telemetry.drift.bounds, telemetry.parameters)
         doubts = () if doubt is None else (doubt.reason,)
         counts = telemetry.as_dict()
         rotors = self._known_rotors

@@ -87,7 +87,7 @@ class HoverWatch:
         health = records.health(self._source, Given(airframe))
         if result is not None:
             latest = result()
-            health = beside_analysis(health, latest.verdict, latest.reasons)
+            health = beside_analysis(health, latest)
         text = ""
         weakened = health.weakened
         if weakened is not None and weakened.condition.rotor != self._named:

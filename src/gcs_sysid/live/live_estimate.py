@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.judgement.judge import object_to
 from gcs_sysid.live.acceleration_prediction import LivePrediction
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Snapshot
 from gcs_sysid.session.chain import Chain
@@ -232,7 +234,7 @@ class LiveEstimate:
                 problem = problem or defect
         why = "" if problem is None else f"{in_words(problem)}: "
         early = f"{why}the estimate is that of {self.chain.t:.1f} s, its last good one"
-        return replace(last, reasons=(*last.reasons, early))
+        return object_to(last, [Objection(early, verdict="identified", by="session")])
 
     def snapshot(self, result: Result, link: LinkStatus) -> Snapshot:
         """How things stand.

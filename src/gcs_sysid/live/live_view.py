@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+from gcs_sysid.judgement.judge import object_to
 from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.reception import Source
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Acceleration,
@@ -61,14 +63,15 @@ def with_link(
     result: Result, source: Source, station: GroundStation, backlog: Backlog, now: float
 ) -> Result:
     """A result with what only the link knows; the numbers stay those of the frames alone."""
-    reasons = result.reasons
-    if result.verdict != "identified":
-        reasons = (*reasons, *station.problems)
     telemetry = {**result.telemetry, **station.as_dict(), "receiver": backlog.as_dict(now)}
     dropped = source.recording_report.dropped
     if dropped:
         telemetry["recording"] = {"missing": dropped}
-    return replace(result, reasons=(*reasons, *backlog.reasons), telemetry=telemetry)
+    said = (
+        *(Objection(problem, by="link") for problem in station.problems),
+        *(Objection(reason, verdict="identified", by="receiver") for reason in backlog.reasons),
+    )
+    return replace(object_to(result, said), telemetry=telemetry)
 
 
 def picture(

@@ -211,7 +211,7 @@ def survey(
     seen, hover = _Survey(), HoverRecords()
     result = analyze_log(path, airframe, wanted, progress=progress, observer=seen, keeper=hover)
     found = hover.health(str(path), Given(airframe))
-    health = document_of(beside_analysis(found, result.verdict, result.reasons))
+    health = document_of(beside_analysis(found, result))
     return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)
 
 

@@ -1,10 +1,11 @@
-"""A number with its uncertainty: the one type that all rooms hand on.
+"""A number with its uncertainty, and objections to it: types that all rooms hand on.
 
-What a status may be is here; which one an estimate has is decided in `judgement` alone.
+What a status or a verdict may be is here; which one there is, `judgement` alone decides.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from gcs_sysid.intervals import Z95, interval95
@@ -12,6 +13,45 @@ from gcs_sysid.intervals import Z95, interval95
 Status = Literal["identified", "given", "zero", "weak", "unobservable"]
 KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
 """Statuses of a parameter that a complete identification may have."""
+Verdict = Literal["identified", "partial", "refused"]
+
+
+@dataclass(frozen=True)
+class Objection:
+    """What some evidence holds against estimates, or against all of a result.
+
+    Attributes:
+        reason: what is wrong, and what to do, in a pilot's words.
+        parameters: those that it concerns.
+        cap: the best status left to these; None: any.
+        verdict: the best verdict left to the result; "identified" makes it a note, which is
+            stated in any case; None: what follows from the statuses.
+        widening: name -> standard deviation that it adds, SI.
+        given: whether that is the same in every flight analyzed so, a part of `std_given`.
+        void: whether the values mean nothing at all and are not shown.
+        stated: whether the reason stands among those of the verdict; False where others imply it.
+        evidence: name -> number that it rests on.
+        by: its producer.
+    """
+
+    reason: str
+    parameters: frozenset[str] = frozenset()
+    cap: Status | None = None
+    verdict: Verdict | None = None
+    widening: Mapping[str, float] = field(default_factory=dict)
+    given: bool = False
+    void: bool = False
+    stated: bool = True
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    by: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Of a result: the cap is that of the verdict."""
+        return {"reason": self.reason, "cap": self.verdict or "identified", "by": self.by}
+
+    def of_parameter(self) -> dict[str, Any]:
+        """Of one parameter: the cap is that of its status; None where only its interval grew."""
+        return {"reason": self.reason, "cap": self.cap, "by": self.by}
 
 
 @dataclass(frozen=True)
@@ -42,6 +82,8 @@ class Estimate:
     every flight analyzed with it, however long. `std` is the root of the sum of both squares."""
     not_negative: bool = False
     """Whether physics puts zero as the lower bound: see `bounded`."""
+    objections: tuple[Objection, ...] = field(default=(), compare=False)
+    """To its status or interval."""
 
     @property
     def std_data(self) -> float | None:
@@ -102,7 +144,7 @@ class Estimate:
     def as_json(self) -> dict[str, Any]:
         """The estimate as result and health files write it."""
         ci = self.ci95
-        out = {
+        out: dict[str, Any] = {
             "value": _finite(self.value),
             "std": _finite(self.std),
             "std_data": _finite(self.std_data),
@@ -116,7 +158,12 @@ class Estimate:
             out["bound"] = _finite(self.bound)
         if self.rests_on is not None:
             out["rests_on"] = self.rests_on
+        if self.status is not None:
+            out["objections"] = [objection.of_parameter() for objection in self.objections]
         return out
+
+
+NOTHING = Estimate(None, None, status="unobservable")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
-from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
+from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate, Objection, Verdict
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.strict_json import json_text
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from gcs_sysid.results.snapshot import Acceleration, History
 
 SCHEMA = "gcs-sysid/1"
-
-Verdict = Literal["identified", "partial", "refused"]
 
 
 @dataclass(frozen=True)
@@ -89,6 +87,9 @@ class Result:
     """k_T and k_M of each rotor in motor order, with measured rotor speeds."""
     covariance: dict[str, Any] = field(default_factory=dict)
     """`names` and `matrix`, of all parameters with a value and a standard deviation."""
+
+    objections: tuple[Objection, ...] = field(default=(), compare=False)
+    """What stands behind the reasons; those to single parameters are in the estimates."""
 
     advice: dict[str, Any] | None = None
     """What to fly next, of a running session: see `Advice`."""
@@ -211,6 +212,7 @@ class Result:
             "schema": SCHEMA,
             "verdict": self.verdict,
             "reasons": list(self.reasons),
+            "objections": [objection.as_json() for objection in self.objections],
             "source": self.source,
             "vehicle": self.vehicle,
             "airframe": self.airframe,

@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn, cast, get_args
+from typing import Any, Literal, NoReturn, cast, get_args
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
 from gcs_sysid.model.airframe import ANCHORS
-from gcs_sysid.model.estimate import Estimate, Status
+from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import SCHEMA, Result, Scale, Verdict
+from gcs_sysid.results.result import SCHEMA, Result, Scale
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.strict_json import parse_json
 
@@ -70,6 +71,7 @@ def parse_result(document: object, where: str) -> Result:
     return Result(
         verdict=cast(Verdict, table.one_of("verdict", get_args(Verdict))),
         reasons=tuple(one_line(str(reason)) for reason in table.list("reasons")),
+        objections=_objections(table, "verdict"),
         source=table.text("source"),
         vehicle=table.table("vehicle").entries,
         scale=_scale(table),
@@ -156,8 +158,27 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
             entry.text("rests_on") or None,
             min(entry.number("std_given") or 0.0, std or 0.0),
             parameter.sign == "not negative",
+            _objections(entry, "cap"),
         )
     return out
+
+
+def _objections(table: _Table, limits: Literal["cap", "verdict"]) -> tuple[Objection, ...]:
+    """What stands behind reasons or a status; results of earlier versions have none.
+
+    Args:
+        table: with a list of them.
+        limits: what their cap is of: a status or the verdict.
+    """
+    known = get_args(Status if limits == "cap" else Verdict)
+    out = []
+    for entries in table.list("objections"):
+        entry = _Table(entries if isinstance(entries, dict) else {}, table.where)
+        found = Objection(entry.text("reason"), by=entry.text("by"))
+        if entry.entries.get("cap") is not None:
+            found = replace(found, **{limits: entry.one_of("cap", known)})  # type: ignore[arg-type]
+        out.append(found)
+    return tuple(out)
 
 
 def _scale(table: _Table) -> Scale | None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ def values_of(
     lateness: float = 0.0,
     cant: float = 0.0,
 ) -> dict[str, Estimate]:
-    """Physical parameters of a fit, or nothing but the anchor while it is too early.
+    """Physical parameters of a fit, not judged, or nothing but the anchor while it is too early.
 
     While the flight continues, every estimate is seen and may be taken once `identified`: intervals
     are then wide enough to hold at all times.
@@ -73,7 +74,6 @@ def values_of(
         fit = _widened(fit, watched_factor(fit.seconds))
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
-    test = fit.rigid_body_test
     return physical_parameters(
         anchor,
         rotation,
@@ -81,7 +81,6 @@ def values_of(
         arm,
         known,
         rotor_input,
-        test,
         lateness,
         cant,
         fit.seconds,
@@ -107,36 +106,29 @@ def _widened(fit: Fit, factor: float) -> Fit:
     return replace(fit, rotation=rotation, translation=translation)
 
 
-def estimates_of(
-    values: Mapping[str, Estimate],
+def complete(
+    estimates: Mapping[str, Estimate],
     fit: Fit,
     anchor: ScaleReference,
-    bounds: Mapping[str, Estimate] | None = None,
-    given: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Estimate] = MappingProxyType({}),
 ) -> dict[str, Estimate]:
-    """Values as a result's estimates.
+    """Estimates as a result has them: within physical bounds, and with what they rest on.
 
     Args:
-        values: by name.
+        estimates: by name.
         fit: that they come from.
         anchor: in force.
-        bounds: parameters whose `std` are the Cramer-Rao bounds, if they were computed.
-        given: the part of each `std` that comes from what was given.
+        bounds: estimates whose `std` are the Cramer-Rao bounds, where they were computed.
     """
     leaning = rests_on_prior(fit.rotation) if fit.rotation is not None else frozenset()
     support = anchor.origin or "prior"
     return {
-        name: Estimate(
-            v.value,
-            v.std,
-            REGISTRY[name].unit,
-            v.status,
-            bound=bounds[name].std if bounds and name in bounds else None,
+        name: replace(
+            estimate,
+            bound=bounds[name].std if name in bounds else None,
             rests_on=support if name in leaning else None,
-            std_given=given.get(name, 0.0) if given else 0.0,
-            not_negative=REGISTRY[name].sign == "not negative",
         ).bounded
-        for name, v in values.items()
+        for name, estimate in estimates.items()
     }
 
 

@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.estimation.parameters.status import RULES
-from gcs_sysid.model.estimate import Status
+from gcs_sysid.judgement.status import RULES
+from gcs_sysid.model.estimate import Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
 from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import PLAIN, Notation
-from gcs_sysid.results.result import Verdict
 
 
 @dataclass(frozen=True)

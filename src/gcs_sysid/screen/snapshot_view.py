@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.parameters.status import NOTHING
-from gcs_sysid.model.estimate import KNOWN, Estimate, Status
+from gcs_sysid.model.estimate import KNOWN, NOTHING, Estimate, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import PLAIN, clock, duration
-from gcs_sysid.results.result import Result, Verdict
+from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Advice,
     Gain,

@@ -19,14 +19,14 @@ from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.parameters.evidence import Evidence, evidence_of
 from gcs_sysid.estimation.parameters.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.estimation.rows.rotor_signals import low_pass_delay
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.judge import Stage, judged
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
@@ -251,12 +251,6 @@ class Chain:
         return self.sampler.time_base.until_tick
 
     @property
-    def clock_error(self) -> float:
-        """Share by which the vehicle's clock may be wrong."""
-        doubt = None if self.origin is None else self.origin.clock_doubt
-        return 0.0 if doubt is None else abs(doubt.share)
-
-    @property
     def rotor_selector(self) -> RotorSourceSelector:
         """Of the rotor stream."""
         return self.sampler.rotor_selector
@@ -306,33 +300,38 @@ class Chain:
         return self._history.history()
 
     def values(self, fit: Fit, anchor: ScaleReference | None = None) -> dict[str, Estimate]:
-        """Physical parameters of a fit, by the rules of this flight.
+        """Physical parameters of a fit, by what this flight shows alone.
 
         Args:
             fit: any.
             anchor: sets the scale; None: the one in force.
         """
-        anchor = anchor or self.anchor
+        return judged(self.evidence(fit, anchor or self.anchor), Stage.FLIGHT)
+
+    def evidence(self, fit: Fit, anchor: ScaleReference) -> Evidence:
+        """What a fit to this flight is judged by, with the parameters at this scale.
+
+        The article's estimator is for study, and its validation does not count.
+        """
         arm, known = self.airframe.arm, self.known_beforehand(anchor)
         late = low_pass_delay(self.cutoffs[0])
         aligned_fit = aligned(fit, alignment_of(fit, self.airframe))
-        values = summary.values_of(
-            aligned_fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
+        return Evidence(
+            summary.values_of(
+                aligned_fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
+            ),
+            fit,
+            self.airframe,
+            self.rotor_input,
+            self.anchors[0].kind,
+            checked=self.options.tuning.method == "forward" and self.tracker is not None,
+            interval=0.0 if self.tracker is None else self.tracker.dt,
+            filtered=self.cutoffs[0] is not None,
         )
-        evidence = self.evidence(fit)
-        return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
 
     def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:
         """Priors that hold with a scale; one on the mass is of the vehicle as it took off."""
         return {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
-
-    def evidence(self, fit: Fit) -> Evidence:
-        """Objections to a fit; none to the article's, which are for study."""
-        if self.options.tuning.method != "forward" or self.tracker is None:
-            return Evidence()
-        filtered = self.cutoffs[0] is not None
-        rotors = len(self.airframe.rotors)
-        return evidence_of(fit, self.rotor_input, self.tracker.dt, filtered=filtered, rotors=rotors)
 
     def learn(self, block: SampleBlock) -> None:
         """Learn from the next block of samples."""

@@ -1,6 +1,6 @@
 """What a chain has found so far, as a result."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.parameters.evidence import AXES
 from gcs_sysid.estimation.parameters.given_errors import (
     CAUSES,
     Alignment,
@@ -17,23 +16,20 @@ from gcs_sysid.estimation.parameters.given_errors import (
     alignment_of,
     given_effects,
     given_stds,
-    with_given,
 )
 from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
-from gcs_sysid.estimation.parameters.physical_parameters import (
-    rotor_values,
-    timing_values,
-    verdict,
-    with_clock_error,
-)
+from gcs_sysid.estimation.parameters.physical_parameters import rotor_values, timing_values
 from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
+from gcs_sysid.judgement.evidence import Evidence, Received
+from gcs_sysid.judgement.judge import judge, judged
+from gcs_sysid.judgement.prediction import AXES
+from gcs_sysid.judgement.status import of_rotors
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results import plausibility, summary
+from gcs_sysid.results import summary
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.reasons import data_reasons, limit_by_given
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
 if TYPE_CHECKING:
@@ -48,57 +44,75 @@ class Findings:
 
     def result(self) -> Result:
         """All of it."""
-        values = self.chain.values(self.chain.fit, self.chain.anchor)
-        objections = self._objections(values)
-        fit, anchor = self.chain.fit, self.chain.anchor
-        # What is implausible is partial at most, but not refused.
-        whole = self._estimates(values, fit, anchor)[1]
-        evidence = self.chain.evidence(fit)
-        word, reasons = verdict(
-            whole, self.chain.rotor_input, fit.rigid_body_test, still=evidence.still
+        chain = self.chain
+        fit, anchor, offline = chain.fit, chain.anchor, chain.offline
+        evidence = self._evidence(fit, anchor)
+        found = judge(evidence)
+        estimates = summary.complete(found.estimates, fit, anchor, self._bounds())
+        parameters, timing = (
+            {name: e for name, e in estimates.items() if REGISTRY[name].section == section}
+            for section in ("parameters", "timing")
         )
-        reasons = (*reasons, *limit_by_given(values, whole))
-        first = data_reasons(self.chain, still=evidence.still)
-        doubts = evidence.reasons
-        if word == "identified" and doubts:
-            word = "partial"
-        reasons = (*doubts, *reasons)
-        if self.chain.fit.rotation is None:
-            word, reasons = "refused", first or reasons
-        else:
-            reasons = (*first, *(objection.reason for objection in objections), *reasons)
-            word = "partial" if objections and word == "identified" else word
-        capped = plausibility.capped(values, objections)
-        if word == "refused":
-            capped = plausibility.weakened(values, frozenset(values))
-        parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
         past = self._past_values()
-        reasons = reasons if word != "identified" else ()
-        if isinstance(self.chain.offline, str):
-            reasons = (f"this is the online estimate: {self.chain.offline}", *reasons)
         return Result(
-            verdict=word,  # type: ignore[arg-type]
-            reasons=reasons,
+            verdict=found.verdict,
+            reasons=found.reasons,
+            objections=found.objections,
             source="",
             vehicle={},
-            scale=summary.scale_of(self.chain.anchor),
-            rotor_input=self.chain.rotor_input,
+            scale=summary.scale_of(anchor),
+            rotor_input=chain.rotor_input,
             parameters=parameters,
-            estimator="online" if isinstance(self.chain.offline, str | None) else "offline",
-            method="" if isinstance(self.chain.offline, str | None) else self.chain.offline.method,
-            timing=self._timing(),
-            events=(*self.chain.log.of_rotors, *self._changes([*past, values])),
-            segments=self._segments(past),
-            validation=summary.validation_of(self.chain.fit),
+            estimator="online" if isinstance(offline, str | None) else "offline",
+            method="" if isinstance(offline, str | None) else offline.method,
+            timing=timing,
+            events=(*chain.log.of_rotors, *self._changes([*past, chain.values(fit, anchor)])),
+            segments=self._segments(),
+            validation=summary.validation_of(fit),
             priors={
                 name: {"value": value, "std": std}
-                for name, (value, std) in self.chain.airframe.priors.items()
+                for name, (value, std) in chain.airframe.priors.items()
             },
             telemetry=self._telemetry(),
-            airframe=self.chain.airframe.as_json(),
+            airframe=chain.airframe.as_json(),
             disturbance=self._disturbance(),
             rotors=self._rotors(),
-            covariance=self._covariance(parameters),
+            covariance=self._covariance(parameters, timing),
+        )
+
+    def _evidence(self, fit: Fit, anchor: ScaleReference) -> Evidence:
+        """What is judged of a flight as a whole."""
+        chain, sampler, selector = self.chain, self.chain.sampler, self.chain.rotor_selector
+        segment = self._segment_evidence(fit, anchor)
+        timing = timing_values(fit.rotation, chain.rotor_input)
+        note = ""
+        if isinstance(chain.offline, str):
+            note = f"this is the online estimate: {chain.offline}"
+        evidence = replace(
+            segment,
+            estimates={**segment.estimates, **timing},
+            received=Received(
+                frozenset(sampler.seen),
+                sampler.recorded,
+                dict(selector.refused),
+                selector.judged,
+                chain.rotors is not None,
+                chain.input_lost,
+                chain.outdated,
+            ),
+            note=note,
+        )
+        return evidence if chain.origin is None else chain.origin.known_to(evidence)
+
+    def _segment_evidence(self, fit: Fit, anchor: ScaleReference) -> Evidence:
+        """What is judged of a stretch of flight."""
+        chain, source = self.chain, self.chain.rotors
+        evidence = chain.evidence(fit, anchor)
+        return replace(
+            evidence,
+            given=given_stds(evidence.estimates, fit, self._given(anchor)),
+            reread=source is not None and source.scale != 1.0,
+            clock=None if chain.origin is None else chain.origin.clock_doubt,
         )
 
     @property
@@ -117,14 +131,7 @@ class Findings:
         if self.chain.rotor_input.motors:
             return ()
         rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
-        each = rotor_values(self._aligned_rotation, self._scale, rotors, cant)
-        return tuple(
-            {
-                name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
-                for name, value in rotor.items()
-            }
-            for rotor in each
-        )
+        return of_rotors(rotor_values(self._aligned_rotation, self._scale, rotors, cant))
 
     @property
     def _aligned_rotation(self) -> RotationFit | None:
@@ -135,19 +142,18 @@ class Findings:
     def _alignment(self) -> Alignment | None:
         return alignment_of(self.chain.fit, self.chain.airframe)
 
-    def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
+    def _covariance(
+        self, parameters: dict[str, Estimate], timing: dict[str, Estimate]
+    ) -> dict[str, Any]:
         rotation = self._aligned_rotation
         if rotation is None:
             return {}
         values = {
             name: (e.value, e.std)
-            for name, e in (parameters | self._timing()).items()
+            for name, e in (parameters | timing).items()
             if e.value is not None and e.std is not None
         }
-        entries = {
-            name: Estimate(e.value, e.std, status=e.status) for name, e in parameters.items()
-        }
-        given = given_effects(entries, self.chain.fit, self._given(self.chain.anchor))
+        given = given_effects(parameters, self.chain.fit, self._given(self.chain.anchor))
         names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}
@@ -162,44 +168,6 @@ class Findings:
         known = self.chain.known_beforehand(anchor)
         return Given(self.chain.airframe, anchor, self.chain.rotor_input, known)
 
-    def _estimates(
-        self,
-        values: dict[str, Estimate],
-        fit: Fit,
-        anchor: ScaleReference,
-        bounds: dict[str, Estimate] | None = None,
-    ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
-        """Estimates with all of their uncertainty; the values of the same, for the verdict."""
-        airframe = self.chain.airframe
-        stds = given_stds(values, fit, self._given(anchor))
-        timed = with_clock_error(values, self.chain.clock_error)
-        estimates = summary.estimates_of(
-            with_given(timed, stds, airframe.arm), fit, anchor, bounds, stds
-        )
-        return estimates, with_given(values, stds, airframe.arm)
-
-    def _objections(self, values: dict[str, Estimate]) -> tuple[plausibility.Objection, ...]:
-        source = self.chain.rotors
-        return plausibility.objections(
-            values,
-            self.chain.airframe,
-            self.chain.rotor_input,
-            reinterpreted=source is not None and source.scale != 1.0,
-        )
-
-    def _timing(self) -> dict[str, Estimate]:
-        timing = timing_values(self.chain.fit.rotation, self.chain.rotor_input)
-        return {
-            name: Estimate(
-                value.value,
-                value.std,
-                REGISTRY[name].unit,
-                value.status,
-                not_negative=REGISTRY[name].sign == "not negative",
-            ).bounded
-            for name, value in with_clock_error(timing, self.chain.clock_error).items()
-        }
-
     def _past_values(self) -> list[dict[str, Estimate]]:
         if self.chain.tracker is None:
             return []
@@ -210,9 +178,9 @@ class Findings:
             )
         ]
 
-    def _bounds(self) -> dict[str, Estimate] | None:
+    def _bounds(self) -> dict[str, Estimate]:
         if isinstance(self.chain.offline, str | None):
-            return None
+            return {}
         bounds = self.chain.values(self.chain.offline.bounding_fit, self.chain.anchor)
         # The likelihood is that of the rotation.
         return {n: v for n, v in bounds.items() if REGISTRY[n].fit in ("rotation", "actuator")}
@@ -231,7 +199,7 @@ class Findings:
                 before = event.segment + 1
         return tuple(out)
 
-    def _segments(self, past: list[dict[str, Estimate]]) -> tuple[dict[str, Any], ...]:
+    def _segments(self) -> tuple[dict[str, Any], ...]:
         if self.chain.tracker is None:
             return ()
         return tuple(
@@ -241,14 +209,14 @@ class Findings:
                 "scale": summary.scale_of(anchor).as_json(),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in self._estimates(
-                        plausibility.capped(values, self._objections(values)), segment.fit, anchor
-                    )[0].items()
+                    for name, estimate in summary.complete(
+                        judged(self._segment_evidence(segment.fit, anchor)), segment.fit, anchor
+                    ).items()
                 },
                 "validation": summary.validation_of(segment.fit),
             }
-            for segment, anchor, values in zip(
-                self.chain.tracker.segments, self.chain.anchors, past, strict=False
+            for segment, anchor in zip(
+                self.chain.tracker.segments, self.chain.anchors, strict=False
             )
         )
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
+from gcs_sysid.judgement.clock_doubt import ClockDoubt, clock_doubt
+from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.clock_check import ClockDoubt, clock_doubt
 from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout
-from gcs_sysid.telemetry.imu_loss import loss_reason
 from gcs_sysid.telemetry.logs import Telemetry
 
 _SENSIBLE = (946_684_800.0, 4_102_444_800.0)
@@ -40,50 +39,53 @@ class Origin:
     @property
     def clock_doubt(self) -> ClockDoubt | None:
         """What the vehicle's clock may be wrong by; None where nothing is to be doubted."""
-        return clock_doubt(self.telemetry.drift, self.telemetry.parameters)
+        return clock_doubt(self.telemetry.drift.bounds, self.telemetry.parameters)
 
     def airframe_problems(self, airframe: Airframe) -> tuple[str, ...]:
         """What the airframe says otherwise than the vehicle; empty where they agree."""
         reported = self._layout
         return () if reported is None else differences(airframe, reported)
 
+    def known_to(self, evidence: Evidence) -> Evidence:
+        """Evidence with what link or log say."""
+        telemetry = self.telemetry
+        no_vehicle = ""
+        if telemetry.vehicle is None:
+            others = ", ".join(map(str, telemetry.systems))
+            heard = f"; found: {others}" if others else ""
+            which = " the requested" if self.wanted else " any"
+            no_vehicle = f"no heartbeat of{which} autopilot received{heard}"
+        return replace(
+            evidence,
+            clock=self.clock_doubt,
+            no_vehicle=no_vehicle,
+            layout=self.airframe_problems(evidence.airframe),
+            problems=telemetry.problems,
+            imu_loss=telemetry.as_dict().get("imu_loss", {}),
+        )
+
     def complete(
         self, result: Result, airframe: Airframe, events: Sequence[dict[str, Any]]
     ) -> Result:
-        """A chain's result with its source, vehicle and telemetry, and what these object to.
+        """A chain's result with its source, vehicle and telemetry.
 
         Args:
             result: by the records alone.
             airframe: that it was made with.
             events: of the telemetry, as in a result.
         """
-        result = self._with_clock(result)
         vehicle = self.telemetry.vehicle
-        reasons = result.reasons
-        if vehicle is None:
-            others = ", ".join(map(str, self.telemetry.systems))
-            heard = f"; found: {others}" if others else ""
-            which = " the requested" if self.wanted else " any"
-            reasons = (f"no heartbeat of{which} autopilot received{heard}",)
-        elif result.verdict != "identified":
-            reasons = (*reasons, *self.telemetry.problems)
         telemetry = {**self.telemetry.as_dict(), **result.telemetry}
+        doubt = self.clock_doubt
+        if doubt is not None and any(o.by == "clock" for o in result.objections):
+            telemetry["clock_doubt"] = doubt.share
         reported = self._layout
         if reported is not None:
-            wrong = differences(airframe, reported)
             telemetry["layout"] = {
                 **reported.as_json(),
-                "differences": [*wrong],
+                "differences": [*differences(airframe, reported)],
                 "notes": [*notes(airframe, reported)],
             }
-            if wrong:
-                # All fits assumed other rotor positions.
-                result, reasons = _without_numbers(result), (*wrong, *reasons)
-        loss, serious = loss_reason(telemetry)
-        if loss and result.verdict != "refused":
-            reasons = (*reasons, loss)
-            if serious and result.verdict == "identified":
-                result = replace(result, verdict="partial")
         recorded = self.telemetry.recorded
         if recorded is not None and _SENSIBLE[0] <= recorded < _SENSIBLE[1]:
             when = datetime.fromtimestamp(recorded, UTC)
@@ -91,7 +93,6 @@ class Origin:
         return replace(
             result,
             source=self.name,
-            reasons=reasons,
             vehicle=vehicle.as_dict() if vehicle else {},
             events=tuple(sorted([*events, *result.events], key=lambda event: event["t"])),
             telemetry=telemetry,
@@ -102,23 +103,3 @@ class Origin:
         """That the vehicle reports by its parameters, as far as received."""
         autopilot = self.autopilot
         return None if autopilot is None else reported_layout(autopilot, self.telemetry.parameters)
-
-    def _with_clock(self, result: Result) -> Result:
-        doubt = self.clock_doubt
-        if doubt is None or result.verdict == "refused":
-            return result
-        return replace(
-            result,
-            verdict="partial",
-            reasons=(doubt.reason, *result.reasons),
-            telemetry={**result.telemetry, "clock_doubt": doubt.share},
-        )
-
-
-def _without_numbers(result: Result) -> Result:
-    """The same, refused: of what is not given nothing is known."""
-    parameters = {
-        name: e if e.status == "given" else Estimate(None, None, e.unit, "unobservable")
-        for name, e in result.parameters.items()
-    }
-    return replace(result, verdict="refused", parameters=parameters)

@@ -5,7 +5,6 @@ not show what the autopilot never sent: PX4 skips 0.4 to 2 % of its samples with
 Stamps show both: steps of several usual intervals have samples missing in them.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +14,6 @@ from gcs_sysid.arrays import Array
 
 PAUSE = 10.0
 """s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
-SERIOUS = 0.1
-"""Share missing from which it is reported: five times what PX4 leaves out."""
-TOO_MUCH = 0.6
-"""Share missing from which the verdict is at most `partial`: no study goes beyond a half."""
 _HELD, _SETTLED = 512, 256
 """Samples that wait for late ones, and how many of them are settled then."""
 _AT_ONCE = 2048
@@ -152,23 +147,3 @@ class ImuLoss:
                 longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
                 at = stop
         return Counts(counts.received, missing, longest), interval
-
-
-def loss_reason(telemetry: Mapping[str, Any]) -> tuple[str, bool]:
-    """What the loss of IMU samples means for a result.
-
-    Args:
-        telemetry: of the result.
-
-    Returns:
-        One line, empty where little is missing, and whether the verdict is at most `partial`.
-    """
-    loss = telemetry.get("imu_loss", {})
-    share = 0.01 * loss.get("missing_percent", 0.0)
-    if share < SERIOUS:
-        return "", False
-    words = (
-        f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
-        f"{loss['longest']:.2f} s at most: the estimate uses the rest"
-    )
-    return words, share >= TOO_MUCH

@@ -88,7 +88,7 @@ def analyze(
         recorder.close()
     on_progress("analyzing the hover", 0.95)
     document = result.as_json()
-    hover = beside_analysis(_health(log, name, airframe), result.verdict, result.reasons)
+    hover = beside_analysis(_health(log, name, airframe), result)
     if hover.available:
         picture = health_picture(document_of(hover))
         (folder / PICTURE).write_text(picture, encoding="utf-8")

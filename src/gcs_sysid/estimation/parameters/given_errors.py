@@ -36,12 +36,11 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.search import N_X, residual_maker
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.scale import resolve_scale
-from gcs_sysid.estimation.parameters.status import RULES
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import ARM, PARAMETERS
+from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
@@ -157,32 +156,6 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
     reach = float(np.linalg.norm(places - places.mean(axis=1, keepdims=True)))
     arm = math.hypot(sigma.arm.of(airframe.arm) / airframe.arm, single / reach)
     return arm, single / math.sqrt(n)
-
-
-def with_given(
-    values: Mapping[str, Estimate], stds: Mapping[str, float], arm: float
-) -> dict[str, Estimate]:
-    """Values with the whole of their uncertainty: the flight's and that of what was given.
-
-    A parameter whose total standard deviation exceeds 5 % of its reference value is no longer
-    identified. It remains weak, however uncertain the givens are: it is observable.
-
-    Args:
-        values: with standard deviations by the flight alone.
-        stds: see `given_stds`.
-        arm: m, mean rotor distance.
-    """
-    sizes = {n: v.value for n, v in values.items() if v.value is not None} | {ARM: arm}
-    out = dict(values)
-    for name, own in stds.items():
-        entry = values[name]
-        if not own or entry.value is None or entry.std is None:
-            continue
-        std = math.hypot(entry.std, own)
-        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(entry.value, sizes)
-        status = "weak" if entry.status == "identified" and wide else entry.status
-        out[name] = replace(entry, std=std, status=status)
-    return out
 
 
 @dataclass(frozen=True)

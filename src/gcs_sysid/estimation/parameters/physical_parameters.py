@@ -1,12 +1,14 @@
-"""From relative estimates and one scale anchor to physical parameters, with status."""
+"""From relative estimates and one scale anchor to physical parameters.
+
+What these numbers may be worth is decided in `judgement`.
+"""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
@@ -16,15 +18,12 @@ from gcs_sysid.estimation.parameters.individual_values import (
     rotor_coefficients,
 )
 from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
-from gcs_sysid.estimation.parameters.status import NOTHING, RULES, doubted, judged
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import (
-    ARM,
     AXIS_DAMPINGS,
-    CORE_OF,
     GRAVITY,
     PARAMETERS,
     REGISTRY,
@@ -35,7 +34,7 @@ from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
 
 Raw = dict[str, tuple[float, float]]
-"""Values and standard deviations by name, not yet judged."""
+"""Values and standard deviations by name."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +77,6 @@ class ModelErrors:
     tilted: float = 1.5
     """Times the push that `gyro_bias` on two axes looks like, which is still air in short
     flights."""
-    not_rigid: float = 0.005
-    """Relative error of the remaining parameters where the rigid-body test contradicts the
-    model."""
 
 
 ERRORS = ModelErrors()
@@ -93,12 +89,11 @@ def physical_parameters(
     arm: float,
     known: Mapping[str, Known] | None = None,
     rotor_input: RotorInput = RotorInput.SPEED,
-    rigid_body_test: RigidBodyTest | None = None,
     lateness: float = 0.0,
     cant: float = 0.0,
     seconds: float = math.inf,
 ) -> dict[str, Estimate]:
-    """Physical parameters of the fits, at the anchor's scale.
+    """Physical parameters of the fits, at the anchor's scale; none of them is judged.
 
     With commands T_max and the thrust curve take the places of k_T and k_M, and a rotor's inertia
     is unobservable.
@@ -110,7 +105,6 @@ def physical_parameters(
         arm: m, mean rotor distance, for the reference value of the CG.
         known: priors on mass and k_T; those on the rotation are in its fit.
         rotor_input: what the fits are relative to.
-        rigid_body_test: whether the vehicle moves like a rigid body.
         lateness: s, known delay of the gyro, and so of the attitude.
         cant: m, what canted rotors add to the moment ratio.
         seconds: flight time of the fits.
@@ -140,29 +134,26 @@ def physical_parameters(
         spread = math.hypot(translation.delta_std, lateness * translation.quickness)
         raw["linear_drag"] = scale.mass * translation.delta, scale.mass * spread
 
-    sizes = {name: value for name, (value, _) in raw.items()} | {ARM: arm}
-    out = {
-        name: judged(*raw[name], p.reference.size(raw[name][0], sizes), p.sign)
-        if name in raw
-        else NOTHING
+    if anchor.std == 0.0:
+        raw[anchor.kind] = anchor.value, 0.0
+    if rotation is not None:
+        raw |= {
+            name: _coordinate(rotation, name, doubt)
+            for name, p in PARAMETERS.items()
+            if p.fit == "actuator" and p.in_result(rotor_input)
+        }
+    return {
+        name: _unjudged(name, raw.get(name))
         for name, p in PARAMETERS.items()
         if p.in_result(rotor_input) or (p.optional and name in raw)
     }
-    if anchor.kind in out and anchor.std == 0.0:
-        out[anchor.kind] = Estimate(anchor.value, 0.0, status="given")
-    if rotation is None:
-        return out
-    for name, p in PARAMETERS.items():
-        if p.fit == "actuator" and name in out:
-            out[name] = _coordinate(rotation, name, doubt)
-    r_squared = tuple(rotation.r_squared.tolist())
-    whitened = bool(rotation.whiteners)
-    out = {
-        name: doubted(value, REGISTRY[name], r_squared, whitened=whitened)
-        for name, value in out.items()
-    }
-    contradicted = rigid_body_test is not None and rigid_body_test.contradicted
-    return _not_rigid(out) if contradicted else out
+
+
+def _unjudged(name: str, found: tuple[float, float] | None) -> Estimate:
+    """The estimate of a parameter or timing value; None: nothing was found."""
+    p = REGISTRY[name]
+    value, std = found or (None, None)
+    return Estimate(value, std, p.unit, not_negative=p.sign == "not negative")
 
 
 def _scale_values(
@@ -302,7 +293,7 @@ def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float)
 def rotor_values(
     rotation: RotationFit | None, scale: Scale, rotors: int, cant: float = 0.0
 ) -> list[dict[str, Estimate]]:
-    """k_T and k_M of each rotor, in motor order; empty where nothing sets the scale.
+    """k_T and k_M of each rotor, not judged, in motor order; empty where nothing sets the scale.
 
     Args:
         rotation: of measured rotor speeds.
@@ -320,39 +311,9 @@ def rotor_values(
         for name, value, std in (("k_T", k_T[i], k_T_std[i]), ("k_M", ratio[i], ratio_std[i])):
             own = float(value) * scale.thrust
             spread = scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share)
-            each[name] = judged(own, spread, abs(own))
+            each[name] = Estimate(own, spread, REGISTRY[name].unit)
         out.append(each)
     return out
-
-
-def _not_rigid(values: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """Values where the vehicle does not move like a rigid body: the rest is doubted, too."""
-    out = dict(values)
-    for name, entry in values.items():
-        p = REGISTRY[name]
-        if p.rigid_body:
-            out[name] = replace(entry, status="unobservable")
-        elif p.theta and p.scale == "thrust" and entry.value is not None and entry.std is not None:
-            out[name] = replace(entry, std=math.hypot(entry.std, ERRORS.not_rigid * entry.value))
-    return out
-
-
-def with_clock_error(values: Mapping[str, Estimate], share: float) -> dict[str, Estimate]:
-    """Values with the error of the vehicle's clock included.
-
-    Args:
-        values: parameters or timing, by name.
-        share: relative error of its rate.
-    """
-
-    def widened(name: str, entry: Estimate) -> Estimate:
-        clock = REGISTRY[name].clock
-        size = values.get(clock.of or name, NOTHING).value
-        if size is None or not (clock.power and entry.std) or entry.status == "given":
-            return entry
-        return replace(entry, std=math.hypot(entry.std, share * clock.power * abs(size)))
-
-    return {name: widened(name, entry) if share else entry for name, entry in values.items()}
 
 
 def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
@@ -364,13 +325,11 @@ def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
 
 def timing_values(rotation: RotationFit | None, rotor_input: RotorInput) -> dict[str, Estimate]:
     """How far the rotor stream lags behind the IMU's, and with commands a motor's lag, s."""
-    names = [name for name, p in TIMING.items() if rotor_input in p.inputs]
-    if rotation is None:
-        return dict.fromkeys(names, NOTHING)
-    _, least = RULES.explained(whitened=bool(rotation.whiteners))
-    if rotation.r_squared.min() < least:
-        return dict.fromkeys(names, NOTHING)
-    return {name: _coordinate(rotation, name) for name in names}
+    return {
+        name: _unjudged(name, None if rotation is None else _coordinate(rotation, name))
+        for name, p in TIMING.items()
+        if rotor_input in p.inputs
+    }
 
 
 def _slowness(rotation: RotationFit | None) -> float:
@@ -384,8 +343,8 @@ def _slowness(rotation: RotationFit | None) -> float:
     return max(1.0, float(rotation.coordinates[Coordinate.LAG]) / ERRORS.quick_motor)
 
 
-def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Estimate:
-    """One of the actuator's coordinates; `given` where it was not estimated.
+def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> tuple[float, float]:
+    """One of the actuator's coordinates; its standard deviation is 0 where it was given.
 
     Args:
         rotation: the fit.
@@ -396,52 +355,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Estimat
     value = float(rotation.coordinates[which])
     std = float(rotation.coordinates_std[which])
     if std == 0.0:
-        return Estimate(value, 0.0, status="given")
+        return value, 0.0
     if which == Coordinate.LAG:
         doubt = ERRORS.lag * value
-    p = REGISTRY[name]
-    return judged(value, math.hypot(std, doubt), p.reference.size(value, {}), p.sign)
-
-
-def verdict(
-    parameters: Mapping[str, Estimate],
-    rotor_input: RotorInput = RotorInput.SPEED,
-    rigid_body_test: RigidBodyTest | None = None,
-    *,
-    still: bool = False,
-) -> tuple[str, tuple[str, ...]]:
-    """One word for the whole, and why it is not better.
-
-    Args:
-        parameters: values by name.
-        rotor_input: that they were fitted to.
-        rigid_body_test: of the flight, if there was enough rotation for one.
-        still: whether no axis was flown, which says why nothing of rotation is known.
-    """
-    core = CORE_OF[rotor_input]
-    missing = [n for n in core if parameters[n].status == "unobservable"]
-    weak = [n for n in core if parameters[n].status == "weak"]
-    reasons = []
-    if missing:
-        reasons.append(f"not observable from this flight: {', '.join(missing)}")
-    if weak:
-        reasons.append(f"weak: {', '.join(weak)}")
-    torque = rotor_input.torque
-    if rigid_body_test is not None and rigid_body_test.contradicted:
-        share = ", ".join(f"{value:.2f}" for value in rigid_body_test.share)
-        reasons.append(
-            f"the vehicle does not move like a rigid body (gyroscopic torque on roll, pitch, "
-            f"yaw {share} "
-            "times expected): Izz, products of inertia and rotor torque are not observable"
-        )
-    elif not still and {"Izz", torque} <= set(missing) | set(weak):
-        reasons.append(
-            f"Izz and {torque} share one scale: fly several axes at once, such as roll and "
-            "yaw, to separate them"
-        )
-    ratio = parameters.get("moment_ratio", NOTHING)
-    if ratio.value is not None and ratio.std is not None and ratio.value < -3.0 * ratio.std:
-        reasons.append(f"{torque} is negative: check spin in the airframe file")
-    if not any(parameters[n].status in ("identified", "zero") for n in core):
-        return "refused", tuple(reasons)
-    return ("partial" if reasons else "identified"), tuple(reasons)
+    return value, math.hypot(std, doubt)

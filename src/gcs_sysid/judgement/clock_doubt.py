@@ -1,4 +1,4 @@
-"""Whether the vehicle's clock may be wrong.
+"""Objections by the vehicle's clock, which may be wrong.
 
 Everything depends on it: angular acceleration, and with it inertia, has its relative error. The
 only other clock is the receiving computer's, and where the two drift apart either may be wrong.
@@ -6,10 +6,12 @@ Good clocks hardly drift. A simulator that does not keep real time does so witho
 clock is that of its physics.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.model.estimate import Objection
+from gcs_sysid.model.parameters import REGISTRY
 
 TWO_GOOD_CLOCKS = 500.0
 """ppm. Crystals are off by less than 100; a computer's clock that is being set by the network is
@@ -49,14 +51,16 @@ class ClockDoubt:
         )
 
 
-def clock_doubt(drift: ClockDrift, parameters: Mapping[str, float]) -> ClockDoubt | None:
+def clock_doubt(
+    bounds: tuple[float, float] | None, parameters: Mapping[str, float]
+) -> ClockDoubt | None:
     """What is to be doubted; None where nothing is.
 
     Args:
-        drift: of the vehicle's clock.
+        bounds: ppm between which the vehicle's clock drifts against the receiving computer's;
+            None: not known.
         parameters: of the autopilot, as far as they are known.
     """
-    bounds = drift.bounds
     if bounds is None or (bounds[0] <= TWO_GOOD_CLOCKS and bounds[1] >= -TWO_GOOD_CLOCKS):
         return None
     ppm = 0.5 * sum(bounds)
@@ -77,3 +81,23 @@ def is_simulated(parameters: Mapping[str, float]) -> bool:
     low, high = _SIH_FRAMES
     on_board = parameters.get("SYS_HITL") == _SIH_ON_BOARD
     return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
+
+
+def wrong_clock(evidence: Evidence) -> Iterator[Objection]:
+    """Two clocks that drift apart: all that needs one is uncertain by as much."""
+    doubt = evidence.clock
+    if doubt is None:
+        return
+    widening = {}
+    for name in evidence.estimates:
+        clock = REGISTRY[name].clock
+        sized = evidence.estimates.get(clock.of or name)
+        if clock.power and sized is not None and sized.value is not None:
+            widening[name] = abs(doubt.share) * clock.power * abs(sized.value)
+    yield Objection(
+        doubt.reason,
+        frozenset(widening),
+        verdict="partial",
+        widening=widening,
+        evidence={"share": doubt.share},
+    )

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.parameters.physical_parameters import verdict
-from gcs_sysid.estimation.parameters.status import judged
+from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.intervals import Z95
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.judge import judge, judged
+from gcs_sysid.judgement.plausibility import RANGES, implausible, placeholder_arm, reread_speeds
+from gcs_sysid.judgement.status import by_interval
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
-from gcs_sysid.model.estimate import Estimate, Status
-from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
+from gcs_sysid.model.estimate import NOTHING, Estimate, Objection, Status
+from gcs_sysid.model.parameters import ARM, CORE_OF, PARAMETERS, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.plausibility import RANGES, capped, objections
 from gcs_sysid.results.result_view import figures
 
 QUAD = load_airframe("px4-quad-x").with_arm(0.25)
@@ -31,23 +33,60 @@ SOUND = {
 
 def values(**changes: float) -> dict[str, Estimate]:
     numbers = SOUND | changes
-    out = {
-        name: Estimate(value, 1e-3 * abs(value), status="identified")
-        for name, value in numbers.items()
+    out = {name: Estimate(value, 1e-3 * abs(value) or 1e-9) for name, value in numbers.items()}
+    return out | {"mass": Estimate(numbers["mass"], 0.0)}
+
+
+def evidence(
+    estimates: dict[str, Estimate] | None = None,
+    airframe: Airframe = QUAD,
+    rotor_input: RotorInput = RotorInput.SPEED,
+    *,
+    reread: bool = False,
+) -> Evidence:
+    estimates = values() if estimates is None else estimates
+    return Evidence(estimates, Fit(None, None, 0.0), airframe, rotor_input, reread=reread)
+
+
+_SPREAD = {"identified": 1e-3, "weak": 0.2, "unobservable": 0.8, "given": 0.0}
+
+
+def with_statuses(statuses: dict[str, str]) -> dict[str, Estimate]:
+    """Estimates whose intervals give them these statuses; a zero is one."""
+    return {
+        name: Estimate(0.0, 1e-9)
+        if status == "zero"
+        else Estimate(SOUND[name] or 0.01, _SPREAD[status] * reference(name))
+        for name, status in statuses.items()
     }
-    return out | {"mass": Estimate(numbers["mass"], 0.0, status="given")}
 
 
-def reasons(airframe: Airframe = QUAD, reinterpreted: bool = False, **changes: float) -> str:
-    found = objections(values(**changes), airframe, RotorInput.SPEED, reinterpreted=reinterpreted)
+def reference(name: str) -> float:
+    return REGISTRY[name].reference.size(SOUND[name], SOUND | {ARM: QUAD.arm})
+
+
+def objections(known: Evidence) -> tuple[Objection, ...]:
+    """What is said of numbers that are all claimed."""
+    claimed = {
+        n: replace(e, status="given" if e.std == 0.0 else "identified")
+        if e.value is not None
+        else e
+        for n, e in known.estimates.items()
+    }
+    seen = replace(known, estimates=claimed)
+    return (*placeholder_arm(seen), *reread_speeds(seen), *implausible(seen))
+
+
+def reasons(airframe: Airframe = QUAD, reread: bool = False, **changes: float) -> str:
+    found = objections(evidence(values(**changes), airframe, reread=reread))
     return "\n".join(objection.reason for objection in found)
 
 
 def test_a_sound_vehicle_raises_no_objection():
     assert reasons() == ""
     command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
-    command["T_max"] = Estimate(8.0, 0.01, status="identified")
-    assert objections(command, QUAD, RotorInput.COMMAND) == ()
+    command["T_max"] = Estimate(8.0, 0.01)
+    assert objections(evidence(command, rotor_input=RotorInput.COMMAND)) == ()
 
 
 def test_every_layout_needs_its_arm_and_vehicles_do_not():
@@ -61,13 +100,13 @@ def test_the_arm_of_a_layout_is_a_placeholder():
     guessed = load_airframe("px4-quad-x")
     assert "0.25 m arm is a placeholder" in reasons(guessed)
     assert "--arm" in reasons(guessed)
-    found = capped(values(), objections(values(), guessed, RotorInput.SPEED))
+    found = judged(evidence(airframe=guessed))
     assert found["Ixx"].status == "weak"
     assert found["cg_x"].status == "weak"
     assert found["k_T"].status == "identified"  # from mass and gravity
     assert found["mass"].status == "given"
-    nothing = dict.fromkeys(SOUND, Estimate(None, None, status="unobservable"))
-    assert objections(nothing, guessed, RotorInput.SPEED) == ()
+    nothing = dict.fromkeys(SOUND, Estimate(None, None))
+    assert objections(evidence(nothing, guessed)) == ()
 
 
 @pytest.mark.parametrize(
@@ -110,31 +149,25 @@ def test_what_the_documentation_says_of_a_wrong_mass():
 
 
 def test_a_wrong_unit_caps_all_but_the_given():
-    wrong = values(mass=1500.0)
-    statuses = {
-        n: v.status for n, v in capped(wrong, objections(wrong, QUAD, RotorInput.SPEED)).items()
-    }
-    assert set(statuses.values()) == {"given", "weak"}
+    wrong = judged(evidence(values(mass=1500.0)))
+    assert {e.status for e in wrong.values()} == {"given", "weak"}
     with pytest.raises(InputError, match=r"got 250; 250 mm are 0\.25"):
         QUAD.with_arm(250.0)
 
 
 def test_full_thrust_against_weight():
     for T_max, said in ((8.0, ""), (3.0, "0.82 times the weight"), (200.0, "54 times the weight")):
-        found = {
-            "mass": Estimate(1.5, 0.0, status="given"),
-            "T_max": Estimate(T_max, 0.01, status="identified"),
-        }
-        text = "\n".join(o.reason for o in objections(found, QUAD, RotorInput.COMMAND))
+        found = {"mass": Estimate(1.5, 0.0), "T_max": Estimate(T_max, 0.01)}
+        known = evidence(found, rotor_input=RotorInput.COMMAND)
+        text = "\n".join(o.reason for o in objections(known))
         assert said in text
         assert bool(text) is bool(said)
 
 
 def test_reinterpreted_units_concern_what_goes_with_the_mass():
     """Either the unit was wrong, or the mass by which it was judged."""
-    found = objections(values(), QUAD, RotorInput.SPEED, reinterpreted=True)
-    assert "read as rad/s" in found[0].reason
-    statuses = capped(values(), found)
+    assert "read as rad/s" in reasons(reread=True)
+    statuses = judged(evidence(reread=True))
     assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
     assert statuses["Ixx"].status == "weak"
     assert statuses["cg_x"].status == "identified"
@@ -151,11 +184,16 @@ def test_vehicles_of_the_documentation_are_well_within_the_range():
     assert max(float(mass) for _, mass, _ in rows) > 20.0
 
 
+def by_size(value: float, std: float, name: str) -> Estimate:
+    """As judged against a reference value of 1."""
+    return by_interval(Estimate(value, std), 1.0, REGISTRY[name])
+
+
 def test_consistent_with_zero_has_a_status_and_a_limit():
-    assert judged(1e-3, 2e-3, 1.0, "any").status == "zero"
-    assert judged(5e-3, 2e-3, 1.0, "any").status == "identified"
-    assert judged(1e-3, 2e-3, 1.0, "positive").status == "identified"
-    assert judged(0.1, 0.2, 1.0, "any").status == "weak"
+    assert by_size(1e-3, 2e-3, "Ixy").status == "zero"
+    assert by_size(5e-3, 2e-3, "Ixy").status == "identified"
+    assert by_size(1e-3, 2e-3, "Ixx").status == "identified"
+    assert by_size(0.1, 0.2, "Ixy").status == "weak"
     estimate = Estimate(1e-3, 2e-3, "m", "zero")
     assert figures(estimate).half_text == "(< 0.0049)"
     assert figures(estimate).short == "~0 (< 0.0049)"
@@ -164,8 +202,8 @@ def test_consistent_with_zero_has_a_status_and_a_limit():
 
 
 def test_what_cannot_be_negative_is_not():
-    assert judged(-5e-3, 2e-3, 1.0, "not negative").status == "zero"
-    assert judged(-7e-3, 2e-3, 1.0, "not negative") == Estimate(None, None, status="unobservable")
+    assert by_size(-5e-3, 2e-3, "linear_drag").status == "zero"
+    assert by_size(-7e-3, 2e-3, "linear_drag") == NOTHING
     bounded = Estimate(-5e-3, 2e-3, "N m s", "zero", not_negative=True).bounded
     assert bounded.value == 0.0
     assert bounded.ci95 == pytest.approx((0.0, Z95 * 2e-3))
@@ -191,15 +229,13 @@ def test_bounded_intervals_hold_wherever_the_truth_is(true):
 
 def test_the_verdicts_rule_in_the_documentation_is_the_one_in_force():
     """One core parameter is enough for `partial`; with none the result is refused."""
-    core = dict.fromkeys(CORE_OF["speed"], "weak") | {"mass": "given"}
+    core = dict.fromkeys(CORE_OF[RotorInput.SPEED], "weak") | {"mass": "given"}
     for known, word in (
         ({}, "refused"),
         ({"k_T": "identified"}, "partial"),
         ({"Ixy": "zero"}, "partial"),
     ):
-        statuses = {**core, **known}
-        found = verdict({n: Estimate(1.0, 0.1, status=s) for n, s in statuses.items()})
-        assert found[0] == word
+        assert judge(evidence(with_statuses(core | known))).verdict == word
 
 
 def test_every_status_is_explained_beside_the_intervals():
@@ -212,25 +248,23 @@ def test_swapped_coaxial_rotors_are_not_identified():
     """The upper taken for the lower rotor on one arm of four: k_M comes out twice as large."""
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
-    sound = values(moment_ratio=0.018)
-    assert objections(sound, x8, RotorInput.SPEED) == ()
-    twice = values(moment_ratio=0.036, k_M=4.5e-7)
-    (found,) = objections(twice, x8, RotorInput.SPEED)
+    assert objections(evidence(values(moment_ratio=0.018), x8)) == ()
+    twice = evidence(values(moment_ratio=0.036, k_M=4.5e-7), x8)
+    (found,) = objections(twice)
     assert "check upper and lower rotors, motor order" in found.reason
-    after = capped(twice, (found,))
-    weak = {name for name in after if after[name].status == "weak"}
+    weak = {name for name, e in judged(twice).items() if e.status == "weak"}
     assert weak == {"k_M", "moment_ratio", "rotor_inertia"}
 
 
 def test_with_commands_neighboring_rotors_bound_the_propellers():
     command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
-    command["T_max"] = Estimate(8.0, 0.01, status="identified")
+    command["T_max"] = Estimate(8.0, 0.01)
     # Neighbors are 0.35 m apart: at most 0.046 m.
     for ratio, objected in ((0.04, 0), (0.05, 1)):
-        command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
-        assert len(objections(command, QUAD, RotorInput.COMMAND)) == objected
+        command["moment_ratio"] = Estimate(ratio, 1e-4)
+        assert len(objections(evidence(command, QUAD, RotorInput.COMMAND))) == objected
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
     for ratio, objected in ((0.03, 0), (0.035, 1)):
-        command["moment_ratio"] = Estimate(ratio, 1e-4, status="identified")
-        assert len(objections(command, x8, RotorInput.COMMAND)) == objected
+        command["moment_ratio"] = Estimate(ratio, 1e-4)
+        assert len(objections(evidence(command, x8, RotorInput.COMMAND))) == objected

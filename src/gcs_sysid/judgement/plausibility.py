@@ -1,4 +1,4 @@
-"""Whether estimates fit a vehicle that exists: gates that cap statuses and the verdict.
+"""Objections to estimates of a vehicle that cannot exist.
 
 A fit cannot notice a wrong unit or a guessed arm: every inertia follows in proportion, with narrow
 intervals. The numbers of multirotors from 0.02 to 25 kg do not leave the ranges below (vehicles and
@@ -6,14 +6,15 @@ derivation: docs/result.md, "Plausibility"); values outside come from what was e
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import KNOWN, Estimate
+from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
@@ -56,81 +57,51 @@ _BY_SCALE = frozenset(name for name, p in PARAMETERS.items() if p.scale != "none
 """In proportion to mass or thrust."""
 
 
-@dataclass(frozen=True)
-class Objection:
-    """Why estimates cannot be taken at their intervals.
-
-    Attributes:
-        reason: what does not fit, and what to do.
-        names: the parameters that it concerns.
-    """
-
-    reason: str
-    names: frozenset[str]
-
-
-def objections(
-    values: Mapping[str, Estimate],
-    airframe: Airframe,
-    rotor_input: RotorInput,
-    *,
-    reinterpreted: bool = False,
-) -> tuple[Objection, ...]:
-    """What contradicts estimates, however well the model fits.
-
-    Args:
-        values: parameters by name.
-        airframe: that they rest on.
-        rotor_input: of the rotors.
-        reinterpreted: whether rotor speeds declared as rpm were read as rad/s.
-    """
-    everything = frozenset(values)
-    out = []
-    if not airframe.arm_known and any(values[n].status in KNOWN for n in _BY_ARM & everything):
-        out.append(
-            Objection(
-                f"the {airframe.arm:g} m arm is a placeholder of the built-in layout "
-                f"{airframe.name}, and inertia is proportional to it: give --arm M",
-                _BY_ARM,
-            )
+def placeholder_arm(evidence: Evidence) -> Iterator[Objection]:
+    """An arm that was not given."""
+    airframe, known = evidence.airframe, _known(evidence)
+    if not airframe.arm_known and _BY_ARM & known.keys():
+        yield Objection(
+            f"the {airframe.arm:g} m arm is a placeholder of the built-in layout "
+            f"{airframe.name}, and inertia is proportional to it: give --arm M",
+            _BY_ARM,
+            cap="weak",
+            verdict="partial",
         )
-    if reinterpreted:
-        out.append(
-            Objection(
-                "rotor speeds were read as rad/s, because as rpm they could not carry this mass: "
-                "check --mass (kg) and --arm (m), or the unit that the ESCs send",
-                _BY_SCALE,
-            )
+
+
+def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
+    """Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
+    if evidence.reread:
+        yield Objection(
+            "rotor speeds were read as rad/s, because as rpm they could not carry this mass: "
+            "check --mass (kg) and --arm (m), or the unit that the ESCs send",
+            _BY_SCALE,
+            cap="weak",
+            verdict="partial",
         )
-    found = {
-        name: value.value
-        for name, value in values.items()
-        if value.status in KNOWN and value.value is not None
-    }
-    sizes = [Objection(reason, everything) for reason in _sizes(found, airframe, rotor_input)]
-    # Where mass and arm do not fit each other, inertia cannot fit both.
-    inertia = () if sizes else _inertia(found, airframe.arm)
-    spins = () if sizes else _spins(found, airframe, rotor_input)
-    return (
-        *out,
-        *sizes,
-        *(Objection(reason, frozenset(INERTIA)) for reason in inertia),
-        *(Objection(reason, _BY_SPIN & everything) for reason in spins),
-    )
 
 
-def capped(values: Mapping[str, Estimate], found: Iterable[Objection]) -> dict[str, Estimate]:
-    """The values, none that an objection concerns better than `weak`; given ones stay given."""
-    return weakened(values, frozenset[str]().union(*(objection.names for objection in found)))
+def implausible(evidence: Evidence) -> Iterator[Objection]:
+    """Numbers that no multirotor has, however well the model fits."""
+    found, airframe, everything = _known(evidence), evidence.airframe, frozenset(evidence.estimates)
+    sizes = tuple(_sizes(found, airframe, evidence.rotor_input))
+    for reason in sizes:
+        yield Objection(reason, everything, cap="weak", verdict="partial")
+    if sizes:
+        return  # where mass and arm do not fit each other, inertia cannot fit both
+    for reason in _inertia(found, airframe.arm):
+        yield Objection(reason, frozenset(INERTIA), cap="weak", verdict="partial")
+    for reason in _spins(found, airframe, evidence.rotor_input):
+        yield Objection(reason, _BY_SPIN, cap="weak", verdict="partial")
 
 
-def weakened(values: Mapping[str, Estimate], names: frozenset[str]) -> dict[str, Estimate]:
-    """The values, none of those named better than `weak`; given ones stay given."""
+def _known(evidence: Evidence) -> dict[str, float]:
+    """Values of parameters that are claimed."""
     return {
-        name: replace(value, status="weak")
-        if name in names and value.status in ("identified", "zero")
-        else value
-        for name, value in values.items()
+        name: e.value
+        for name, e in evidence.estimates.items()
+        if e.status in KNOWN and e.value is not None
     }
 
 

@@ -5,10 +5,10 @@ import struct
 import pytest
 
 from benchmarks.linked import linked
+from gcs_sysid.judgement.clock_doubt import clock_doubt, is_simulated
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.clock_check import clock_doubt, is_simulated
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -111,7 +111,7 @@ def drift_of(ppm, seconds=40):
     ],
 )
 def test_what_no_clock_does_is_no_clock(ppm, doubted):
-    doubt = clock_doubt(drift_of(ppm), {})
+    doubt = clock_doubt(drift_of(ppm).bounds, {})
     assert (doubt is not None) is doubted
     if doubt is not None:
         assert doubt.share == pytest.approx(1e-6 * ppm)
@@ -132,7 +132,7 @@ def test_what_no_clock_does_is_no_clock(ppm, doubted):
 )
 def test_a_simulator_may_keep_its_own_time(parameters, simulated):
     assert is_simulated(parameters) is simulated
-    assert (clock_doubt(drift_of(8000.0), parameters) is None) is simulated
+    assert (clock_doubt(drift_of(8000.0).bounds, parameters) is None) is simulated
 
 
 @pytest.mark.slow
@@ -142,4 +142,4 @@ def test_recorded_simulators_are_not_doubted(name, shared_logs):
     for _ in log.blocks():
         pass
     assert log.drift.bounds is not None
-    assert clock_doubt(log.drift, log.parameters) is None
+    assert clock_doubt(log.drift.bounds, log.parameters) is None

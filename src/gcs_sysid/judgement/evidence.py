@@ -1,0 +1,83 @@
+"""What objections may rest on: the estimates of a flight and all that is known around them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.model.scale_reference import ScaleKind
+from gcs_sysid.signals.records import Stream
+
+if TYPE_CHECKING:
+    from gcs_sysid.estimation.online.fit import Fit
+    from gcs_sysid.judgement.clock_doubt import ClockDoubt
+
+
+@dataclass(frozen=True)
+class Received:
+    """What came of the data that an identification needs.
+
+    Attributes:
+        seen: streams of which anything came.
+        recorded: s that the record lasts, where only a part of it was asked for.
+        refused: rotor stream -> why it is not used.
+        searched: whether the choice among rotor streams is made.
+        has_rotors: whether there is a rotor stream in use.
+        input_lost: why it was given up; empty where it was not.
+        outdated: whether the autopilot's parameters came too late to be heeded.
+    """
+
+    seen: frozenset[Stream] = frozenset()
+    recorded: float | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
+    searched: bool = False
+    has_rotors: bool = True
+    input_lost: str = ""
+    outdated: bool = False
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that producers of objections see; they read nothing else.
+
+    Attributes:
+        estimates: parameters by name. A producer sees them as its stage of `judge` finds them:
+            without statuses, by the flight alone, or with what was given.
+        fit: that they come from.
+        airframe: that they rest on.
+        rotor_input: of the rotors.
+        anchor: kind of the given value that sets the scale.
+        checked: whether fits are checked by their validation; the article's, which are for
+            study, are not.
+        interval: s between samples.
+        filtered: whether the gyro comes through a low-pass, which colors its noise.
+        given: name -> standard deviation that comes from what was given, SI.
+        reread: whether rotor speeds declared as rpm were read as rad/s.
+        clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
+        received: what came; None where only a fit is judged, not a flight.
+        no_vehicle: why there is no vehicle; empty where there is one.
+        layout: what the vehicle says against the airframe.
+        problems: of link or log.
+        imu_loss: IMU samples that are missing, as in a result's telemetry.
+        note: on the estimator, for those who asked for another.
+    """
+
+    estimates: Mapping[str, Estimate]
+    fit: "Fit"
+    airframe: Airframe
+    rotor_input: RotorInput = RotorInput.SPEED
+    anchor: ScaleKind = "mass"
+    checked: bool = True
+    interval: float = 0.0
+    filtered: bool = False
+    given: Mapping[str, float] = field(default_factory=dict)
+    reread: bool = False
+    clock: "ClockDoubt | None" = None
+    received: Received | None = None
+    no_vehicle: str = ""
+    layout: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    imu_loss: Mapping[str, Any] = field(default_factory=dict)
+    note: str = ""

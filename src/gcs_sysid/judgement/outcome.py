@@ -1,0 +1,79 @@
+"""Objections by the outcome: what of a complete identification the flight leaves open."""
+
+from collections.abc import Iterator
+
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.prediction import is_hover
+from gcs_sysid.judgement.status import RULES, reference_values
+from gcs_sysid.model.estimate import Objection
+from gcs_sysid.model.parameters import CORE_OF
+
+
+def what_was_given(evidence: Evidence) -> Iterator[Objection]:
+    """Errors of arm, scale and IMU as given: the same in every flight."""
+    if evidence.given:
+        yield Objection(
+            "what was given is uncertain", widening=evidence.given, given=True, stated=False
+        )
+
+
+def limited_by_given(evidence: Evidence) -> Iterator[Objection]:
+    """Parameters that the flight determines well enough, but the given values do not.
+
+    They are weak, however uncertain the givens are: they were observed.
+    """
+    references = reference_values(evidence.estimates, evidence.airframe.arm)
+    limited = [
+        name
+        for name, e in evidence.estimates.items()
+        if e.status == "identified" and e.std is not None and e.std_given
+        if e.std >= RULES.identified_below * references[name]
+    ]
+    if limited:
+        yield Objection(
+            f"given values limit {', '.join(limited)}, not the flight: measure rotors, mass and "
+            "IMU better and state it in [uncertainty]",
+            frozenset(limited),
+            cap="weak",
+        )
+
+
+def not_observed(evidence: Evidence) -> Iterator[Objection]:
+    """Core parameters that are missing or weak."""
+    core = CORE_OF[evidence.rotor_input]
+    for status, words in (
+        ("unobservable", "not observable from this flight"),
+        ("weak", "weak"),
+    ):
+        names = [name for name in core if evidence.estimates[name].status == status]
+        if names:
+            yield Objection(f"{words}: {', '.join(names)}", frozenset(names), verdict="partial")
+
+
+def one_scale(evidence: Evidence) -> Iterator[Objection]:
+    """Yaw inertia and rotor torque that nothing separates."""
+    test = evidence.fit.rigid_body_test
+    if is_hover(evidence) or (test is not None and test.contradicted):
+        return
+    torque = evidence.rotor_input.torque
+    if all(evidence.estimates[n].status in ("weak", "unobservable") for n in ("Izz", torque)):
+        yield Objection(
+            f"Izz and {torque} share one scale: fly several axes at once, such as roll and yaw, "
+            "to separate them",
+            frozenset({"Izz", torque}),
+            verdict="partial",
+        )
+
+
+def negative_torque(evidence: Evidence) -> Iterator[Objection]:
+    """A drag torque that surely drives: the spins are the other way round."""
+    ratio = evidence.estimates.get("moment_ratio")
+    if ratio is None or ratio.value is None or ratio.std is None:
+        return
+    if ratio.value < RULES.impossible_below * ratio.std:
+        torque = evidence.rotor_input.torque
+        yield Objection(
+            f"{torque} is negative: check spin in the airframe file",
+            frozenset({torque, "moment_ratio"}),
+            verdict="partial",
+        )

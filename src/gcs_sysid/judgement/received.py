@@ -1,0 +1,150 @@
+"""Objections by the data themselves: what is missing, and what link or log say of it."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.judgement.evidence import Evidence, Received
+from gcs_sysid.judgement.prediction import is_hover
+from gcs_sysid.judgement.status import RULES
+from gcs_sysid.model.estimate import Objection, Verdict
+from gcs_sysid.model.scale_reference import ScaleKind
+from gcs_sysid.signals.records import Stream
+
+NAMED_LOSS = 0.1
+"""Share of IMU samples missing from which it is reported: five times what PX4 leaves out."""
+TOO_MUCH_LOSS = 0.6
+"""The same, from which the verdict is at most `partial`: no study goes beyond a half."""
+ROTORS = "rotors"
+"""Producer of objections that the airframe's rotors contradict the motion."""
+_ENOUGH_TO_ANSWER = 10.0
+"""s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
+_TOO_LITTLE = "too little flight with all needed data"
+
+
+def vehicle(evidence: Evidence) -> Iterator[Objection]:
+    """No vehicle at all."""
+    if evidence.no_vehicle:
+        yield Objection(evidence.no_vehicle, verdict="refused")
+
+
+def layout(evidence: Evidence) -> Iterator[Objection]:
+    """Rotors elsewhere than the vehicle has them: all fits assumed other rotor positions."""
+    for reason in evidence.layout:
+        yield Objection(
+            reason,
+            frozenset(evidence.estimates),
+            cap="unobservable",
+            verdict="refused",
+            void=True,
+        )
+
+
+def estimator(evidence: Evidence) -> Iterator[Objection]:
+    """Another estimator was asked for."""
+    if evidence.note and not evidence.no_vehicle:
+        yield Objection(evidence.note, verdict="identified")
+
+
+def missing_data(evidence: Evidence) -> Iterator[Objection]:
+    """What of the data an identification lacks, the first cause alone: the rest follows from it."""
+    received, fit = evidence.received, evidence.fit
+    if received is None or evidence.no_vehicle:
+        return
+    verdict: Verdict | None = "refused" if fit.rotation is None else None
+    for by, reasons in (
+        ("data", _missing(received, evidence.anchor)),
+        (ROTORS, _contradicted(fit)),
+        ("data", (received.input_lost or _TOO_LITTLE,) if fit.rotation is None else ()),
+        ("data", _unexplained(fit, still=is_hover(evidence))),
+    ):
+        if reasons:
+            yield from (Objection(reason, verdict=verdict, by=by) for reason in reasons)
+            return
+
+
+def problems(evidence: Evidence) -> Iterator[Objection]:
+    """What link or log say of themselves."""
+    if not evidence.no_vehicle:
+        yield from map(Objection, evidence.problems)
+
+
+def lost_samples(evidence: Evidence) -> Iterator[Objection]:
+    """IMU samples that are missing by the vehicle's own stamps."""
+    share, longest = missing_share(evidence.imu_loss)
+    if share >= NAMED_LOSS:
+        yield Objection(
+            f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
+            f"{longest:.2f} s at most: the estimate uses the rest",
+            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
+            evidence={"share": share},
+        )
+
+
+def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
+    """Share of the IMU's samples that are missing, and the longest gap, s."""
+    return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)
+
+
+def _missing(received: Received, anchor: ScaleKind) -> tuple[str, ...]:
+    """Why there are no samples, by what came."""
+    seen = received.seen
+    if not seen:
+        if received.recorded is None:
+            return ("no usable telemetry",)
+        return (f"nothing between --start and --end: the record lasts {received.recorded:.1f} s",)
+    if Stream.IMU not in seen:
+        return ("no IMU data (HIGHRES_IMU): request it from the autopilot",)
+    if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
+        return (
+            "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
+            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): request them from the autopilot",
+        )
+    if received.searched and not received.has_rotors:
+        return _no_input(received.refused, anchor)
+    if received.outdated:
+        return (
+            "the autopilot's parameters came too late to set filters and ranges: "
+            "analyze the recording",
+        )
+    if Stream.ATTITUDE not in seen:
+        return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
+    return ()
+
+
+def _contradicted(fit: Fit) -> tuple[str, ...]:
+    """Why the motion cannot be that of the airframe's rotors."""
+    if fit.other_layout is not None:
+        return (f"{fit.other_layout}: corrected, it would explain the motion far better",)
+    if fit.rotation is None and fit.seconds > _ENOUGH_TO_ANSWER:
+        return (
+            "the motion does not match these rotors: check motor order and rotor positions in the "
+            "airframe file, and fly roll and pitch",
+        )
+    return ()
+
+
+def _unexplained(fit: Fit, *, still: bool) -> tuple[str, ...]:
+    """Why the motion shows too little of the rotors."""
+    rotation = fit.rotation
+    if rotation is None or still:
+        return ()
+    least, share = RULES.explained(whitened=bool(rotation.whiteners))[0], rotation.r_squared.min()
+    if not share < least:
+        return ()
+    return (
+        f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis: "
+        "fly harder inputs or in less wind, and check the motor order",
+    )
+
+
+def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> tuple[str, ...]:
+    """Why no rotor stream can be used."""
+    if not refused:
+        return ("no rotor speeds and no commands in flight",)
+    reasons = tuple(f"{name} {why}" for name, why in refused.items())
+    if anchor == "k_T":
+        return (*reasons, "without rotor speeds k_T cannot set the scale: give --mass or --t-max")
+    if anchor == "T_max":
+        return (*reasons, "without commands T_max cannot set the scale: give --mass or --k-t")
+    return reasons

@@ -1,0 +1,100 @@
+"""What is said where there is less than an identification."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.online.fit import Fit, FitMoments
+from gcs_sysid.judgement.evidence import Evidence, Received
+from gcs_sysid.judgement.judge import judge
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.signals.records import Stream
+
+ALL = Received(frozenset({Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED}), searched=True)
+# Of the article's vehicle, which is plausible.
+NUMBERS = {
+    "mass": 1.5, "Ixx": 0.0165, "Iyy": 0.0167, "Izz": 0.0294, "Ixy": 0.0014, "Iyz": 0.0025,
+    "Ixz": -0.0017, "cg_x": 0.1, "cg_y": 0.05, "k_T": 2.05e-4, "k_M": 6.14e-6,
+}  # fmt: skip
+SURE = {name: Estimate(value, 1e-4 * abs(value)) for name, value in NUMBERS.items()}
+NOTHING = Evidence(SURE, Fit(None, None, 0.0), load_airframe("paper"), received=ALL)
+
+
+def explaining(share, *, still=False):
+    """Evidence of a flight of which the rotors explain this share of pitch."""
+    n = rb.N_THETA
+    rotation = RotationFit(np.ones(n), 1e-12 * np.eye(n), np.eye(3), np.ones(3), 5000, True)
+    rotation = replace(rotation, r_squared=np.array([0.9, share, 0.9]))
+    window = 1e6 * (not still) * np.eye(rb.N_SIGNALS + 3)
+    moments = FitMoments(window[None], window, 1000)
+    return replace(NOTHING, fit=Fit(rotation, None, 30.0, running=True, moments=moments))
+
+
+def by(evidence, producer):
+    return [o.reason for o in judge(evidence).objections if o.by == producer]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_rotors_are_blamed_only_where_something_was_flown(share):
+    (reason,) = by(explaining(share), "data")
+    assert reason.startswith(f"the rotors explain only {100.0 * share:.0f} % of the motion")
+    assert by(explaining(share, still=True), "data") == []
+    assert by(explaining(0.9), "data") == []
+
+
+@pytest.mark.parametrize(
+    ("received", "said"),
+    [
+        ({"seen": frozenset()}, "no usable telemetry"),
+        ({"seen": frozenset(), "recorded": 12.0}, "the record lasts 12.0 s"),
+        ({"seen": frozenset({Stream.ATTITUDE})}, "no IMU data"),
+        ({"seen": frozenset({Stream.IMU})}, "no rotor speeds"),
+        ({"has_rotors": False}, "no rotor speeds and no commands in flight"),
+        ({"has_rotors": False, "refused": {"RPM": "jumps"}}, "RPM jumps"),
+        ({"outdated": True}, "came too late"),
+        ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "no attitude"),
+        ({"input_lost": "ESC stopped"}, "ESC stopped"),
+        ({}, "too little flight"),
+    ],
+)
+def test_the_first_thing_that_is_missing_is_the_only_reason(received, said):
+    found = judge(replace(NOTHING, received=replace(ALL, **received)))
+    assert found.verdict == "refused"
+    (reason,) = found.reasons
+    assert said in reason
+    assert {e.status for e in found.estimates.values()} == {"weak"}
+
+
+def test_without_a_vehicle_nothing_else_is_said():
+    absent = replace(NOTHING, no_vehicle="no heartbeat", problems=("few messages",))
+    assert judge(absent).reasons == ("no heartbeat",)
+
+
+def test_rotors_elsewhere_than_the_vehicle_has_them_void_all_numbers():
+    given = {**SURE, "mass": Estimate(1.5, 0.0)}
+    found = judge(replace(explaining(0.9), estimates=given, layout=("wrong airframe: six rotors",)))
+    assert found.verdict == "refused"
+    assert found.reasons[0] == "wrong airframe: six rotors"
+    assert found.estimates["mass"].value == 1.5
+    del found.estimates["mass"]
+    assert {(e.value, e.status) for e in found.estimates.values()} == {(None, "unobservable")}
+
+
+@pytest.mark.parametrize(
+    ("percent", "verdict"), [(2.0, "identified"), (40.0, "identified"), (70.0, "partial")]
+)
+def test_loss_is_told_where_it_is_more_than_px4_leaves_out_itself(percent, verdict):
+    loss = {"missing_percent": percent, "longest": 2.2}
+    found = judge(replace(explaining(0.95), imu_loss=loss))
+    assert found.verdict == verdict
+    said = [f"{percent:.0f} % of the IMU's samples are missing"] * (percent > 10.0)
+    assert [reason.partition(" by ")[0] for reason in found.reasons] == said
+
+
+def test_what_link_or_log_say_is_a_reason_where_one_is_needed():
+    assert judge(replace(explaining(0.95), problems=("few messages",))).reasons == ()
+    assert judge(replace(NOTHING, problems=("few messages",))).reasons[-1] == "few messages"
