@@ -2,8 +2,9 @@
 
     python tools/reference.py commands
     python tools/reference.py api
+    python tools/reference.py parameters
 
-prints a page; `make docs` puts both into the site (`tools/docs_hooks.py`). Examples in the
+prints a page; `make docs` puts them into the site (`tools/docs_hooks.py`). Examples in the
 docstrings are run by `pytest tests/docs/test_docstrings.py`.
 """
 
@@ -17,6 +18,8 @@ from typing import Any
 
 import gcs_sysid
 from gcs_sysid.cli.commands import COMMANDS, build_parser
+from gcs_sysid.model.parameters import ARM, REGISTRY, Parameter
+from gcs_sysid.model.rotor_input import RotorInput
 
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Example|Examples):$", re.MULTILINE)
 _ENTRY = re.compile(r"^(\*{0,2}\w[\w.]*): ")
@@ -197,7 +200,49 @@ def _plain(text: str) -> str:
     return "".join(parts)
 
 
-PAGES = {"commands.md": commands_page, "api.md": api_page}
+def parameters_page() -> str:
+    """Every parameter of `model.parameters`, in the order of results."""
+    lines = [
+        "# Parameters",
+        "",
+        "All that can be identified, in the order of results, screens and files. A status is the "
+        "standard deviation over the [reference value](result.md#status); a prior is given in the "
+        "[airframe file](airframe.md#priors).",
+        "",
+        "| name | symbol | unit | meaning | shown by | reference value | prior |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{name}` | {_plain(p.symbol)} | {p.unit.replace('^2', '²')} | {_plain(_meaning(p))} "
+        f"| {p.excited_by} | {_plain(_reference_value(p))} | {'yes' if p.prior else ''} |"
+        for name, p in REGISTRY.items()
+    ]
+    return "\n".join(lines)
+
+
+def _meaning(parameter: Parameter) -> str:
+    if parameter.label:
+        return f"{parameter.meaning}; `{parameter.label}` on the live screen"
+    if parameter.optional:
+        return f"{parameter.meaning}, where the flight shows it"
+    only = [kind.words for kind in RotorInput if kind in parameter.inputs]
+    every = len(only) == len(RotorInput) or parameter.theta == parameter.name
+    return parameter.meaning if every else f"{parameter.meaning} (with {' or '.join(only)})"
+
+
+def _reference_value(parameter: Parameter) -> str:
+    reference = parameter.reference
+    if reference.fixed:
+        return f"{reference.fixed:g} {parameter.unit}".removesuffix(" 1")
+    if not reference.of:
+        return "the value"
+    names = [name if name != ARM else "the arm" for name in reference.of]
+    what = names[0] if len(names) == 1 else f"the geometric mean of {' and '.join(names)}"
+    size = what if reference.share == 1.0 else f"{reference.share:g} of {what}"
+    return f"the value, or {size} in SI if larger" if reference.or_value else size
+
+
+PAGES = {"commands.md": commands_page, "api.md": api_page, "parameters.md": parameters_page}
 """Names on the site."""
 
 

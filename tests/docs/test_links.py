@@ -12,7 +12,7 @@ _GENERATED = {
     ROOT / "docs" / "changelog.md": ROOT / "CHANGELOG.md",
 }
 
-_REFERENCE = {"api.md", "commands.md"}
+_REFERENCE = {"api.md", "commands.md", "parameters.md"}
 """Made by `tools/reference.py`."""
 _EXPECTED = {"coach.md"}
 """Named in the navigation, written or not; `EXPECTED_PAGES` of `tools/docs_hooks.py`."""

@@ -13,7 +13,10 @@ from gcs_sysid.cli.commands import build_parser
 from .pages import ROOT
 
 sys.path.insert(0, str(ROOT / "tools"))
-from reference import api_page, commands_page
+from reference import api_page, commands_page, parameters_page
+
+from gcs_sysid.model.airframe import PRIORS
+from gcs_sysid.model.parameters import REGISTRY
 
 _COMMANDS = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
 _SHOWN = [choice.dest for choice in _COMMANDS._choices_actions]
@@ -49,3 +52,17 @@ def test_signatures_are_those_of_the_source():
     assert "    vehicle: tuple[int, int | None] | None = None,\n" in page
     assert "(self" not in page
     assert ">>> low, high = result.parameters" in page
+
+
+def test_every_parameter_is_listed_with_what_its_status_refers_to():
+    rows = [line.split(" | ") for line in parameters_page().splitlines() if line.startswith("| `")]
+    assert [row[0] for row in rows] == [f"| `{name}`" for name in REGISTRY]
+    assert [
+        name for name, row in zip(REGISTRY, rows, strict=True) if row[-1].startswith("yes")
+    ] == [*PRIORS]
+    references = {name: row[5] for name, row in zip(REGISTRY, rows, strict=True)}
+    assert references["mass"] == "the value"
+    assert references["cg_x"] == "0.2 of the arm"
+    assert references["rotor_inertia"] == "the value, or 0.002 of Izz in SI if larger"
+    assert references["rotor_delay"] == "0.02 s"
+    assert "`rot_damping` on the live screen" in parameters_page()

@@ -11,6 +11,7 @@ Body axes are forward, right, down, world axes north, east, down. These are the 
 `model.rigid_body` identifies; a_d and f_d are unmodeled accelerations.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -20,12 +21,22 @@ from numpy.typing import ArrayLike
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 
 _LONGEST_STEP = 0.01
 """s; longer steps between samples are divided. Body rates of a multirotor change by about a tenth
 of themselves in that time, and the midpoint rule is then off by less than 1e-4 of them."""
+
+
+FURTHER = tuple(
+    name
+    for name in rb.THETA
+    if name != "rotational_damping"
+    and (terms := REGISTRY[name].torque)
+    and {signal for _, signal, _ in terms} <= set(rb.RATE_SIGNALS)
+)
+"""Entries of theta that turn the body at a rate, and have no field of `FlightModel`."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +77,10 @@ class Trajectory:
     position: Array
 
 
+_Body = tuple[list[Array], list[Array], list[Array], list[tuple[int, int, Array]]]
+"""J, its inverse, damping of each axis, and further torques: axis, rate signal, coefficient."""
+
+
 class _Forcing(NamedTuple):
     """What drives the body, component by component; time comes first.
 
@@ -99,6 +114,7 @@ class FlightModel:
         drag: (...) N s/m.
         thrust_curve: (...) c above; with commands.
         motor_lag: (...) s; with commands.
+        further: (...) of other parameters that turn the body at a rate, see `FURTHER`.
 
     Raises:
         InputError: an inertia matrix is none of a rigid body, or a mass is not positive.
@@ -116,6 +132,7 @@ class FlightModel:
     drag: Array
     thrust_curve: Array = field(default_factory=lambda: np.zeros(()))
     motor_lag: Array = field(default_factory=lambda: np.zeros(()))
+    further: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not rb.are_physical(self.inertia).all():
@@ -134,8 +151,12 @@ class FlightModel:
         arrays: dict[str, Any] = {
             each.name: np.expand_dims(value, 1)
             for each in fields(self)
-            if each.name not in ("geometry", "rotor_input")
+            if each.name not in ("geometry", "rotor_input", "further")
             and np.ndim(value := getattr(self, each.name))
+        }
+        arrays["further"] = {
+            name: np.expand_dims(value, 1) if np.ndim(value) else value
+            for name, value in self.further.items()
         }
         return replace(self, **arrays)
 
@@ -262,6 +283,11 @@ class FlightModel:
         inverse = np.linalg.inv(rb.inertia_matrix(self.inertia))
         J_inv = [inverse[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))]
         d = _by_component(self.damping)
+        own = [
+            (axis, rb.RATE_SIGNALS.index(signal), factor * value)
+            for name, value in self.further.items()
+            for axis, signal, factor in REGISTRY[name].torque
+        ]
         mass, drag = np.asarray(self.mass), np.asarray(self.drag)
         out = np.empty((len(t), 13, *shape))
         out[0] = np.stack([np.broadcast_to(part, shape) for part in states])
@@ -272,7 +298,7 @@ class FlightModel:
             for part in range(parts):
                 state = self._step(
                     state, dt / parts, _between(forcing, k, part / parts),
-                    _between(forcing, k, (part + 0.5) / parts), (J, J_inv, d),
+                    _between(forcing, k, (part + 0.5) / parts), (J, J_inv, d, own),
                     (mass, drag), (angular, linear),
                 )  # fmt: skip
             out[k + 1] = state
@@ -285,7 +311,7 @@ class FlightModel:
         h: float,
         begin: tuple[Array, ...],
         middle: tuple[Array, ...],
-        body: tuple[list[Array], list[Array], list[Array]],
+        body: _Body,
         translation: tuple[Array, Array],
         noise: tuple[list[Array] | None, list[Array] | None],
     ) -> Array:
@@ -325,11 +351,11 @@ def _between(forcing: _Forcing, k: int, share: float) -> tuple[Array, ...]:
 def _acceleration(
     w: Array,
     forcing: tuple[Array, ...],
-    body: tuple[list[Array], list[Array], list[Array]],
+    body: _Body,
     extra: list[Array] | None,
 ) -> Array:
     """(3, ...) w' = J^-1 (M - w x (J w + h) - h' - d w) + a_d."""
-    J, J_inv, d = body
+    J, J_inv, d, own = body
     p, q, r = w
     m_x, m_y, m_z, _, momentum, reaction = forcing
     l_x = J[0] * p + J[3] * q + J[5] * r
@@ -338,6 +364,11 @@ def _acceleration(
     n_x = m_x - (q * l_z - r * l_y) - d[0] * p
     n_y = m_y - (r * l_x - p * l_z) - d[1] * q
     n_z = m_z - (p * l_y - q * l_x) - d[2] * r + reaction
+    if own:
+        signals, torque = rb.rate_signals(np.moveaxis(w, 0, -1)), [n_x, n_y, n_z]
+        for axis, signal, coefficient in own:
+            torque[axis] = torque[axis] + coefficient * signals[..., signal]
+        n_x, n_y, n_z = torque
     out = np.empty_like(w)
     out[0] = J_inv[0] * n_x + J_inv[3] * n_y + J_inv[5] * n_z
     out[1] = J_inv[3] * n_x + J_inv[1] * n_y + J_inv[4] * n_z

@@ -90,6 +90,8 @@ class Parameter:
             "translation": of the equations of force; "actuator": a coordinate between a rotor's
             telemetry and its thrust (`estimation.rows.actuator_dynamics`).
         theta: entry of theta that it is read off; its own name makes it one.
+        torque: of an entry of theta, the terms of its torque: axis, signal of `rigid_body.SIGNALS`
+            that it multiplies, and factor. A signal such as "p|q|" of body rates need not be there.
         scale: what its relative value is multiplied by: "thrust" (k_T, T_max), "mass" or "none".
         inputs: kinds of rotor input with which it is observable.
         core: kinds of input with which a complete identification needs it.
@@ -120,6 +122,7 @@ class Parameter:
     group: str = ""
     fit: Literal["scale", "rotation", "translation", "actuator"] = "rotation"
     theta: str = ""
+    torque: tuple[tuple[int, str, float], ...] = ()
     scale: Literal["thrust", "mass", "none"] = "thrust"
     inputs: tuple[RotorInput, ...] = INPUTS
     core: tuple[RotorInput, ...] = ()
@@ -182,7 +185,7 @@ def _offset(name: str, symbol: str, way: str, axis: int) -> Parameter:
     return Parameter(
         name, symbol, "m", f"CG from the geometric center, {way}",
         f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="center of gravity",
-        theta=name,
+        theta=name, torque=((axis, "thrust", (1.0, -1.0)[axis]),),
         scale="none", core=INPUTS, prior=True, axes=(axis,), mean_torque=True,
         reference=ReferenceValue((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
     )  # fmt: skip
@@ -228,21 +231,24 @@ _DECLARED = (
     # Of usual propellers k_M / k_T is 0.07 of the arm.
     Parameter(
         "moment_ratio", "k_M/k_T", "m", "rotor torque over rotor thrust", _GYROSCOPIC,
-        group="rotor torque", theta="moment_ratio", scale="none",
+        group="rotor torque", theta="moment_ratio", torque=((2, "yaw", 1.0),), scale="none",
         core=THROUGH_MOTORS, sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
         usual=(0.07, 0.07),
     ),
     # Damping matters against inertia at 1 rad/s, a rotor against a five-hundredth of the body.
     Parameter(
         "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of rotation",
-        label="rot_damping", theta="rotational_damping", sign="not negative", prior=True,
+        label="rot_damping", theta="rotational_damping",
+        torque=tuple((axis, rate, -1.0) for axis, rate in enumerate("pqr")),
+        sign="not negative", prior=True,
         axes=(0, 1, 2), rigid_body=True, reference=ReferenceValue(("Ixx",), or_value=True),
         clock=ClockError(0.1, "Ixx"), in_flight=True,
     ),
     *(_axis_damping(axis) for axis in range(3)),
     Parameter(
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
-        "changes of rotor speed", theta="rotor_inertia", inputs=MEASURED,
+        "changes of rotor speed", theta="rotor_inertia",
+        torque=((0, "qH", 1.0), (1, "pH", -1.0), (2, "dH", 1.0)), inputs=MEASURED,
         sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
         reference=ReferenceValue(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
         in_flight=True,

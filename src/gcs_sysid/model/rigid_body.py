@@ -17,6 +17,7 @@ linear in theta: the noisy derivative is the output, known signals are the input
 The **direct form** (the article's) moves everything known to the right-hand side.
 """
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -38,7 +39,12 @@ RELATIVE = np.array([REGISTRY[name].scale != "none" for name in THETA])
 """(N_THETA,) which entries are relative to k_T (T_max); the others are lengths."""
 
 _PRODUCTS = ("qr", "rp", "pq", "pp", "qq", "rr")
-RATE_SIGNALS = (*_PRODUCTS, "p", "q", "r")
+_TERMS = [(name, *term) for name in THETA for term in REGISTRY[name].torque]
+_ABSOLUTE = tuple(
+    dict.fromkeys(signal for *_, signal, _ in _TERMS if re.fullmatch(r"[pqr]\|[pqr]\|", signal))
+)
+"""Products such as "p|q|", of those entries of theta that have them."""
+RATE_SIGNALS = (*_PRODUCTS, "p", "q", "r", *_ABSOLUTE)
 """Names of those inputs that are functions of the body rates alone, see `rate_signals`."""
 SIGNALS = (
     "roll", "pitch", "thrust", "yaw",  # -sum y O, sum x O, sum O, sum s O, with O = Omega^2
@@ -90,14 +96,8 @@ def _input_basis() -> tuple[Array, Array]:
     put("Ixy", 2, "pp", -1.0)
     put("Ixy", 2, "qq", 1.0)
     # Thrust acts at the geometric center, the CG is (cg_x, cg_y) from it.
-    put("cg_y", 0, "thrust", 1.0)
-    put("cg_x", 1, "thrust", -1.0)
-    put("moment_ratio", 2, "yaw", 1.0)
-    for row, rate in enumerate("pqr"):
-        put("rotational_damping", row, rate, -1.0)
-    put("rotor_inertia", 0, "qH", 1.0)
-    put("rotor_inertia", 1, "pH", -1.0)
-    put("rotor_inertia", 2, "dH", 1.0)
+    for name, row, signal, factor in _TERMS:
+        put(name, row, signal, factor)
     return constant, slope
 
 
@@ -211,6 +211,7 @@ def mixer(geometry: Array) -> Array:
 
 
 _LEFT, _RIGHT = np.array([1, 2, 0, 0, 1, 2]), np.array([2, 0, 1, 0, 1, 2])
+_SIGNED, _SIZED = ([("pqr").index(signal[i]) for signal in _ABSOLUTE] for i in (0, 2))
 
 
 def rate_products(rates: Array) -> Array:
@@ -221,7 +222,10 @@ def rate_products(rates: Array) -> Array:
 
 def rate_signals(rates: Array) -> Array:
     """(..., len(RATE_SIGNALS)) signals of (..., 3) body rates, in the order of `RATE_SIGNALS`."""
-    return np.concatenate([rate_products(rates), rates], axis=-1)
+    signals = [rate_products(rates), rates]
+    if _ABSOLUTE:
+        signals.append(rates[..., _SIGNED] * np.abs(rates[..., _SIZED]))
+    return np.concatenate(signals, axis=-1)
 
 
 def rate_slopes(rates: Array) -> Array:
@@ -232,6 +236,9 @@ def rate_slopes(rates: Array) -> Array:
         slopes[..., j, k] += rates[..., i]
     n = len(_PRODUCTS)
     slopes[..., n : n + 3] = np.eye(3)
+    for k, (i, j) in enumerate(zip(_SIGNED, _SIZED, strict=True), n + 3):
+        slopes[..., i, k] += np.abs(rates[..., j])
+        slopes[..., j, k] += rates[..., i] * np.sign(rates[..., j])
     return slopes
 
 

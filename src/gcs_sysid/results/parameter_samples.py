@@ -11,7 +11,7 @@ from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.flight_model import FlightModel
+from gcs_sysid.model.flight_model import FURTHER, FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
 from gcs_sysid.results.notebook_view import needed
 from gcs_sysid.results.result import Result
@@ -179,6 +179,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
         + airframe.cant * thrusts,
         damping=np.stack([values.get(name, damping) for name in AXIS_DAMPINGS], axis=-1),
         drag=values.get("linear_drag", zero),
+        further={name: values[name] for name in FURTHER if name in values},
         **{name: values.get(name, zero) for name in _BY_NAME},
     )
 
