@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
+from gcs_sysid.change_test import FALSE_ALARM_RATE
 from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.batch_table import row, write_table
 from gcs_sysid.fleet.jobs import Job, Task
@@ -20,7 +21,6 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.comparison import LEVEL
 from gcs_sysid.results.result import Result, Scale
 
 STD = 0.01
@@ -136,7 +136,7 @@ def test_scatter_is_learnt_beside_a_step():
     rng = np.random.default_rng(2)
     values = rng.normal(size=400)
     values[200:] += 50.0
-    variance = scatter_of([result(Ixx=float(v)) for v in values], LEVEL)["Ixx"]
+    variance = scatter_of([result(Ixx=float(v)) for v in values], FALSE_ALARM_RATE)["Ixx"]
     assert variance == pytest.approx(1.0, rel=0.2)
 
 

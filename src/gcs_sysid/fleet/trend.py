@@ -14,12 +14,11 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from scipy.special import ndtri, stdtrit
-
+from gcs_sysid.change_test import FALSE_ALARM_RATE, normal_limit, student_limit
 from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
-from gcs_sysid.results.comparison import LEVEL, Comparison, Difference, compare
+from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.result import Result, Scale
 
 FEWEST = 4
@@ -113,7 +112,7 @@ def _when(row: Row) -> tuple[bool, datetime, str]:
 
 def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
     results = [result_of(row) for row in rows]
-    level = LEVEL / max(len(rows) - 1, 1)
+    level = FALSE_ALARM_RATE / max(len(rows) - 1, 1)
     scatter = scatter_of(results, level)
     flights: list[Flight] = []
     first = 0
@@ -160,7 +159,7 @@ def _variance(known: Sequence[Estimate], level: float) -> float:
     found = [(_value(a) - _value(b)) ** 2 for a, b in pairwise(known)]
     own = [_std(a) ** 2 + _std(b) ** 2 for a, b in pairwise(known)]
     freedom = max(_FREEDOM * len(found), 1.0)
-    caution = float(stdtrit(freedom, 1.0 - 0.5 * level) / ndtri(1.0 - 0.5 * level)) ** 2
+    caution = (student_limit(freedom, level) / normal_limit(level)) ** 2
     return max(0.5 * (caution * median(found) / _MEDIAN - median(own)), 0.0)
 
 

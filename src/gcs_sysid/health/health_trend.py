@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
-from scipy.special import stdtrit
 
+from gcs_sysid.change_test import FALSE_ALARM_RATE, holm, student_chance, student_limit
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
@@ -21,8 +21,8 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN, power_of_ten, times_power
 
 _SHARE = "share of rotor "
-_SURE = 0.995
-"""Quantile of Student's t beyond which a slope is called a change: one in a hundred by chance."""
+_FEWEST = 3
+"""Flights that show a trend."""
 _SIDE_BY_SIDE = 4
 """Rotors whose shares have room for their intervals."""
 _NAME = 24
@@ -173,7 +173,7 @@ def trend_text(flights: Sequence[Health]) -> list[str]:
     lines += ["", "      share of the thrust"]
     lines += _table(shares, 15 if len(shares) <= _SIDE_BY_SIDE else 9)
     changes = [
-        *(text for one in series for text in _change(one)),
+        *_slopes(series),
         *(
             f"{name}: {condition_text(health.condition)}"
             for health, name in zip(usable[1:], names[1:], strict=True)
@@ -207,13 +207,16 @@ def _cell(value: float, std: float, width: int) -> str:
     return f"{text:>{width}}"
 
 
-def _change(series: Series) -> Iterator[str]:
-    """A trend that is surely one."""
-    if series.known < 3:
-        return
-    series = series.in_power()
-    slope, std = series.slope()
-    free = series.known - 2
-    if abs(slope) > float(stdtrit(free, _SURE)) * std:
-        text = PLAIN.measure(slope, float(stdtrit(free, 0.975)) * std, series.unit)
-        yield f"{series.name} changes by {text} from flight to flight"
+def _slopes(series: Sequence[Series]) -> Iterator[str]:
+    """The trends that are surely some, among all."""
+    steady = [one.in_power() for one in series if one.known >= _FEWEST]
+    slopes = [one.slope() for one in steady]
+    chances = [
+        student_chance(slope / std, one.known - 2)
+        for one, (slope, std) in zip(steady, slopes, strict=True)
+    ]
+    for one, (slope, std), chance in zip(steady, slopes, holm(chances), strict=True):
+        if chance < FALSE_ALARM_RATE:
+            half = student_limit(one.known - 2, 0.05) * std
+            text = PLAIN.measure(slope, half, one.unit)
+            yield f"{one.name} changes by {text} from flight to flight"

@@ -2,8 +2,7 @@
 
 The difference of two estimates has the variance of both together. One interval in twenty misses
 by chance, so many parameters would make a change of nothing: whether any has changed is decided
-for all of them together, by Holm's step-down procedure (1979), which holds however the estimates
-hang together.
+for all of them together (`change_test`).
 """
 
 import math
@@ -11,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from gcs_sysid.change_test import FALSE_ALARM_RATE, chance, holm
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import interval95
 from gcs_sysid.model.airframe import parse_airframe
@@ -22,8 +22,6 @@ from gcs_sysid.results.result import Result, Scale
 SCHEMA = "gcs-sysid/compare/1"
 Change = Literal["changed", "no_change_seen", "cannot_tell"]
 
-LEVEL = 0.05
-"""Probability that a vehicle which is the same is called changed."""
 _KNOWN = {name: parameter for name, parameter in REGISTRY.items() if parameter.of_vehicle}
 _SAME_PLACE = 1e-6
 """m"""
@@ -139,7 +137,7 @@ def compare(before: Result, after: Result) -> Comparison:
     notes = [*_rotor_notes(before, after), *_flight_notes(before, after)]
     names = [n for n in _KNOWN if any(_estimate(r, n) is not None for r in (before, after))]
     found = {name: _difference(name, before, after) for name in names}
-    found = _holm(found)
+    found = _corrected(found)
     notes += _scale_notes(before, after, found)
     changed = any(difference.verdict == "changed" for difference in found.values())
     compared = any(difference.p is not None for difference in found.values())
@@ -172,7 +170,7 @@ def _difference(name: str, before: Result, after: Result) -> Difference:
     why = _doubt(first, second) or ("given in both" if std == 0.0 else "")
     if why:
         return Difference(name, first, second, value, std, None, None, "cannot_tell", why)
-    p = math.erfc(abs(value) / std / math.sqrt(2.0))
+    p = chance(value, std)
     return Difference(name, first, second, value, std, p, None, "no_change_seen")
 
 
@@ -186,15 +184,13 @@ def _doubt(first: Estimate | None, second: Estimate | None) -> str:
     return f"mostly from a prior in {' and '.join(leaning)}" if leaning else ""
 
 
-def _holm(found: Mapping[str, Difference]) -> dict[str, Difference]:
+def _corrected(found: Mapping[str, Difference]) -> dict[str, Difference]:
     """With verdicts for all together."""
-    tested = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
-    out, least = dict(found), 0.0
-    for rank, difference in enumerate(tested):
-        assert difference.p is not None
-        least = max(least, min((len(tested) - rank) * difference.p, 1.0))
-        verdict: Change = "changed" if least < LEVEL else "no_change_seen"
-        out[difference.name] = replace(difference, p_holm=least, verdict=verdict)
+    tested = {name: d.p for name, d in found.items() if d.p is not None}
+    out = dict(found)
+    for name, p in zip(tested, holm([*tested.values()]), strict=True):
+        verdict: Change = "changed" if p < FALSE_ALARM_RATE else "no_change_seen"
+        out[name] = replace(found[name], p_holm=p, verdict=verdict)
     return out
 
 

@@ -6,9 +6,9 @@ further flight are estimated separately and compared with the earlier estimate.
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.change_test import FALSE_ALARM_RATE, joint_chance
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
@@ -17,8 +17,6 @@ from gcs_sysid.signals.samples import Samples
 
 ENOUGH = 10.0
 """s of a flight used to decide whether the vehicle is the same."""
-SURE = 0.01
-"""How often two flights of one vehicle may be taken for those of two."""
 
 _COMPARED = range(rb.DAMPING)
 """Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too weakly
@@ -128,8 +126,7 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
     # A battery moves all that is relative to thrust alike: inertia over mass it leaves alone.
     common = np.concatenate(by_battery)
     covariance = block_diag(*covariances) + np.outer(common, common)
-    square = float(difference @ np.linalg.solve(covariance, difference))
-    return bool(chdtrc(len(difference), square) < SURE)
+    return joint_chance(difference, covariance) < FALSE_ALARM_RATE
 
 
 def _color(fit: Fit) -> float:
