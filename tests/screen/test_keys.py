@@ -207,6 +207,16 @@ async def test_page_keys_scroll_the_events(run_screen):
         assert any("event number 199" in line for line in s.lines()[:-2])
 
 
+async def test_the_events_are_followed_at_every_size(run_screen):
+    async with run_screen(fake.snapshot(), size=(140, 45)) as s:
+        for count in range(1, 60):
+            many = tuple(Event(float(n), f"event number {n}") for n in range(count))
+            s.source.snapshot = replace(fake.snapshot(), events=many)
+            s.app.poll()
+        await s.settle()
+        assert any("event number 58" in line for line in s.lines()[:-2])
+
+
 async def test_a_click_chooses_a_parameter(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.pilot.click(offset=(5, 8))

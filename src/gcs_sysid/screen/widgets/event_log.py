@@ -30,6 +30,7 @@ class EventLog(VerticalScroll, can_focus=False):
         self._text = Lines(id="event-lines")
         self._view: View | None = None
         self._shown: tuple[tuple[Event, ...], int] | None = None
+        self._scrolling = True
 
     def compose(self) -> ComposeResult:
         """One text for all lines."""
@@ -42,12 +43,18 @@ class EventLog(VerticalScroll, can_focus=False):
         width = self.scrollable_content_region.width
         if (found, width) == self._shown:
             return
-        at_end = self._shown is None or self.scroll_offset.y >= self.max_scroll_y
+        follows = self._scrolling or self.scroll_offset.y >= self.max_scroll_y
         self._shown = found, width
         lines = [line for event in found for line in event_lines(event, width)]
         self._text.put(lines or [[("no events yet", fmt.MUTED)]])
-        if at_end:
-            self.scroll_end(animate=False)
+        if follows:
+            # Where the end is, is known once the new lines are laid out.
+            self._scrolling = True
+            self.call_after_refresh(self._to_end)
+
+    def _to_end(self) -> None:
+        self._scrolling = False
+        self.scroll_end(animate=False)
 
     def on_resize(self) -> None:
         """Wrap the texts again."""
