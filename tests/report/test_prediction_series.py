@@ -10,8 +10,9 @@ import pytest
 from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.data import AXES, Provenance, Recorder, gather
+from gcs_sysid.report.data import Provenance, Recorder, gather
 from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions

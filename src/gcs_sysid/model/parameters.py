@@ -17,6 +17,7 @@ GRAVITY = 9.80665
 
 INPUTS = tuple(RotorInput)
 Sign = Literal["positive", "not negative", "any"]
+AXES = ("roll", "pitch", "yaw")
 ARM = "arm"
 """In reference values, the mean distance of the rotors from the geometric center, m."""
 
@@ -149,7 +150,7 @@ def _axis_damping(axis: int) -> Parameter:
     """Where the axes are damped differently; `rotational_damping` is then that of roll and
     pitch.
     """
-    name = ("roll", "pitch", "yaw")[axis]
+    name = AXES[axis]
     return Parameter(
         f"{name}_damping", f"d_{'pqr'[axis]}", "N m s", f"{name} damping torque over {name} rate",
         f"decay of {name}", sign="not negative", axes=(axis,), rigid_body=axis == 2,
@@ -169,7 +170,7 @@ def _moment(axis: int, excited_by: str, usual: float) -> Parameter:
 
 
 def _product(first: int, second: int) -> Parameter:
-    a, b, axes = "xyz"[first], "xyz"[second], ("roll", "pitch", "yaw")
+    a, b, axes = "xyz"[first], "xyz"[second], AXES
     name = f"I{a}{b}"
     # A product matters against the moments it couples.
     moments = ReferenceValue((f"I{a}{a}", f"I{b}{b}"), 0.3)

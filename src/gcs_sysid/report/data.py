@@ -31,7 +31,6 @@ _IN_MEMORY = 64 << 20
 _AT_ONCE = 8192
 """Samples read back at once."""
 NO_COURSE = History(np.empty(0), {}, {})
-AXES = ("roll", "pitch", "yaw")
 
 
 class Recorder:

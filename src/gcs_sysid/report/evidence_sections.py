@@ -8,7 +8,8 @@ import numpy as np
 
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.intervals import Z95
-from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.model.parameters import AXES
+from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.page_figures import (
     ChartData,
     add_prediction,

@@ -5,16 +5,16 @@ Series of numbers are thinned to what a figure can show, and packed for the page
 
 import base64
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.model.parameters import AXES, REGISTRY
+from gcs_sysid.report.data import ReportData
 from gcs_sysid.results.estimate_history import known_history, settled_range
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
@@ -26,6 +26,15 @@ MOST_ROWS, MOST_INSTANTS = 6000, 1200
 """Points of a series of rows, and of the estimates' history."""
 _MOST_SPANS = 400
 SECONDS = {"label": "Time since the first record", "unit": "s"}
+
+
+class ChartLine(NamedTuple):
+    """A line of a chart: its name and class, and its values under the name of their array."""
+
+    name: str
+    kind: str
+    array: str
+    y: Array
 
 
 @dataclass
@@ -44,6 +53,47 @@ class ChartData:
         """Keep an array; its name."""
         self.arrays[name] = packed(values)
         return name
+
+    def add_lines(
+        self,
+        name: str,
+        title: str,
+        group: str,
+        x: str,
+        unit: str,
+        lines: Iterable[ChartLine],
+        *,
+        axis: Mapping[str, Any] = SECONDS,
+        log: bool = False,
+        marks: Sequence[Any] = (),
+    ) -> dict[str, Any]:
+        """Add a chart of lines.
+
+        Args:
+            name: of the chart.
+            title: of it.
+            group: charts that are zoomed together.
+            x: name of the array of all lines' abscissas.
+            unit: of y.
+            lines: to draw.
+            axis: label and unit of x.
+            log: whether y is logarithmic.
+            marks: events.
+        """
+        drawn = [
+            {"x": x, "y": self.array(line.array, line.y), "class": line.kind, "name": line.name}
+            for line in lines
+        ]
+        chart: dict[str, Any] = {
+            "group": group,
+            "title": title,
+            "x": axis,
+            "y": {"unit": unit, "range": None, "log": log},
+            "lines": drawn,
+            "marks": list(marks),
+        }
+        self.figures[name] = chart
+        return chart
 
     def as_json(self) -> dict[str, Any]:
         """As the page's script takes it."""
@@ -103,31 +153,16 @@ def add_history(
     part = slice((len(history.t) - 1) % every, None, every)
     value, half = history.value[name][part], Z95 * history.std[name][part]
     x = figures.array("history.t", history.t[part])
-    figures.figures[f"history-{name}"] = {
-        "group": "history",
-        "title": f"{name} over the flight",
-        "x": SECONDS,
-        "y": {
-            "unit": PAGE.unit(REGISTRY[name].unit),
-            "range": [low, high],
-        },
-        "bands": [
-            {
-                "x": x,
-                "low": figures.array(f"history.{name}.low", value - half),
-                "high": figures.array(f"history.{name}.high", value + half),
-            }
-        ],
-        "lines": [
-            {
-                "x": x,
-                "y": figures.array(f"history.{name}", value),
-                "class": "estimate",
-                "name": name,
-            }
-        ],
-        "levels": [] if truth is None else [{"y": truth, "text": "truth"}],
-    }
+    unit = PAGE.unit(REGISTRY[name].unit)
+    line = ChartLine(name, "estimate", f"history.{name}", value)
+    title = f"{name} over the flight"
+    chart = figures.add_lines(f"history-{name}", title, "history", x, unit, [line])
+    chart["y"]["range"] = [low, high]
+    ends = {"low": value - half, "high": value + half}
+    chart["bands"] = [
+        {"x": x} | {key: figures.array(f"history.{name}.{key}", y) for key, y in ends.items()}
+    ]
+    chart["levels"] = [] if truth is None else [{"y": truth, "text": "truth"}]
     return True
 
 
@@ -145,22 +180,18 @@ def add_prediction(figures: ChartData, data: ReportData) -> bool:
     t, both = t[there], both[there]
     time = figures.array("held.t", t)
     for axis, name in enumerate(AXES):
-        figures.figures[f"prediction-{name}"] = {
-            "group": "prediction",
-            "title": f"{name.capitalize()}: measured and predicted angular acceleration",
-            "x": SECONDS,
-            "y": {"unit": "rad/s²", "range": None},
-            "lines": [
-                {
-                    "x": time,
-                    "y": figures.array(f"held.{kind}.{name}", both[:, axis + offset]),
-                    "class": kind,
-                    "name": kind,
-                }
+        figures.add_lines(
+            f"prediction-{name}",
+            f"{name.capitalize()}: measured and predicted angular acceleration",
+            "prediction",
+            time,
+            "rad/s²",
+            [
+                ChartLine(kind, kind, f"held.{kind}.{name}", both[:, axis + offset])
                 for kind, offset in (("measured", 0), ("predicted", 3))
             ],
-            "marks": events_of(data.result),
-        }
+            marks=events_of(data.result),
+        )
     return True
 
 
@@ -171,24 +202,22 @@ def add_spectrum(figures: ChartData, data: ReportData) -> bool:
         return False
     f = figures.array("spectrum.f", found.frequency)
     for axis, name in enumerate(AXES):
-        figures.figures[f"spectrum-{name}"] = {
-            "group": "spectrum",
-            "title": f"{name.capitalize()}: power density of the residual",
-            "x": {"label": "Frequency", "unit": "Hz", "log": True},
-            "y": {"unit": "(rad/s²)²/Hz", "range": None, "log": True},
-            "lines": [
-                {
-                    "x": f,
-                    "y": figures.array(f"spectrum.{kind}.{name}", values[:, axis]),
-                    "class": kind,
-                    "name": words,
-                }
+        figures.add_lines(
+            f"spectrum-{name}",
+            f"{name.capitalize()}: power density of the residual",
+            "spectrum",
+            f,
+            "(rad/s²)²/Hz",
+            [
+                ChartLine(words, kind, f"spectrum.{kind}.{name}", values[:, axis])
                 for kind, words, values in (
                     ("residual", "residual", found.density),
                     ("white", "white sensor noise", found.white),
                 )
             ],
-        }
+            axis={"label": "Frequency", "unit": "Hz", "log": True},
+            log=True,
+        )
     return True
 
 
@@ -204,21 +233,9 @@ def add_rates(figures: ChartData, data: ReportData) -> bool:
         return False
     time = figures.array("flight.t", t)
     for axis, name in enumerate(AXES):
-        figures.figures[f"rate-{name}"] = {
-            "group": "flight",
-            "title": f"{name.capitalize()} rate over the flight",
-            "x": SECONDS,
-            "y": {"unit": "rad/s", "range": None},
-            "lines": [
-                {
-                    "x": time,
-                    "y": figures.array(f"flight.{name}", rates[:, axis]),
-                    "class": "measured",
-                    "name": f"{name} rate",
-                }
-            ],
-            "marks": events_of(data.result),
-        }
+        line = ChartLine(f"{name} rate", "measured", f"flight.{name}", rates[:, axis])
+        title, marks = f"{name.capitalize()} rate over the flight", events_of(data.result)
+        figures.add_lines(f"rate-{name}", title, "flight", time, "rad/s", [line], marks=marks)
     return True
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.report.data import Recorder, predicted
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 
 Table = Mapping[str, Array]
-_AXES = ("roll", "pitch", "yaw")
 _FIXED = (
     "t", "gyro_x", "gyro_y", "gyro_z", "rate_x", "rate_y", "rate_z", "force_x", "force_y",
     "force_z", "q_w", "q_x", "q_y", "q_z", "v_north", "v_east", "v_down", "flying",
@@ -71,7 +71,7 @@ class SignalRecorder:
         table = dict(zip(names, rows.T, strict=True))
         found = predicted(result, self._recorder, airframe)
         self._recorder.close()
-        for i, axis in enumerate(_AXES):
+        for i, axis in enumerate(AXES):
             measured = model = np.full(len(rows), np.nan)
             if found is not None and len(found.t) > 1:
                 measured, model = (

@@ -12,6 +12,7 @@ import numpy as np
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.number_format import pretty_unit
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import parameter_rows, rows
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 PlotKind = Literal["convergence", "correlation", "prediction"]
 _MOST_REASONS = 4
-_AXES = ("roll", "pitch", "yaw")
 _COLORS = ("#1f6fb4", "#c2571a", "#2b8a3e")
 
 
@@ -183,7 +183,7 @@ def _correlation(result: Result, axes: "Axes") -> None:
 def _prediction(result: Result, axes: "Axes") -> None:
     prediction = result.prediction
     assert prediction is not None
-    for axis, (name, color) in enumerate(zip(_AXES, _COLORS, strict=True)):
+    for axis, (name, color) in enumerate(zip(AXES, _COLORS, strict=True)):
         axes.plot(prediction.t, prediction.measured[:, axis], color=color, alpha=0.35)
         axes.plot(prediction.t, prediction.predicted[:, axis], color=color, label=name)
     axes.set(xlabel="time, s", ylabel="angular acceleration, rad/s²")

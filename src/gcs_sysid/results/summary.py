@@ -16,14 +16,13 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Result, Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.words import WRONG_AIRFRAME, disturbance_text
 
-_AXES = ("roll", "pitch", "yaw")
 MIN_SECONDS = 3.0
 """Flight time in s below which nothing is claimed, unless an earlier segment determines most of
 it."""
@@ -183,7 +182,7 @@ def validation_of(fit: Fit) -> dict[str, Any]:
     def axes(values: Array) -> dict[str, float | None]:
         return {
             axis: value if math.isfinite(value) else None
-            for axis, value in zip(_AXES, np.asarray(values).tolist(), strict=True)
+            for axis, value in zip(AXES, np.asarray(values).tolist(), strict=True)
         }
 
     out = {

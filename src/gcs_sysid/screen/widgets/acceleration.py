@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
@@ -11,7 +12,6 @@ from gcs_sysid.screen.widgets.lines import Line, RationedPlot
 
 Floats = NDArray[np.float64]
 
-AXES = ("roll", "pitch", "yaw")
 PREDICTED = "•"
 MIN_WIDTH, MIN_HEIGHT = 20, 4
 MARGIN = 7

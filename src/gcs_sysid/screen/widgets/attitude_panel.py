@@ -2,6 +2,7 @@
 
 import math
 
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
@@ -87,7 +88,7 @@ class AttitudePanel(Lines):
         lines = []
         rates = view.snapshot.rates
         limits = (45.0, 45.0, 180.0)
-        for index, name in enumerate(("roll", "pitch", "yaw")):
+        for index, name in enumerate(AXES):
             angle = math.degrees(view.snapshot.attitude[index])
             # Rounded before the sign is written, so that there is no "-0.0".
             angle = round(angle, 1) + 0.0
