@@ -291,7 +291,7 @@ def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, flight, tmp_path, 
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(tlog_writer, "open_file", lambda *_: Full())
-    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 3600.0)
+    monkeypatch.setattr(tlog_writer.TlogWriter, "SYNC_EVERY", 3600.0)
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, tmp_path / "a.tlog", sender_gone=sent.is_set)
     session.start()

@@ -16,7 +16,7 @@ from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import StreamRequests
-from gcs_sysid.telemetry.stream_restoration import OBSERVED_FOR, SCHEMA, StreamRestoration
+from gcs_sysid.telemetry.stream_restoration import SCHEMA, StreamRestoration
 from gcs_sysid.telemetry.vehicles import Vehicle
 from sim_bridge.ardupilot import LOOP_STEPS, STEP_US, ArduPilot
 from sim_bridge.missions import MISSIONS
@@ -251,7 +251,7 @@ def test_nothing_is_changed_before_the_vehicle_has_told_its_intervals():
 
 def test_what_is_not_told_is_taken_from_what_arrives():
     ground = Ground()
-    ground.turn(OBSERVED_FOR, ATTITUDE=49.0, HIGHRES_IMU=100.0)
+    ground.turn(StreamRestoration.OBSERVED_FOR, ATTITUDE=49.0, HIGHRES_IMU=100.0)
     assert {c for c, *_ in ground.take()} == {510, 512}
     ground.turn(0.4, ATTITUDE=49.0, HIGHRES_IMU=100.0)
     assert {c for c, *_ in ground.take()} == {511}
@@ -275,7 +275,7 @@ def test_what_the_autopilots_mean(autopilot, told, own):
     arriving = {"HIGHRES_IMU": 200.0} if own == 5000.0 else {}
     ground.turn(**arriving)
     ground.tell(HIGHRES_IMU=told)
-    ground.turn(OBSERVED_FOR + 0.4, **arriving)
+    ground.turn(StreamRestoration.OBSERVED_FOR + 0.4, **arriving)
     ground.take()
     ground.requests.close()
     assert {n: interval for _, n, interval in ground.take()}[IMU] == own

@@ -207,7 +207,7 @@ def test_shortcuts_do_not_show(monkeypatch, garbage):
         monkeypatch.setattr(blackbox_search, "_FEW_JUMPS", many)
         monkeypatch.setattr(blackbox_search, "_FEW_GAPS", many)
         monkeypatch.setattr(blackbox_predictors, "_DOUBTS", many or 1)
-        monkeypatch.setattr(byte_window, "_CROWD", float(many))
+        monkeypatch.setattr(byte_window.ByteWindow, "_CROWD", float(many))
         assert_as_plain(data)
 
 

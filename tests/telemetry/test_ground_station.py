@@ -7,11 +7,11 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.ground_station import LOST_AFTER, GroundStation
+from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name, unpack
-from gcs_sysid.telemetry.stream_restoration import OBSERVED_FOR
+from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
@@ -126,7 +126,7 @@ def test_listening_only_sends_nothing_ever(sender):
 def test_silence_is_told_and_so_is_the_return(sender):
     talk = Talk()
     talk.hear(sender.heartbeat())
-    talk.turn(LOST_AFTER - 0.5)
+    talk.turn(GroundStation.LOST_AFTER - 0.5)
     assert not talk.station.lost
     talk.turn(5.0)
     assert talk.station.lost
@@ -205,7 +205,7 @@ def test_a_slow_radio_is_a_problem_told_in_words(sender):
     url = LinkUrl("serial", "/dev/ttyUSB0", device="/dev/ttyUSB0", baud=57600)
     talk = Talk(Ether(url))
     talk.hear(sender.heartbeat())
-    talk.turn(OBSERVED_FOR + 0.2)
+    talk.turn(StreamRestoration.OBSERVED_FOR + 0.2)
     (problem,) = talk.station.problems
     assert problem.startswith("57600 baud carries about")
     assert "identification needs 50 Hz" in problem

@@ -117,10 +117,10 @@ def test_windows_of_any_size_give_the_same_of_a_damaged_ulog(tmp_path, monkeypat
     path = tmp_path / "some.ulg"
     layout = formats(TOP + "float x;", "vehicle_status:uint64_t timestamp;")
     path.write_bytes(layout + garbage + subscribed("sensor_combined") + row(12) * 4 + garbage)
-    monkeypatch.setattr(ulog_scan, "_MARGIN", 250)
+    monkeypatch.setattr(UlogFile, "_MARGIN", 250)
 
     def read(window):
-        monkeypatch.setattr(ulog_scan, "_WINDOW", window)
+        monkeypatch.setattr(UlogFile, "_WINDOW", window)
         file = UlogFile(path, {"sensor_combined", "vehicle_status"})
         rows = [len(topic["timestamp"]) for topic in file.topics.values()]
         return rows, file.initial, file.changed, file.garbage_bytes, file.faults

@@ -11,7 +11,7 @@ import pytest
 from gcs_sysid.errors import InputError, LinkError
 from gcs_sysid.telemetry.link import Link, ReceivedBytes, UdpLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import TOGETHER, Receiver
+from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0
@@ -317,7 +317,7 @@ def test_what_arrived_together_is_one_batch_and_what_did_not_is_not(sender):
         datagrams = True
 
         def receive(self, timeout):
-            times = (1_000_000, 1_000_500, 1_000_500 + TOGETHER, 2_000_000, None)
+            times = (1_000_000, 1_000_500, 1_000_500 + Receiver.TOGETHER, 2_000_000, None)
             return [ReceivedBytes(sender.heartbeat().raw, ("10.0.0.1", 14550), t) for t in times]
 
         def send(self, data):
@@ -328,5 +328,9 @@ def test_what_arrived_together_is_one_batch_and_what_did_not_is_not(sender):
 
     batches = Receiver(Told(parse_url("udpin:127.0.0.1:14550"))).receive(0.0)
     assert [len(batch.frames) for batch in batches] == [2, 1, 1, 1]
-    assert [batch.time_us for batch in batches[:3]] == [1_000_500, 1_000_500 + TOGETHER, 2_000_000]
+    assert [batch.time_us for batch in batches[:3]] == [
+        1_000_500,
+        1_000_500 + Receiver.TOGETHER,
+        2_000_000,
+    ]
     assert abs(batches[3].time_us - time.time_ns() // 1000) < 60_000_000

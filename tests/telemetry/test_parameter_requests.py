@@ -6,7 +6,6 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.parameter_requests import (
-    ROUNDS,
     ParameterRequests,
     layout_parameters,
     wanted_parameters,
@@ -67,7 +66,7 @@ def test_they_are_asked_for_a_few_a_second_and_those_not_there_given_up():
     assert len(layout) + 6 <= len(autopilot.asked) <= len(layout) + 14
     drive(requests, autopilot, PX4, 200.0, start=5.0)
     wanted = wanted_parameters("px4", 4)
-    assert sorted(autopilot.asked) == sorted(wanted * ROUNDS)
+    assert sorted(autopilot.asked) == sorted(wanted * ParameterRequests.ROUNDS)
     assert set(requests.missing) == set(wanted)
 
 

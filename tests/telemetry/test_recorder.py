@@ -31,8 +31,8 @@ def flight(stream):
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch):
     """Nothing waits for a disk to recover, or for one that does not answer."""
-    monkeypatch.setattr(tlog_writer, "WRITE_EVERY", 0.005)
-    monkeypatch.setattr(tlog_writer, "RETRY_EVERY", 0.005)
+    monkeypatch.setattr(TlogWriter, "WRITE_EVERY", 0.005)
+    monkeypatch.setattr(TlogWriter, "RETRY_EVERY", 0.005)
 
 
 def as_bytes(records):
@@ -92,7 +92,7 @@ def disk(monkeypatch):
     disk = Disk()
     monkeypatch.setattr(tlog_writer, "open_file", disk.open)
     monkeypatch.setattr(tlog_writer, "sync", lambda _: None)
-    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 3600.0)
+    monkeypatch.setattr(TlogWriter, "SYNC_EVERY", 3600.0)
     return disk
 
 
@@ -206,7 +206,7 @@ def test_a_full_disk_that_has_room_again_costs_nothing(disk, flight, tmp_path):
         told = until(writer, "recording stopped")
         assert told == [
             f"recording stopped: {writer.path} (No space left on device); "
-            f"retried every {tlog_writer.RETRY_EVERY:g} s"
+            f"retried every {TlogWriter.RETRY_EVERY:g} s"
         ]
         assert disk.content.getvalue() == as_bytes(flight[:7])  # whole records only
         disk.room = 10**9
@@ -220,7 +220,7 @@ def test_a_full_disk_that_has_room_again_costs_nothing(disk, flight, tmp_path):
 def test_a_disk_that_stays_full_is_told_once_and_holds_bounded_memory(
     disk, flight, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(tlog_writer, "MOST_PENDING", 2000)
+    monkeypatch.setattr(TlogWriter, "MOST_PENDING", 2000)
     disk.room = len(as_bytes(flight[:3]))
     with TlogWriter(tmp_path / "flight.tlog") as writer:
         write_all(writer, flight[:4])
@@ -242,8 +242,8 @@ def test_a_disk_that_stays_full_is_told_once_and_holds_bounded_memory(
 
 def test_a_disk_that_does_not_answer_holds_up_nobody(disk, flight, tmp_path, monkeypatch):
     """What comes waits in memory while there is room for it, and is written once it can be."""
-    monkeypatch.setattr(tlog_writer, "MOST_PENDING", 4 * len(as_bytes(flight)))
-    monkeypatch.setattr(tlog_writer, "STALLED_AFTER", -1.0)
+    monkeypatch.setattr(TlogWriter, "MOST_PENDING", 4 * len(as_bytes(flight)))
+    monkeypatch.setattr(TlogWriter, "STALLED_AFTER", -1.0)
     disk.answers.clear()
     with TlogWriter(tmp_path / "flight.tlog") as writer:
         writer.write(*flight[0][:1], [flight[0][1]])
@@ -294,7 +294,7 @@ def test_a_slow_sync_does_not_hold_up_the_writing(tmp_path, flight, monkeypatch)
         syncing.set()
         assert go_on.wait(PATIENCE)
 
-    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 0.001)
+    monkeypatch.setattr(TlogWriter, "SYNC_EVERY", 0.001)
     monkeypatch.setattr(tlog_writer, "sync", slow)
     path = tmp_path / "flight.tlog"
     with TlogWriter(path) as writer:
@@ -307,7 +307,7 @@ def test_a_slow_sync_does_not_hold_up_the_writing(tmp_path, flight, monkeypatch)
 
 def test_it_is_synced_while_it_goes_on(tmp_path, flight, monkeypatch):
     synced = threading.Semaphore(0)
-    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 0.001)
+    monkeypatch.setattr(TlogWriter, "SYNC_EVERY", 0.001)
     monkeypatch.setattr(tlog_writer, "sync", lambda _: synced.release())
     with TlogWriter(tmp_path / "flight.tlog"):
         for _ in range(5):
@@ -339,7 +339,7 @@ def test_a_sync_that_fails_begins_another_file(tmp_path, flight, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="an open file cannot be removed there")
 def test_a_file_that_was_removed_is_begun_anew(tmp_path, flight, monkeypatch):
-    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 0.001)
+    monkeypatch.setattr(TlogWriter, "SYNC_EVERY", 0.001)
     path = tmp_path / "logs" / "flight.tlog"
     with TlogWriter(path) as writer:
         write_all(writer, flight[:5])
@@ -360,8 +360,8 @@ def test_a_file_that_fails_again_and_again_is_given_up(disk, flight, tmp_path):
         write_all(writer, flight)
         told = until(writer, "start another recording")
         writer.write(START, [flight[0][1]])
-    assert len(disk.opened) == tlog_writer.MOST_FILES
-    assert sum("tried again" in text for text in told) <= tlog_writer.MOST_FILES
+    assert len(disk.opened) == TlogWriter.MOST_FILES
+    assert sum("tried again" in text for text in told) <= TlogWriter.MOST_FILES
     assert writer.dropped == len(flight) + 1
 
 

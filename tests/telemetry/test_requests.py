@@ -5,7 +5,7 @@ import pytest
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name, unpack
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.requests import ASKS_AT_MOST, INTRODUCTIONS, StreamRequests
+from gcs_sysid.telemetry.requests import ASKS_AT_MOST, StreamRequests
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import bytes_per_second
 
@@ -247,8 +247,10 @@ def test_a_vehicle_of_version_1_is_answered_in_version_1(wire, requests):
         frame = read_frame(raw)
         versions.append((frame.message_id == 0, frame.version))
     heartbeats = [version for heartbeat, version in versions if heartbeat]
-    assert heartbeats == [2] * INTRODUCTIONS + [1] * (len(heartbeats) - INTRODUCTIONS)
-    assert len(heartbeats) > INTRODUCTIONS
+    assert heartbeats == [2] * StreamRequests.INTRODUCTIONS + [1] * (
+        len(heartbeats) - StreamRequests.INTRODUCTIONS
+    )
+    assert len(heartbeats) > StreamRequests.INTRODUCTIONS
     assert {version for heartbeat, version in versions if not heartbeat} == {1}
     # Version 1 has no room for the number of ESC_STATUS.
     assert "SERVO_OUTPUT_RAW" in requests.asked

@@ -12,7 +12,6 @@ from gcs_sysid.telemetry.frames import FrameScanner, Validity, read_frame
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
 from gcs_sysid.telemetry.signing import (
     KEY_SIZE,
-    RESERVED,
     UNITS,
     Refusal,
     SignatureCheck,
@@ -194,7 +193,7 @@ def test_our_time_does_not_go_back_after_a_crash(tmp_path):
         wall += UNITS
         last = first.next_time()
     second = SigningClock(state, now=lambda: 0)  # no close: it was killed
-    assert last < second.next_time() <= last + RESERVED + 1
+    assert last < second.next_time() <= last + SigningClock.RESERVED + 1
 
 
 def test_time_kept_ahead_shuts_out_nobody(tmp_path, signing):

@@ -118,7 +118,7 @@ def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
 
 @pytest.mark.parametrize("garbage", range(900, 1060, 8))
 def test_long_garbage_is_judged_alike_by_windows_of_any_size(raws, garbage, monkeypatch):
-    monkeypatch.setattr(tlog_scan, "ALONE", 1000)
+    monkeypatch.setattr(Scanner, "ALONE", 1000)
     stamps = times(30)
     stamps[10] ^= 1 << 28  # the last before the garbage: damaged, if its neighbors are asked
     data = as_log(raws[:11], stamps[:11]) + b"\x55" * garbage + as_log(raws[11:30], stamps[11:])
@@ -139,7 +139,7 @@ def test_garbage_without_end_after_a_frame_is_read_in_little_memory(raws, behind
         rest = rest[done:]
         longest = max(longest, len(rest))
         del block
-    assert longest < tlog_scan.ALONE + 2**18
+    assert longest < Scanner.ALONE + 2**18
     assert scanner.counts.frames == (1 if behind == "one" else 20)
 
 

@@ -161,7 +161,7 @@ def test_what_is_not_read_takes_no_memory(tmp_path, ulog_file, monkeypatch):
         log.row("other", 3.0 + 0.01 * i, *[0.0] * 100)
     path = tmp_path / "long.ulg"
     path.write_bytes(log.bytes() + log.bytes()[start:] * 150)
-    monkeypatch.setattr(ulog_scan, "_WINDOW", 2**17)
+    monkeypatch.setattr(ulog_scan.UlogFile, "_WINDOW", 2**17)
     read_ulog(path)  # what is imported and kept takes its memory
     tracemalloc.start()
     recording = read_ulog(path)

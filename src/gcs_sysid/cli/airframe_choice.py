@@ -152,7 +152,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     from gcs_sysid.telemetry.intake import Intake
     from gcs_sysid.telemetry.parameter_requests import ParameterRequests
     from gcs_sysid.telemetry.receiver import ReceivedFrames
-    from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
+    from gcs_sysid.telemetry.requests import StreamRequests
 
     wait = 0.05  # s on the link at a time
     reply_within = 8.0  # s, once the vehicle is received: some 20 parameters
@@ -161,7 +161,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     intake = Intake(options.vehicle)
     requests = ParameterRequests(receiver.gate, usual_rotors)
     taken: list[Item] = []
-    began, heard, beat_at, reported = time.monotonic(), None, -HEARTBEAT_EVERY, None
+    began, heard, beat_at, reported = time.monotonic(), None, -StreamRequests.HEARTBEAT_EVERY, None
     while reported is None:
         items = receiver.next_items(wait)
         taken += items
@@ -169,7 +169,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
             if isinstance(item, ReceivedFrames):
                 intake.frames(item.frames, 1e-6 * item.time_us)
         now, vehicle = time.monotonic(), intake.vehicle
-        if now - beat_at >= HEARTBEAT_EVERY:
+        if now - beat_at >= StreamRequests.HEARTBEAT_EVERY:
             receiver.gate.heartbeat()
             beat_at = now
         if vehicle is not None:

@@ -13,7 +13,7 @@ from gcs_sysid.inspection.facts import AxisMotion, RotorFacts
 from gcs_sysid.signals.columns import Track, by_key
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import JUMP_BACK
-from gcs_sysid.telemetry.monitor import GAP
+from gcs_sysid.telemetry.monitor import Monitor
 
 CHUNK = 4096
 """Samples gathered before they are looked at."""
@@ -182,7 +182,7 @@ class StreamWatch:
         near = steps[steps < 2.5 * median]
         if len(near):
             self._usual = float(near.mean())
-        gap = steps > max(GAP, 5.0 * self._usual)
+        gap = steps > max(Monitor.GAP, 5.0 * self._usual)
         tally.gaps += int(gap.sum())
         tally.longest_gap = max(tally.longest_gap, float(steps[gap].max(initial=0.0)))
         steps = steps[~gap]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.tlog_writer import PATIENCE, TlogWriter
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 _MOST_LINES = 100
 """Recordings that are listed at the end, the latest."""
@@ -91,7 +91,7 @@ class SessionRecording:
         """End everything; waits for a disk that answers, and a little for one that does not."""
         whole = self._writer is not None
         self.stop()
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TlogWriter.PATIENCE
         for writer in self._ending:
             writer.close(max(0.0, deadline - time.monotonic()))
             self._settle(writer)

@@ -11,7 +11,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.blackbox_fields import FrameLayout
 from gcs_sysid.telemetry.blackbox_format import MARKERS
-from gcs_sysid.telemetry.byte_window import CACHED, ByteWindow
+from gcs_sysid.telemetry.byte_window import ByteWindow
 from gcs_sysid.telemetry.repeated_bytes import RepeatedBytes
 
 I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
@@ -93,8 +93,8 @@ def find_frames(
             mine &= repeats.others
         begin = np.flatnonzero(mine)
         window.share = len(begin) / len(raw)
-        for i in range(0, len(begin), CACHED):
-            some = begin[i : i + CACHED]
+        for i in range(0, len(begin), ByteWindow.CACHED):
+            some = begin[i : i + ByteWindow.CACHED]
             lengths[some] = _lengths(window, letter, some, marks, stop, layouts)
     if repeats:
         repeats.repeat(lengths)

@@ -11,15 +11,8 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.blackbox_format import MOST_FIELDS
 
-_LONGEST_NUMBER = 5
-CACHED = 2**14
-"""Positions looked at together: their arrays stay in the cache."""
-_CROWD = 0.125
-"""Share of the bytes from which on every tag is looked at."""
 ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
 """Of the bits of a byte."""
-_LONG = 2**30
-"""Added to the rank of bytes of numbers that go on for too long."""
 
 
 class ByteWindow:
@@ -33,6 +26,14 @@ class ByteWindow:
         share: of the bytes, that may begin a frame of the type that is looked at.
     """
 
+    _LONGEST_NUMBER = 5
+    CACHED = 2**14
+    """Positions looked at together: their arrays stay in the cache."""
+    _CROWD = 0.125
+    """Share of the bytes from which on every tag is looked at."""
+    _LONG = 2**30
+    """Added to the rank of bytes of numbers that go on for too long."""
+
     def __init__(self, raw: Array) -> None:
         self.raw = raw
         self.share = 0.0
@@ -43,9 +44,9 @@ class ByteWindow:
         self._rank = np.zeros(len(raw) + 1, np.int32)
         np.cumsum(last, dtype=np.int32, out=self._rank[1:])
         goes_on = ~last
-        long = goes_on[: 1 - _LONGEST_NUMBER].copy()
-        for i in range(1, _LONGEST_NUMBER):
-            long &= goes_on[i : len(raw) - _LONGEST_NUMBER + 1 + i]
+        long = goes_on[: 1 - self._LONGEST_NUMBER].copy()
+        for i in range(1, self._LONGEST_NUMBER):
+            long &= goes_on[i : len(raw) - self._LONGEST_NUMBER + 1 + i]
         self._has_long = bool(long.any())
         # How many numbers that go on for too long follow each other from a byte on, (n + 1,); -1
         # in all others.
@@ -69,19 +70,19 @@ class ByteWindow:
         """
         starts = self._begins[: len(self._begins) - MOST_FIELDS]
         lengths = np.append(starts[1:] - 1, np.int32(self._end)) - starts
-        long = lengths >= _LONGEST_NUMBER
+        long = lengths >= self._LONGEST_NUMBER
         starts, lengths = starts[long], lengths[long]
-        pieces = lengths // _LONGEST_NUMBER
+        pieces = lengths // self._LONGEST_NUMBER
         ends = self.raw < 0x80
-        ends[_counted(starts + (_LONGEST_NUMBER - 1), pieces, _LONGEST_NUMBER)] = True
+        ends[_counted(starts + (self._LONGEST_NUMBER - 1), pieces, self._LONGEST_NUMBER)] = True
         self._begins = self._begins_of(ends)
         np.cumsum(ends, dtype=np.int32, out=self._rank[1:])
         at = _counted(starts, lengths, 1)
         left = np.repeat(starts + lengths, lengths) - at
-        some = left // _LONGEST_NUMBER
+        some = left // self._LONGEST_NUMBER
         all_of_them = np.repeat(pieces, lengths)
-        passed = (np.repeat(lengths, lengths) - left) // _LONGEST_NUMBER
-        self._rank[at] += all_of_them - passed - some + _LONG
+        passed = (np.repeat(lengths, lengths) - left) // self._LONGEST_NUMBER
+        self._rank[at] += all_of_them - passed - some + self._LONG
         self._cut = np.full(len(self.raw) + 1, -1, np.int32)
         self._cut[at] = some
 
@@ -105,9 +106,9 @@ class ByteWindow:
         rank = np.add(rank, n)
         cut = self._cut
         long = None
-        if cut is not None and rank.size and rank.max() >= _LONG:
-            long = rank >= _LONG
-            rank &= _LONG - 1
+        if cut is not None and rank.size and rank.max() >= self._LONG:
+            long = rank >= self._LONG
+            rank &= self._LONG - 1
         found: Array = self._begins.take(rank)
         if not isinstance(n, int) or n == 0:
             found = np.maximum(found, at)
@@ -117,7 +118,7 @@ class ByteWindow:
             at = np.broadcast_to(at, rank.shape)[which]
             numbers = n if isinstance(n, int) else np.broadcast_to(n, rank.shape)[which]
             cut_at = numbers <= cut.take(at)
-            found[which] = np.where(cut_at, at + _LONGEST_NUMBER * numbers, found[which])
+            found[which] = np.where(cut_at, at + self._LONGEST_NUMBER * numbers, found[which])
         return found
 
     def behind_tagged(self, at: Array, count: int, groups: int = 1) -> Array:
@@ -128,7 +129,7 @@ class ByteWindow:
             count: of the numbers that a tag can mark.
             groups: that follow each other.
         """
-        if self.share < _CROWD:
+        if self.share < self._CROWD:
             for _ in range(groups):
                 at = self._behind_tagged(at, self.raw.take(at), count)
             return at
@@ -145,13 +146,13 @@ class ByteWindow:
             half = groups // 2
             halves = [half, groups - half] if half else []
             tables = [self._behind_every_tag(count, some) for some in halves]
-            for i in range(0, len(found), CACHED):
-                piece = found[i : i + CACHED]
+            for i in range(0, len(found), self.CACHED):
+                piece = found[i : i + self.CACHED]
                 if half:
-                    piece[:] = tables[1].take(tables[0][i : i + CACHED])
+                    piece[:] = tables[1].take(tables[0][i : i + self.CACHED])
                 else:
                     piece += 1
-                    ones = ONES.take(self.raw[i : i + CACHED] & ((1 << count) - 1))
+                    ones = ONES.take(self.raw[i : i + self.CACHED] & ((1 << count) - 1))
                     rank = self._ranks()[i + 1 : i + 1 + len(piece)]
                     piece[:] = self.within(self._nth_by_rank(rank, piece, ones))
             self._behind_tags[count, groups] = found
@@ -170,7 +171,7 @@ class ByteWindow:
         flat, at = values.reshape(-1), at.reshape(-1)
         more = np.flatnonzero(flat > 0x7F)
         flat[more] &= 0x7F
-        for i in range(1, _LONGEST_NUMBER):
+        for i in range(1, self._LONGEST_NUMBER):
             byte = self.raw[np.minimum(at[more] + i, self._end)].astype(np.int64)
             flat[more] |= (byte & 0x7F) << (7 * i)
             more = more[byte > 0x7F]

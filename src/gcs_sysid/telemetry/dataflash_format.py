@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.file_windows import file_windows
 
 HEAD = b"\xa3\x95"
 MOST_BYTES = 2**32
@@ -27,14 +28,6 @@ EVERY = slice(None)
 _FMT = 0x80
 _FMT_SIZE = 89
 _HEADER = 3
-_MOST_FMT = 4096
-"""FMT entries looked into; there are 256 types."""
-_SEARCHED = 2**16
-"""Bytes searched at once where the chain of entries is broken."""
-_WINDOW = 2**22
-"""Bytes read at once."""
-_MARGIN = 2 * 256
-"""Bytes that must follow where an entry begins before it is decided, unless the file ends."""
 
 _TYPES: dict[str, tuple[str, float | None]] = {
     "a": ("(32,)<i2", None), "b": ("i1", None), "B": ("u1", None), "h": ("<i2", None),
@@ -93,13 +86,22 @@ class DataflashLog:
         InputError: the file cannot be read or is no dataflash log.
     """
 
+    _MOST_FMT = 4096
+    """FMT entries looked into; there are 256 types."""
+    _SEARCHED = 2**16
+    """Bytes searched at once where the chain of entries is broken."""
+    _WINDOW = 2**22
+    """Bytes read at once."""
+    _MARGIN = 2 * 256
+    """Bytes that must follow where an entry begins before it is decided, unless the file ends."""
+
     def __init__(
         self, path: Path, wanted: Callable[[str, str], bool], window: int | None = None
     ) -> None:
         self.path = path
         self.garbage_bytes = 0
         self._wanted = wanted
-        self._window = max(window or _WINDOW, _MARGIN + 1)
+        self._window = max(window or self._WINDOW, self._MARGIN + 1)
         self._types: dict[int, EntryType] = {}
         self._rows = {_FMT: _EntryRows()}
         self._sizes = {_FMT: _FMT_SIZE}
@@ -179,20 +181,14 @@ class DataflashLog:
 
     def _read(self) -> None:
         with open(self.path, "rb") as file:
-            content, position, final = b"", 0, False
-            while not final:
-                more = file.read(self._window)
-                final = len(more) < self._window
-                content += more
-                done = self._find(content, final=final)
-                self._settle(content, position)
-                position += done
-                content = content[done:]
+            for window in file_windows(file, self._window):
+                window.done = self._find(window.content, final=window.final)
+                self._settle(window.content, window.position)
 
     def _find(self, data: bytes, *, final: bool) -> int:
         """Find the entries of a window, and learn the types on the way; the bytes that are done."""
         end = len(data)
-        stop = end - _HEADER if final else end - _MARGIN
+        stop = end - _HEADER if final else end - self._MARGIN
         places = {number: rows.places for number, rows in self._rows.items()}
         sizes = self._sizes
         self._searched = at = 0
@@ -217,7 +213,7 @@ class DataflashLog:
 
     def _resync(self, data: bytes, at: int, sizes: dict[int, int], *, final: bool) -> int:
         """Position of the next entry that another one, or the end, follows."""
-        end = len(data) if final else len(data) - _MARGIN + 1
+        end = len(data) if final else len(data) - self._MARGIN + 1
         self._hunting = True
         while at < end:
             if at >= self._searched:
@@ -233,7 +229,7 @@ class DataflashLog:
         self, content: bytes, start: int, end: int, sizes: dict[int, int], *, final: bool
     ) -> None:
         """Find all such entries in a stretch: of garbage, every third byte may begin one."""
-        self._searched = min(start + _SEARCHED, end)
+        self._searched = min(start + self._SEARCHED, end)
         last = len(content)
         data = np.frombuffer(content, np.uint8)
         first = np.flatnonzero(data[start : min(self._searched, last - 2)] == HEAD[0]) + start
@@ -251,7 +247,7 @@ class DataflashLog:
         """Take up a FMT entry, if it can be true."""
         number, size = data[at + 3], data[at + 4]
         fmt = self._rows[_FMT]
-        if number in self._sizes or fmt.count + len(fmt.places) > _MOST_FMT:
+        if number in self._sizes or fmt.count + len(fmt.places) > self._MOST_FMT:
             return
         texts = [
             data[at + start : at + stop].split(b"\0", 1)[0].decode("ascii", "replace")

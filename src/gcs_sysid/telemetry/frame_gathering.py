@@ -16,14 +16,8 @@ from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, 
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 
-_MOST_WAITING = 1024
-"""Frames that wait: those of a tenth of a second on the fastest link."""
-_LONGEST_WAIT = 0.2
-"""s of the receiving computer's clock that they wait where the vehicle's gives no time."""
 _AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE", "MESSAGE_INTERVAL"))
 """Messages that are waited for: heartbeats and replies to requests."""
-_ROUNDING = 2e-6
-"""s, of stamps and ticks."""
 _Sender = tuple[int, int, int]
 _STAMPS = {
     MESSAGE_IDS[message.name]: (
@@ -44,6 +38,13 @@ class FrameGathering:
         until_tick: s of the vehicle's clock until records change what anybody sees; asked when
             frames come after those last read.
     """
+
+    _MOST_WAITING = 1024
+    """Frames that wait: those of a tenth of a second on the fastest link."""
+    _LONGEST_WAIT = 0.2
+    """s of the receiving computer's clock that they wait where the vehicle's gives no time."""
+    _ROUNDING = 2e-6
+    """s, of stamps and ticks."""
 
     def __init__(self, intake: Intake, until_tick: Callable[[], float]) -> None:
         self._intake = intake
@@ -68,9 +69,9 @@ class FrameGathering:
         before = len(self._frames)
         self._frames += frames
         self._walls += [wall or 0.0] * (len(self._frames) - before)
-        due = len(self._frames) >= _MOST_WAITING
+        due = len(self._frames) >= self._MOST_WAITING
         if wall is not None and self._frames:
-            due |= not 0.0 <= wall - self._walls[0] < _LONGEST_WAIT
+            due |= not 0.0 <= wall - self._walls[0] < self._LONGEST_WAIT
         if self._wait is None:
             self._wait = self._until_tick()
         awaited = [self._is_awaited(frame) for frame in self._frames[before:]]
@@ -95,4 +96,4 @@ class FrameGathering:
         # Zeros that are cut off at the end of a payload are the highest bytes.
         self._latest[sender] = t = unit * int.from_bytes(frame.payload[place], "little")
         wait = self._wait or 0.0
-        return not 0.0 <= t - self._from.setdefault(sender, t) < wait - _ROUNDING
+        return not 0.0 <= t - self._from.setdefault(sender, t) < wait - self._ROUNDING

@@ -17,11 +17,6 @@ from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Port
 
-LOST_AFTER = 3.0
-"""s of silence after which the link counts as lost."""
-_MOST_EVENTS = 100
-"""Events kept until taken."""
-
 _REFUSED = {
     Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",
     Refusal.WRONG_KEY: "frames signed with another key, or altered, are rejected",
@@ -45,6 +40,11 @@ class GroundStation:
         heard_at: when the vehicle last sent; None before.
     """
 
+    LOST_AFTER = 3.0
+    """s of silence after which the link counts as lost."""
+    _MOST_EVENTS = 100
+    """Events kept until taken."""
+
     def __init__(
         self,
         port: Port,
@@ -61,7 +61,7 @@ class GroundStation:
         restoration = StreamRestoration(port.gate, rotors, state_folder, str(port.url))
         self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate, restoration)
         self._parameters = ParameterRequests(port.gate, rotors)
-        self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[str] = deque(maxlen=self._MOST_EVENTS)
         self._reported: set[str] = set()
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
@@ -111,8 +111,8 @@ class GroundStation:
                 self._parameters.again()
             self.lost = False
             self.heard_at = now
-        elif not self.lost and self.heard_at is not None and now - self.heard_at > LOST_AFTER:
-            self._events.append(f"link lost: no data from {vehicle} for {LOST_AFTER:.0f} s")
+        elif not self.lost and self.heard_at is not None and now - self.heard_at > self.LOST_AFTER:
+            self._events.append(f"link lost: no data from {vehicle} for {self.LOST_AFTER:.0f} s")
             self.lost = True
 
     def tick(self, now: float, intake: Intake) -> None:

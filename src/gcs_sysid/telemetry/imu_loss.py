@@ -12,21 +12,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from gcs_sysid.arrays import Array
 
-PAUSE = 10.0
-"""s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
-_HELD, _SETTLED = 512, 256
-"""Samples that wait for late ones, and how many of them are settled then."""
-_AT_ONCE = 2048
-"""Samples settled together."""
-_FEW = 8
-"""Steps in a row, the shortest mean of which is the interval: half of all samples may be lost, and
-still some of so many are not. One step is not enough: stamps jitter, and ArduPilot sends by turns
-after 2.5 and 5 ms."""
-_CALM, _ALIKE = 64, 1.2
-"""Steps in a row whose means over `_FEW` all lie within that ratio: a stream without losses."""
-_CHANGED = 1.5
-"""Ratio of intervals that makes another rate."""
-
 
 class Counts(NamedTuple):
     """What came, and what did not."""
@@ -50,6 +35,21 @@ class ImuLoss:
     alone, however they are cut into blocks; what is late by less than half of `_HELD` is not lost.
     """
 
+    PAUSE = 10.0
+    """s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
+    _HELD, _SETTLED = 512, 256
+    """Samples that wait for late ones, and how many of them are settled then."""
+    _AT_ONCE = 2048
+    """Samples settled together."""
+    _FEW = 8
+    """Steps in a row, the shortest mean of which is the interval: half of all samples may be lost,
+    and still some of so many are not. One step is not enough: stamps jitter, and ArduPilot sends by
+    turns after 2.5 and 5 ms."""
+    _CALM, _ALIKE = 64, 1.2
+    """Steps in a row whose means over `_FEW` all lie within that ratio: a stream without losses."""
+    _CHANGED = 1.5
+    """Ratio of intervals that makes another rate."""
+
     def __init__(self) -> None:
         self._counts = Counts()
         self._held = np.empty(0)
@@ -59,23 +59,23 @@ class ImuLoss:
     def add_times(self, t: Array) -> None:
         """Take (n,) times of samples, s, in the order in which they came."""
         while len(t):
-            room = self._rising(t) if len(t) >= _HELD else 0
+            room = self._rising(t) if len(t) >= self._HELD else 0
             if room:
                 # One settling for many: of those that all come in order nothing is sorted out.
                 self._held, t = np.append(self._held, t[:room]), t[room:]
-                self._settle(len(self._held) - _HELD + _SETTLED)
+                self._settle(len(self._held) - self._HELD + self._SETTLED)
                 continue
-            room = _HELD - len(self._held)
+            room = self._HELD - len(self._held)
             self._held, t = np.append(self._held, t[:room]), t[room:]
-            if len(self._held) == _HELD:
+            if len(self._held) == self._HELD:
                 self._held = self._new()
-                if len(self._held) == _HELD:
-                    self._settle(_SETTLED)
+                if len(self._held) == self._HELD:
+                    self._settle(self._SETTLED)
 
     def _rising(self, t: Array) -> int:
         """How many of (n,) times to settle together: a multiple of what is settled at a time."""
-        most = min(len(t), _AT_ONCE) + len(self._held)
-        count = _HELD + (most - _HELD) // _SETTLED * _SETTLED
+        most = min(len(t), self._AT_ONCE) + len(self._held)
+        count = self._HELD + (most - self._HELD) // self._SETTLED * self._SETTLED
         room = count - len(self._held)
         times = np.concatenate([self._before[-1:], self._held, t[:room]])
         return room if bool((times[1:] > times[:-1]).all()) else 0
@@ -105,7 +105,7 @@ class ImuLoss:
         t = self._new()
         count = min(count, len(t))
         self._counts, self._interval = self._counted(t, count)
-        self._before = np.append(self._before, t[:count])[-_CALM:]
+        self._before = np.append(self._before, t[:count])[-self._CALM :]
         self._held = t[count:]
 
     def _new(self) -> Array:
@@ -119,30 +119,36 @@ class ImuLoss:
         counts = self._counts._replace(received=self._counts.received + count)
         times = np.concatenate([before, t])
         at, end = max(len(before) - 1, 0), len(before) + count - 1
-        if end <= at or len(times) <= _FEW:
+        if end <= at or len(times) <= self._FEW:
             return counts, self._interval
         steps = np.diff(times)
         # Of the steps that begin with each: mean of a few, and where they are calm, of more.
-        few = (times[_FEW:] - times[:-_FEW]) / _FEW
+        few = (times[self._FEW :] - times[: -self._FEW]) / self._FEW
         calm = np.full(len(few), np.nan)
-        if len(steps) >= _CALM:
-            runs = sliding_window_view(few, _CALM - _FEW + 1)
-            even = runs.max(axis=1) < _ALIKE * runs.min(axis=1)
+        if len(steps) >= self._CALM:
+            runs = sliding_window_view(few, self._CALM - self._FEW + 1)
+            even = runs.max(axis=1) < self._ALIKE * runs.min(axis=1)
             calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
         interval = self._interval or float(few[min(at, len(few) - 1)])
         missing, longest = counts.missing, counts.longest
         # Those that are settled together are compared with one interval.
-        settled = range(len(before) + _SETTLED - 1, end, _SETTLED) if count >= _HELD else ()
+        settled = (
+            range(len(before) + self._SETTLED - 1, end, self._SETTLED)
+            if count >= self._HELD
+            else ()
+        )
         for stop_at in (*settled, end):
             while at < stop_at:
                 here = slice(at, stop_at)
-                changed = (calm[here] > _CHANGED * interval) | (few[here] < interval / _CHANGED)
+                changed = (calm[here] > self._CHANGED * interval) | (
+                    few[here] < interval / self._CHANGED
+                )
                 stop = at + int(np.argmax(changed)) if changed.any() else stop_at
                 if stop == at:
                     stop, interval = at + 1, float(few[at] if np.isnan(calm[at]) else calm[at])
                 interval = float(few[at:stop].min(initial=interval))
                 ratio = np.round(steps[at:stop] / interval)
-                lost = (ratio > 1.0) & (steps[at:stop] <= PAUSE)
+                lost = (ratio > 1.0) & (steps[at:stop] <= self.PAUSE)
                 missing += int((ratio[lost] - 1.0).sum())
                 longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
                 at = stop

@@ -28,14 +28,6 @@ _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _STATES = sorted(STATE_IDS)
-_MOST_OTHERS_LISTED = 4
-"""Vehicles listed one by one; a hostile sender can make up hundreds."""
-_MORE = 3
-"""Ratio of messages to the chosen vehicle's from which another vehicle is reported as a problem."""
-_LEAST_PART = 64
-"""Frames read at once after an interruption: the vehicle's clock went back, or it is another."""
-_GROWTH = 2
-"""Factor by which the next part is longer than what was taken."""
 
 
 class Intake:
@@ -55,6 +47,17 @@ class Intake:
             (not the vehicle's, or before its first heartbeat).
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
+
+    _MOST_OTHERS_LISTED = 4
+    """Vehicles listed one by one; a hostile sender can make up hundreds."""
+    _MORE = 3
+    """Ratio of messages to the chosen vehicle's from which another vehicle is reported as a
+    problem."""
+    _LEAST_PART = 64
+    """Frames read at once after an interruption: the vehicle's clock went back, or it is
+    another."""
+    _GROWTH = 2
+    """Factor by which the next part is longer than what was taken."""
 
     recorded: float | None = None
     """As `Telemetry` says; a reader of files knows it."""
@@ -121,7 +124,9 @@ class Intake:
             part = frames.part(at, min(at + most, len(frames)))
             taken = self._take_some(part, out)
             # A clock that goes back every few frames must not have all the others read again.
-            most = _GROWTH * (len(part) if taken == len(part) else max(taken, _LEAST_PART))
+            most = self._GROWTH * (
+                len(part) if taken == len(part) else max(taken, self._LEAST_PART)
+            )
             at += taken
         block = out.block()
         for track in block.tracks:
@@ -327,7 +332,7 @@ class Intake:
             return ()
         counts = {each: frames.get(each.address, 0) for each in self.selector.autopilots}
         own, most = frames.get(chosen.address, 0), max(counts, key=counts.__getitem__, default=None)
-        if most is None or counts[most] <= _MORE * own:
+        if most is None or counts[most] <= self._MORE * own:
             return ()
         return (
             f"{most} sent {counts[most]} messages, {chosen}, the first received, {own}: choose it "
@@ -362,13 +367,13 @@ class Intake:
         other = self.selector.systems.get(who)
         if other is None or not other.is_autopilot or self.selector.wanted is not None:
             return
-        if who in self._others or len(self._others) > _MOST_OTHERS_LISTED:
+        if who in self._others or len(self._others) > self._MOST_OTHERS_LISTED:
             return
         self._others.add(who)
-        if len(self._others) > _MOST_OTHERS_LISTED:
+        if len(self._others) > self._MOST_OTHERS_LISTED:
             self._note(
                 "vehicles",
-                f"more than {_MOST_OTHERS_LISTED} other vehicles: further ones are not listed",
+                f"more than {self._MOST_OTHERS_LISTED} other vehicles: further ones are not listed",
             )
         else:
             self._note(

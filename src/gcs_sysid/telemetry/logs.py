@@ -33,7 +33,7 @@ from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.mapped_table import read_table
-from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
+from gcs_sysid.telemetry.monitor import Monitor
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
@@ -268,10 +268,10 @@ class OnboardLog:
         for track in self._recording.tracks:
             if track.stream is Stream.IMU and len(track.t) > 1:
                 steps = np.diff(track.t)
-                long = np.flatnonzero(steps > max(GAP, 5.0 * float(np.median(steps))))
+                long = np.flatnonzero(steps > max(Monitor.GAP, 5.0 * float(np.median(steps))))
                 last = [
                     {"t": float(track.t[i]), "length": float(steps[i])}
-                    for i in long[-GAPS_KEPT:].tolist()
+                    for i in long[-Monitor.GAPS_KEPT :].tolist()
                 ]
                 return {"count": len(long), "last": last}
         return {"count": 0, "last": []}

@@ -17,23 +17,6 @@ from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.imu_loss import ImuLoss
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
-WINDOW = 5.0
-"""s of vehicle time that rates are taken over."""
-STEP = 0.5
-"""s. Messages are counted in steps of this length."""
-REORDERED = 64
-"""A sequence number up to this far behind is late, not lost (PX4 has several senders)."""
-GAP = 0.1
-"""s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
-GAPS_KEPT = 100
-MOST_UNNAMED = 64
-"""Message types without a name that are counted one by one, the first received; a hostile sender
-can make up 16 million."""
-_NEW_SHARE = 0.02
-"""Of each step of the IMU in what its usual step is believed to be."""
-_REMEMBERED = 2048
-"""Steps after which nothing is left of an older one."""
-
 
 class SequenceCount:
     """Estimates the messages lost from one sender, by its sequence numbers.
@@ -41,6 +24,9 @@ class SequenceCount:
     How far the newest number has moved is compared with how many distinct ones came, so that
     late ones are not lost. An outage of more than 255 messages shows modulo 256.
     """
+
+    REORDERED = 64
+    """A sequence number up to this far behind is late, not lost (PX4 has several senders)."""
 
     def __init__(self) -> None:
         self.received = 0
@@ -54,7 +40,7 @@ class SequenceCount:
             self._newest, self._seen, self.received, self.expected = sequence, 1, 1, 1
             return
         behind = (self._newest - sequence) % 256
-        if behind < REORDERED:
+        if behind < self.REORDERED:
             if not self._seen >> behind & 1:
                 self._seen |= 1 << behind
                 self.received += 1
@@ -63,14 +49,14 @@ class SequenceCount:
             return
         ahead = 256 - behind
         self._newest = sequence
-        self._seen = (self._seen << ahead | 1) & ((1 << REORDERED) - 1)
+        self._seen = (self._seen << ahead | 1) & ((1 << self.REORDERED) - 1)
         self.received += 1
         self.expected += ahead
 
     def count_block(self, sequences: Array) -> None:
         """Count (n,) messages, uint8."""
         singles = 0
-        while singles < len(sequences) and self.expected < 2 * REORDERED:
+        while singles < len(sequences) and self.expected < 2 * self.REORDERED:
             self.count(int(sequences[singles]))
             singles += 1
         sequences = sequences[singles:]
@@ -79,22 +65,22 @@ class SequenceCount:
         # The numbers without wrapping, 0 being the newest before them.
         steps: Array = np.diff(sequences.astype(np.int64), prepend=self._newest)
         steps %= 256
-        steps[steps > 256 - REORDERED] -= 256
+        steps[steps > 256 - self.REORDERED] -= 256
         numbers = np.cumsum(steps)
         newest = np.maximum.accumulate(np.append(0, numbers))
         ahead = numbers - newest[:-1]
-        if (ahead > 256 - REORDERED).any() or (ahead <= -REORDERED).any():
+        if (ahead > 256 - self.REORDERED).any() or (ahead <= -self.REORDERED).any():
             for sequence in sequences.tolist():
                 self.count(sequence)
             return
-        seen = [-n for n in range(REORDERED) if self._seen >> n & 1]
+        seen = [-n for n in range(self.REORDERED) if self._seen >> n & 1]
         numbers = np.sort(np.append(seen, numbers))
         distinct = numbers[np.diff(numbers, append=np.iinfo(np.int64).max) > 0]
         moved = int(newest[-1])
         self.received += len(distinct) - len(seen)
         self.expected += moved
         self._newest = (self._newest + moved) % 256
-        recent = moved - distinct[distinct > moved - REORDERED]
+        recent = moved - distinct[distinct > moved - self.REORDERED]
         self._seen = sum(1 << n for n in recent.tolist())
 
     def follows(self, sequence: int) -> bool:
@@ -133,16 +119,31 @@ class Monitor:
         gap_count: how many there were.
     """
 
+    WINDOW = 5.0
+    """s of vehicle time that rates are taken over."""
+    STEP = 0.5
+    """s. Messages are counted in steps of this length."""
+    GAP = 0.1
+    """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
+    GAPS_KEPT = 100
+    MOST_UNNAMED = 64
+    """Message types without a name that are counted one by one, the first received; a hostile
+    sender can make up 16 million."""
+    _NEW_SHARE = 0.02
+    """Of each step of the IMU in what its usual step is believed to be."""
+    _REMEMBERED = 2048
+    """Steps after which nothing is left of an older one."""
+
     def __init__(self) -> None:
         self.received = 0
         self.heard = 0
         self.bad_crc = 0
         self.unknown = 0
-        self.gaps: deque[tuple[float, float]] = deque(maxlen=GAPS_KEPT)
+        self.gaps: deque[tuple[float, float]] = deque(maxlen=self.GAPS_KEPT)
         self.gap_count = 0
         self._counts: Counter[int] = Counter()
         self._known = set(NAMED_IDS.tolist())
-        self._most_known = len(self._known) + MOST_UNNAMED
+        self._most_known = len(self._known) + self.MOST_UNNAMED
         # Of the chosen vehicle alone: what it forwards from other systems was numbered for
         # another link and shows gaps where nothing was lost.
         self._sequence = SequenceCount()
@@ -203,8 +204,8 @@ class Monitor:
                 return
         self._go_on(float(now[0]))
         self._now = float(now[-1])
-        steps = (now / STEP).astype(np.int64)
-        first = int(np.searchsorted(steps, steps[-1] - WINDOW / STEP))
+        steps = (now / self.STEP).astype(np.int64)
+        first = int(np.searchsorted(steps, steps[-1] - self.WINDOW / self.STEP))
         edges = np.flatnonzero(np.diff(steps[first:], prepend=-1, append=-1)) + first
         for start, end in pairwise(edges.tolist()):
             whole = end - start == len(message_id)
@@ -223,14 +224,14 @@ class Monitor:
         """The same of (n,) messages, in order."""
         unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
         ids, first = np.unique(message_id[unnamed], return_index=True)
-        for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
+        for new in ids[np.argsort(first)][: self.MOST_UNNAMED + 1].tolist():
             self._type(new)
         counted = np.isin(message_id, np.array(sorted(self._known)))
         return np.where(counted, message_id, OTHER_TYPES)
 
     def _go_on(self, now: float) -> None:
         """See whether the clock went back."""
-        if self._now is not None and self._first is not None and now < self._now - STEP:
+        if self._now is not None and self._first is not None and now < self._now - self.STEP:
             self._spans += self._now - self._first
             self._first = None
             self._steps.clear()
@@ -242,7 +243,7 @@ class Monitor:
     def _add_step(self, step: int, messages: Mapping[int, int], size: int) -> None:
         if not self._steps or self._steps[-1][0] != step:
             self._steps.append((step, Counter(), [0]))
-            while self._steps[0][0] < step - WINDOW / STEP:
+            while self._steps[0][0] < step - self.WINDOW / self.STEP:
                 self._steps.popleft()
         _, counts, sizes = self._steps[-1]
         counts.update(messages)
@@ -259,7 +260,7 @@ class Monitor:
         t = t[t > newest[:-1]]
         steps = np.diff(t, prepend=newest[0])
         start = 0
-        for long in np.flatnonzero(steps > GAP).tolist():  # only there can a gap be
+        for long in np.flatnonzero(steps > self.GAP).tolist():  # only there can a gap be
             self._watch_imu_steps(t[start:long], steps[start:long])
             self._watch_imu_time(float(t[long]))
             start = long + 1
@@ -271,22 +272,24 @@ class Monitor:
             return
         self._imu_last = float(t[-1])
         usual = self._imu_step or float(steps[0])
-        steps = steps[-_REMEMBERED:]
-        left = (1.0 - _NEW_SHARE) ** np.arange(len(steps), -1, -1)
-        self._imu_step = float(usual * left[0] + _NEW_SHARE * (left[1:] @ steps))
+        steps = steps[-self._REMEMBERED :]
+        left = (1.0 - self._NEW_SHARE) ** np.arange(len(steps), -1, -1)
+        self._imu_step = float(usual * left[0] + self._NEW_SHARE * (left[1:] @ steps))
 
     def _watch_imu_time(self, t: float) -> None:
         if self._imu_last is not None:
             step = t - self._imu_last
             if step <= 0.0:
                 return
-            if step > max(GAP, 5.0 * self._imu_step):
+            if step > max(self.GAP, 5.0 * self._imu_step):
                 if self._imu_step:
                     self.gaps.append((self._imu_last, step))
                     self.gap_count += 1
                 self._imu_step = self._imu_step or step
             else:
-                self._imu_step += _NEW_SHARE * (step - self._imu_step) if self._imu_step else step
+                self._imu_step += (
+                    self._NEW_SHARE * (step - self._imu_step) if self._imu_step else step
+                )
         self._imu_last = t
 
     @property
@@ -325,7 +328,9 @@ class Monitor:
     def _window(self) -> tuple[Counter[int], int, float]:
         """Messages by id, bytes, and s of the whole steps in the window."""
         whole = list(self._steps)[:-1]  # the last step still fills
-        begun_inside = self._first is not None and whole and whole[0][0] == int(self._first / STEP)
+        begun_inside = (
+            self._first is not None and whole and whole[0][0] == int(self._first / self.STEP)
+        )
         if begun_inside and len(whole) > 1:
             whole = whole[1:]
         total: Counter[int] = Counter()
@@ -334,7 +339,7 @@ class Monitor:
             total.update(counts)
             size += step_size[0]
         # Steps without any message are silence, and count.
-        seconds = (self._steps[-1][0] - whole[0][0]) * STEP if whole else 0.0
+        seconds = (self._steps[-1][0] - whole[0][0]) * self.STEP if whole else 0.0
         return total, size, seconds
 
     def health(self, garbage_bytes: int = 0) -> LinkHealth:

@@ -11,15 +11,6 @@ from collections.abc import Collection, Mapping
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 
-ASK_EVERY = 0.25
-"""s between two requests: a slow radio carries that beside the streams."""
-LAYOUT_AT_ONCE = 3
-"""Requests at a time while the layout is unknown."""
-ROUNDS = 5
-"""Requests for a parameter that is not answered; the vehicle may not have it."""
-ROUND_EVERY = 3.0
-"""s at least between two requests for the same one."""
-
 _PX4_LAYOUT = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "SYS_AUTOSTART")
 _PX4 = (
     "SYS_HITL",
@@ -114,6 +105,15 @@ class ParameterRequests:
         missing: names given up.
     """
 
+    ASK_EVERY = 0.25
+    """s between two requests: a slow radio carries that beside the streams."""
+    LAYOUT_AT_ONCE = 3
+    """Requests at a time while the layout is unknown."""
+    ROUNDS = 5
+    """Requests for a parameter that is not answered; the vehicle may not have it."""
+    ROUND_EVERY = 3.0
+    """s at least between two requests for the same one."""
+
     def __init__(self, gate: Requests, rotors: int = 4) -> None:
         self.missing: list[str] = []
         self._gate = gate
@@ -124,7 +124,7 @@ class ParameterRequests:
         self._asked_at: dict[str, float] = {}
         self._followed_up: set[str] = set()
         self._layout: set[str] = set()
-        self._last = -ASK_EVERY
+        self._last = -self.ASK_EVERY
 
     def tick(self, now: float, vehicle: Vehicle | None, arrived: Mapping[str, float]) -> None:
         """Ask for one where that is due.
@@ -144,9 +144,9 @@ class ParameterRequests:
                 self._followed_up.add(trigger)
                 self._queue.extend(names)
         self._follow_count(vehicle, arrived)
-        if now - self._last < ASK_EVERY:
+        if now - self._last < self.ASK_EVERY:
             return
-        for _ in range(LAYOUT_AT_ONCE):
+        for _ in range(self.LAYOUT_AT_ONCE):
             name = self._next(now, arrived)
             if name is None:
                 return
@@ -181,8 +181,8 @@ class ParameterRequests:
             name = self._queue.popleft()
             if name in arrived:
                 continue
-            waited = now - self._asked_at.get(name, now - ROUND_EVERY) >= ROUND_EVERY
-            if waited and self._asks.get(name, 0) >= ROUNDS:
+            waited = now - self._asked_at.get(name, now - self.ROUND_EVERY) >= self.ROUND_EVERY
+            if waited and self._asks.get(name, 0) >= self.ROUNDS:
                 self.missing.append(name)
                 continue
             self._queue.append(name)

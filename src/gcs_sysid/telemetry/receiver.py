@@ -11,9 +11,6 @@ from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Whereabouts
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck
 
-TOGETHER = 8000
-"""us; datagrams that arrived within so long are taken, and recorded, at one time."""
-
 
 class ReceivedFrames(NamedTuple):
     """Frames that arrived together, in their order."""
@@ -41,6 +38,9 @@ class Receiver:
         marks: frames that pose as the user's reset, rejected: only recordings have such frames,
             none over a link is valid.
     """
+
+    TOGETHER = 8000
+    """us; datagrams that arrived within so long are taken, and recorded, at one time."""
 
     MOST_SENDERS = 64
 
@@ -77,7 +77,7 @@ class Receiver:
         frames: list[Frame] = []
         for data, source, time_us in chunks:
             arrived = now if time_us is None else time_us
-            if frames and abs(arrived - began) > TOGETHER:
+            if frames and abs(arrived - began) > self.TOGETHER:
                 batches.append(ReceivedFrames(last, frames))
                 frames = []
             self.received_bytes += len(data)

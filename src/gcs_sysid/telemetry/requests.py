@@ -35,25 +35,6 @@ ENOUGH = 0.7
 ASKS_AT_MOST = 60
 """Unanswered requests for a group or message; five minutes. A stream that the vehicle has not got
 (ESC_STATUS without telemetry, say) need not be asked for during a whole flight."""
-_SILENT_BELOW = 0.3
-"""Hz. What came slower than this was not on."""
-HEARTBEAT_EVERY = 1.0
-"""s."""
-INTRODUCTIONS = 3
-"""Heartbeats in version 2 to a vehicle that sends version 1: PX4 sends 1 until it receives 2, and
-systems limited to 1 ignore them."""
-REPORT_AFTER = 3
-"""Requests after which a missing stream is reported, and gets no share of the link."""
-LOSS_JUDGED_EVERY = 10.0
-"""s."""
-TOO_MUCH_LOSS = 0.1
-FITS = 0.9
-"""Part of the bytes that arrived which is asked for after too much was lost."""
-HELPED = 0.7
-"""A cut has helped when the share lost came below this part of what it was."""
-CUTS_AT_MOST = 3
-_LEAST_MESSAGES = 200
-"""Fewer sent in `LOSS_JUDGED_EVERY` give no loss rate."""
 
 
 class GroupRequests:
@@ -70,6 +51,9 @@ class GroupRequests:
         asked: name of the message that a group was asked for -> Hz.
         short: name -> Hz that arrive, of those that stay away however often they are asked for.
     """
+
+    _SILENT_BELOW = 0.3
+    """Hz. What came slower than this was not on."""
 
     def __init__(self, gate: Requests, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
         self.asked: dict[str, float] = {}
@@ -126,7 +110,7 @@ class GroupRequests:
         """Give the vehicle the rates that were seen before; what was silent falls silent."""
         for name, asked in self.asked.items():
             own = self._own.get(name, 0.0)
-            self._ask(name, 0.0 if own < _SILENT_BELOW else min(max(1.0, own), asked))
+            self._ask(name, 0.0 if own < self._SILENT_BELOW else min(max(1.0, own), asked))
 
 
 class StreamRequests:
@@ -144,6 +128,14 @@ class StreamRequests:
         asked: message name -> Hz asked for; empty before the vehicle is known.
         problem: one line when the link brings too little to identify anything, else "".
     """
+
+    HEARTBEAT_EVERY = 1.0
+    """s."""
+    INTRODUCTIONS = 3
+    """Heartbeats in version 2 to a vehicle that sends version 1: PX4 sends 1 until it receives 2,
+    and systems limited to 1 ignore them."""
+    REPORT_AFTER = 3
+    """Requests after which a missing stream is reported, and gets no share of the link."""
 
     def __init__(
         self,
@@ -234,10 +226,10 @@ class StreamRequests:
             self._see_to(name, hz, arriving.get(name, 0.0), now, intervals)
 
     def _heartbeat(self, now: float, vehicle: Vehicle | None) -> None:
-        due = self._heartbeat_at is None or now - self._heartbeat_at >= HEARTBEAT_EVERY
+        due = self._heartbeat_at is None or now - self._heartbeat_at >= self.HEARTBEAT_EVERY
         if due:
             self._gate.version = 2
-            if vehicle is not None and self._introductions >= INTRODUCTIONS:
+            if vehicle is not None and self._introductions >= self.INTRODUCTIONS:
                 self._gate.version = vehicle.version
             elif vehicle is not None:
                 self._introductions += 1
@@ -309,7 +301,9 @@ class StreamRequests:
         _, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
         if arriving.get(commands, 0.0) > 1.1 * MOST_OF_GROUP:
             return False
-        return all(self._asks.get(name, 0) >= REPORT_AFTER for name in ("HIGHRES_IMU", commands))
+        return all(
+            self._asks.get(name, 0) >= self.REPORT_AFTER for name in ("HIGHRES_IMU", commands)
+        )
 
     def _turn_to_groups(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
         for name in list(self.asked):
@@ -346,7 +340,7 @@ class StreamRequests:
         return min(limits, default=None)
 
     def _is_absent(self, name: str) -> bool:
-        return name not in self._came and self._asks.get(name, 0) >= REPORT_AFTER
+        return name not in self._came and self._asks.get(name, 0) >= self.REPORT_AFTER
 
     @property
     def _needed(self) -> float:
@@ -387,7 +381,7 @@ class StreamRequests:
             if name in IMU and hz >= self._needed:
                 self.problem = ""
         asks = self._asks.get(name, 0)
-        if not enough and asks >= REPORT_AFTER and name not in self._reported:
+        if not enough and asks >= self.REPORT_AFTER and name not in self._reported:
             self._reported.add(name)
             self._report_shortage(name, hz, got)
         if name not in self._asked_at:
@@ -402,7 +396,7 @@ class StreamRequests:
 
     def _report_shortage(self, name: str, hz: float, got: float) -> None:
         if got == 0.0:
-            self._report(f"{name} does not arrive after {REPORT_AFTER} requests")
+            self._report(f"{name} does not arrive after {self.REPORT_AFTER} requests")
         elif name in IMU and got < self._needed:
             self.problem = too_slow(f"requested {hz:.0f} Hz, this link carries", got, self._needed)
             self._report(self.problem)
@@ -474,6 +468,17 @@ class _LossCut:
         capacity: bytes a second to ask for; None while loss gives no limit.
     """
 
+    LOSS_JUDGED_EVERY = 10.0
+    """s."""
+    TOO_MUCH_LOSS = 0.1
+    FITS = 0.9
+    """Part of the bytes that arrived which is asked for after too much was lost."""
+    HELPED = 0.7
+    """A cut has helped when the share lost came below this part of what it was."""
+    CUTS_AT_MOST = 3
+    _LEAST_MESSAGES = 200
+    """Fewer sent in `LOSS_JUDGED_EVERY` give no loss rate."""
+
     def __init__(self) -> None:
         self.capacity: float | None = None
         self._before: list[float | None] = []
@@ -487,22 +492,22 @@ class _LossCut:
             self._since = now, lost, sent
             return None
         began, lost_before, sent_before = self._since
-        if self._settled or now - began < LOSS_JUDGED_EVERY:
+        if self._settled or now - began < self.LOSS_JUDGED_EVERY:
             return None
         self._since = now, lost, sent
-        if sent - sent_before < _LEAST_MESSAGES:
+        if sent - sent_before < self._LEAST_MESSAGES:
             return None
         share = (lost - lost_before) / (sent - sent_before)
-        if share <= TOO_MUCH_LOSS:
+        if share <= self.TOO_MUCH_LOSS:
             self._share = None
             return None
-        if self._share is not None and share > HELPED * self._share:
+        if self._share is not None and share > self.HELPED * self._share:
             self.capacity = self._before.pop()  # the last cut did not help: it is not the width
             self._settled = True
             return None
-        if len(self._before) >= CUTS_AT_MOST or not asked:
+        if len(self._before) >= self.CUTS_AT_MOST or not asked:
             return None
         self._share = share
         self._before.append(self.capacity)
-        self.capacity = FITS * (1.0 - share) * asked
+        self.capacity = self.FITS * (1.0 - share) * asked
         return share

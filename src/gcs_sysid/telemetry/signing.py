@@ -29,11 +29,6 @@ EPOCH = 1_420_070_400
 """s since 1970 of 2015-01-01, where the time of signatures begins."""
 UNITS = 100_000
 """Of the time of signatures, a second."""
-RESERVED = 60 * UNITS
-"""How far ahead of the last frame the state file is written, so that even a kill -9 cannot let
-the time go back."""
-OLDEST_START = 60 * UNITS
-"""A sender not received before may be this far behind our own time, as the protocol says."""
 LINK_ID = 0
 _MOST_BYTES = 4096
 """Of a key file."""
@@ -97,6 +92,12 @@ class SigningClock:
         problem: one line when the file cannot be written, else "".
     """
 
+    RESERVED = 60 * UNITS
+    """How far ahead of the last frame the state file is written, so that even a kill -9 cannot let
+    the time go back."""
+    OLDEST_START = 60 * UNITS
+    """A sender not received before may be this far behind our own time, as the protocol says."""
+
     def __init__(self, state: Path | None = None, now: Callable[[], int] = _now) -> None:
         self.problem = ""
         self._state = state
@@ -104,13 +105,13 @@ class SigningClock:
         self._reserved = 0
         kept = _read_state(state)
         self.time = max(now(), kept)
-        self._heard = max(0, kept - RESERVED)
+        self._heard = max(0, kept - self.RESERVED)
 
     def next_time(self) -> int:
         """The time for one more frame, later than any before."""
         self.time = min(max(self.time + 1, self._now()), LARGEST_TIME)
         if self.time >= self._reserved:
-            self._reserved = self.time + RESERVED
+            self._reserved = self.time + self.RESERVED
             self._write(self._reserved)
         return self.time
 
@@ -122,7 +123,7 @@ class SigningClock:
     @property
     def oldest_start(self) -> int:
         """The earliest time accepted of a sender not received before."""
-        return max(self._now(), self._heard) - OLDEST_START
+        return max(self._now(), self._heard) - self.OLDEST_START
 
     def close(self) -> None:
         """Write the exact time where one was written ahead."""

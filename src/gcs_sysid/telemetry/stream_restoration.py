@@ -24,18 +24,6 @@ from gcs_sysid.telemetry.wanted_streams import LAST_ID_OF_VERSION_1, default_rat
 
 VEHICLE_DEFAULT, OFF = 0, -1
 """Intervals of SET_MESSAGE_INTERVAL that are none."""
-ROUND_EVERY = 0.6
-"""s between two rounds of questions; a telemetry radio answers within it."""
-ROUNDS = 3
-"""Of questions, by GET_MESSAGE_INTERVAL and REQUEST_MESSAGE in turn: some know only one."""
-OBSERVED_FOR = 3.0
-"""s after which what arrived must do, where a question is not answered."""
-SILENT_FOR = 0.7
-"""s after which a vehicle that neither answers nor sends any of the streams is not waited for."""
-CHECKED_EVERY = 5.0
-"""s between questions whether another station has set an interval."""
-SETTLED = 1.0
-"""s after a request in which it has taken effect; s that an answer is waited for."""
 SAME = 0.02
 """Share by which an interval may differ and still be the one asked for: autopilots round."""
 SCHEMA = "gcs-sysid-streams/1"
@@ -51,6 +39,20 @@ class StreamRestoration:
         folder: for the file; None: nothing is kept beyond the session.
         link: the link's URL: PX4 has rates for each link.
     """
+
+    ROUND_EVERY = 0.6
+    """s between two rounds of questions; a telemetry radio answers within it."""
+    ROUNDS = 3
+    """Of questions, by GET_MESSAGE_INTERVAL and REQUEST_MESSAGE in turn: some know only one."""
+    OBSERVED_FOR = 3.0
+    """s after which what arrived must do, where a question is not answered."""
+    SILENT_FOR = 0.7
+    """s after which a vehicle that neither answers nor sends any of the streams is not waited
+    for."""
+    CHECKED_EVERY = 5.0
+    """s between questions whether another station has set an interval."""
+    SETTLED = 1.0
+    """s after a request in which it has taken effect; s that an answer is waited for."""
 
     def __init__(
         self, gate: Requests, rotors: int, folder: Path | None = None, link: str = ""
@@ -125,15 +127,15 @@ class StreamRestoration:
         missing = [name for name in self._names if name not in answers]
         waited = now - self._began
         silent = not answers and not any(arriving.get(name) for name in self._names)
-        if missing and waited < (SILENT_FOR if silent else OBSERVED_FOR):
-            if self._rounds < ROUNDS and waited >= self._rounds * ROUND_EVERY:
+        if missing and waited < (self.SILENT_FOR if silent else self.OBSERVED_FOR):
+            if self._rounds < self.ROUNDS and waited >= self._rounds * self.ROUND_EVERY:
                 self._ask(missing)
             return False
         for name in self._names:
             self._settle(name, answers.get(name), arriving.get(name, 0.0))
         self._answered |= answers.keys()
         self._known = True
-        self._check_at, self._heard_at_check = now + CHECKED_EVERY, self._heard(intervals)
+        self._check_at, self._heard_at_check = now + self.CHECKED_EVERY, self._heard(intervals)
         return True
 
     @staticmethod
@@ -162,7 +164,7 @@ class StreamRestoration:
                     found.append(name)
                 self._take_over(name, answer, arriving.get(name, 0.0))
         if now >= self._check_at and self._vehicle is not None:
-            self._check_at, self._heard_at_check = now + CHECKED_EVERY, self._heard(intervals)
+            self._check_at, self._heard_at_check = now + self.CHECKED_EVERY, self._heard(intervals)
             for name in self._names:
                 if name in self._answered:
                     self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])
@@ -191,7 +193,7 @@ class StreamRestoration:
             self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])
             return False
         since, before = self._looking[name]
-        done = count > before or now - since >= SETTLED
+        done = count > before or now - since >= self.SETTLED
         if done:
             del self._looking[name]
         return done
@@ -211,7 +213,7 @@ class StreamRestoration:
     def requested(self, now: float, name: str, interval: int) -> None:
         """A stream is being asked for, every `interval` us."""
         self._became.pop(name, None)
-        self._check_at = min(self._check_at, now + SETTLED)
+        self._check_at = min(self._check_at, now + self.SETTLED)
         self.remember({name: interval})
 
     def _ask(self, names: Iterable[str]) -> None:

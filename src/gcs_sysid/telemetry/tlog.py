@@ -11,6 +11,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular
+from gcs_sysid.telemetry.file_windows import file_windows
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import message_arrays
@@ -77,14 +78,9 @@ class TlogReader:
         self.bytes_read = 0
         try:
             with open(self.path, "rb") as file:
-                rest, final = b"", False
-                while not final:
-                    more = file.read(self._window)
-                    self.bytes_read += len(more)
-                    final = len(more) < self._window
-                    content = rest + more
-                    block, done = scanner.scan(content, final=final)
-                    rest = content[done:]
+                for window in file_windows(file, self._window):
+                    self.bytes_read = window.position + len(window.content)
+                    block, window.done = scanner.scan(window.content, final=window.final)
                     if len(block):
                         yield block
         except OSError as error:

@@ -39,29 +39,6 @@ from gcs_sysid.telemetry.frames import (
 from gcs_sysid.telemetry.repeated_bytes import RepeatedBytes
 
 STAMP = 8
-MARGIN = 3 * (STAMP + LONGEST_FRAME)
-"""Bytes that must follow a record before it is decided, unless the file ends: the record after
-it, and what may begin inside of either."""
-CLOCK_STEP = 60_000_000
-"""us. A record's time further than this from those of both neighbors, which agree with each
-other, is damaged."""
-FAR_STEP = 86_400_000_000
-"""us. The same where there is only one neighbor."""
-_TRIED = 4096
-"""Bytes of a piece hunted through one by one, before all its good frames are found together."""
-_CROWD = 8
-"""Bytes for each candidate, at most, from which on their checksums are taken from those of the
-whole piece."""
-_FEW_RUNS = 4
-"""Candidates for each run, at least, where runs are few."""
-_NOWHERE = 2**30
-"""Behind every piece."""
-_SEARCHED = 2**16
-"""Bytes searched together for magic bytes."""
-_CACHED = 2**14
-"""Candidates looked at together: their arrays stay in the cache."""
-ALONE = 2**20
-"""Bytes of garbage after which no neighbor is waited for, however long it goes on."""
 _IDS = max(CRC_EXTRA) + 2
 _EXTRA = np.full(_IDS, -1, np.int16)
 """Message id -> CRC_EXTRA, -1 where none is known; the last entry is for all larger ids."""
@@ -99,6 +76,17 @@ class Scanner:
         counts: of what was seen so far.
     """
 
+    MARGIN = 3 * (STAMP + LONGEST_FRAME)
+    """Bytes that must follow a record before it is decided, unless the file ends: the record after
+    it, and what may begin inside of either."""
+    CLOCK_STEP = 60_000_000
+    """us. A record's time further than this from those of both neighbors, which agree with each
+    other, is damaged."""
+    FAR_STEP = 86_400_000_000
+    """us. The same where there is only one neighbor."""
+    ALONE = 2**20
+    """Bytes of garbage after which no neighbor is waited for, however long it goes on."""
+
     def __init__(self) -> None:
         self.counts = ScanCounts()
         self._hunting = False  # whether the last piece ended in garbage
@@ -118,7 +106,7 @@ class Scanner:
         """
         size = len(content)
         data = np.frombuffer(content + bytes(LONGEST_FRAME + STAMP), np.uint8)
-        limit = size if final else size - MARGIN
+        limit = size if final else size - self.MARGIN
         at, head = _RecordChain(content, data, limit).frames(hunting=self._hunting)
         stop = at + head.size
         before = np.concatenate([np.zeros(1, at.dtype), stop])[:-1]
@@ -130,7 +118,7 @@ class Scanner:
             if len(at) and _is_cut_short(content[behind:]):
                 self.counts.cut_short = rest
             self._hunting = hunting and not len(at)
-        elif len(at) and limit - STAMP - behind < ALONE:
+        elif len(at) and limit - STAMP - behind < self.ALONE:
             # The last frame comes again: its time is judged with its neighbor's.
             kept, done, rest = len(at) - 1, int(start[-1]), 0
             self._hunting = hunting and done == 0
@@ -185,7 +173,7 @@ class Scanner:
             return time_us[:0], 0
         steps = abs(np.diff(time_us.astype(float), prepend=self._behind_us))
         steps[0] = 0.0 if np.isnan(steps[0]) else steps[0]
-        if stamped.all() and steps.max() <= CLOCK_STEP:  # as nearly always
+        if stamped.all() and steps.max() <= self.CLOCK_STEP:  # as nearly always
             self._behind_us, self._time_us = float(time_us[kept - 1]), int(time_us[kept - 1])
             return time_us[:kept], 0
         around = np.full(len(at) + 2, np.nan)
@@ -193,12 +181,12 @@ class Scanner:
         around[1:-1] = np.where(stamped, time_us, np.nan)
         past, here, ahead = around[:-2], around[1:-1], around[2:].copy()
         # So that windows of any size judge alike.
-        ahead[:-1][gaps[1:] >= ALONE] = np.nan
-        spike = (abs(here - past) > CLOCK_STEP) & (abs(here - ahead) > CLOCK_STEP)
-        spike &= abs(ahead - past) <= CLOCK_STEP
+        ahead[:-1][gaps[1:] >= self.ALONE] = np.nan
+        spike = (abs(here - past) > self.CLOCK_STEP) & (abs(here - ahead) > self.CLOCK_STEP)
+        spike &= abs(ahead - past) <= self.CLOCK_STEP
         # The first and the last of a file have one neighbor, which must not be far away.
-        spike |= np.isnan(past) & (abs(here - ahead) > FAR_STEP)
-        spike |= np.isnan(ahead) & (abs(here - past) > FAR_STEP)
+        spike |= np.isnan(past) & (abs(here - ahead) > self.FAR_STEP)
+        spike |= np.isnan(ahead) & (abs(here - past) > self.FAR_STEP)
         damaged = (spike | ~stamped)[:kept]
         time_us = time_us[:kept]
         if damaged.any():
@@ -293,17 +281,33 @@ class _RecordChain:
         limit: frames are wanted that begin up to there.
     """
 
+    _TRIED = 4096
+    """Bytes of a piece hunted through one by one, before all its good frames are found together."""
+    _CROWD = 8
+    """Bytes for each candidate, at most, from which on their checksums are taken from those of the
+    whole piece."""
+    _FEW_RUNS = 4
+    """Candidates for each run, at least, where runs are few."""
+    _NOWHERE = 2**30
+    """Behind every piece."""
+    _SEARCHED = 2**16
+    """Bytes searched together for magic bytes."""
+    _CACHED = 2**14
+    """Candidates looked at together: their arrays stay in the cache."""
+
     def __init__(self, content: bytes, data: Array, limit: int) -> None:
         self._content = content
         self._data = data
         self._limit = limit
         at = np.concatenate(
             [
-                np.flatnonzero(_is_magic(data[i : min(i + _SEARCHED, len(content))])) + i
-                for i in range(0, max(len(content), 1), _SEARCHED)
+                np.flatnonzero(_is_magic(data[i : min(i + self._SEARCHED, len(content))])) + i
+                for i in range(0, max(len(content), 1), self._SEARCHED)
             ]
         ).astype(np.int32)
-        parts = [self._led_to(at[i : i + _CACHED]) for i in range(0, max(len(at), 1), _CACHED)]
+        parts = [
+            self._led_to(at[i : i + self._CACHED]) for i in range(0, max(len(at), 1), self._CACHED)
+        ]
         # Where whole frames could begin, by their headers alone, and where the record after each
         # has its magic byte.
         self._whole, self._follows = (np.concatenate(some) for some in zip(*parts, strict=True))
@@ -320,7 +324,7 @@ class _RecordChain:
         flags = behind(2) * second
         if flags.any():
             follows += (flags == FLAG_SIGNED) * np.uint8(SIGNATURE)
-            follows[flags > FLAG_SIGNED] = _NOWHERE
+            follows[flags > FLAG_SIGNED] = self._NOWHERE
         fits = follows <= len(self._content) + STAMP
         return (at, follows) if fits.all() else (at[fits], follows[fits])
 
@@ -339,10 +343,10 @@ class _RecordChain:
     def _are_good(self, at: Array) -> Mask:
         """(n,) whether the checksum of each candidate is right."""
         data = self._data
-        if _CROWD * len(at) < len(data):
+        if self._CROWD * len(at) < len(data):
             return _are_right(data, at, partial(checksums_agree, data))
         agree = RunningChecksum(data).agree
-        pieces = (at[i : i + _CACHED] for i in range(0, len(at), _CACHED))
+        pieces = (at[i : i + self._CACHED] for i in range(0, len(at), self._CACHED))
         return np.concatenate([_are_right(data, piece, agree) for piece in pieces])
 
     def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
@@ -423,7 +427,7 @@ class _RecordChain:
             last: which of them are the last of a run.
         """
         leads = follows[last]
-        if _FEW_RUNS * len(last) < len(linked):
+        if self._FEW_RUNS * len(last) < len(linked):
             index = np.searchsorted(linked, leads)
             met = np.flatnonzero(linked.take(index, mode="clip") == leads)
             run = np.searchsorted(last, index[met])
@@ -439,8 +443,8 @@ class _RecordChain:
         if len(last) < len(linked):
             follows = np.repeat(leads, np.diff(last, prepend=-1))
         room = np.zeros(len(self._data), np.int32)
-        for first in range(0, len(linked), _CACHED):
-            some = slice(first, first + _CACHED)
+        for first in range(0, len(linked), self._CACHED):
+            some = slice(first, first + self._CACHED)
             room[linked[some].astype(np.intp)] = follows[some]
         # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
         return room.data.__getitem__, room.data.__getitem__
@@ -456,7 +460,7 @@ class _RecordChain:
                 frame.valid is Validity.OK or record_follows(content, record + STAMP, frame)
             ):
                 return record + STAMP, record + STAMP + len(frame.raw)
-        stop = min(record + _TRIED - self._tried, len(content))
+        stop = min(record + self._TRIED - self._tried, len(content))
         if stop > record:
             position, frame = find_frame(content, record, stop, final=True)
             self._tried += position - record
@@ -523,7 +527,7 @@ def _is_cut_short(rest: bytes) -> bool:
 
 def shows_a_record(head: bytes) -> bool:
     """Whether a record whose checksum is right, followed by another or the end, is in there."""
-    position, frame = find_frame(head, 0, min(_TRIED, len(head)), final=True)
+    position, frame = find_frame(head, 0, min(_RecordChain._TRIED, len(head)), final=True)
     places = [position] if frame is not None else []
     if not places or not _begins_record(head, position):
         data = np.frombuffer(head + bytes(LONGEST_FRAME + STAMP), np.uint8)

@@ -20,25 +20,8 @@ from typing import BinaryIO
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import Frame
 
-WRITE_EVERY = 0.1
-"""s. What a kill -9 can cost: the rest lies with the operating system by then."""
-SYNC_EVERY = 0.7
-"""s between syncs. What a power loss can cost, with `WRITE_EVERY`."""
-RETRY_EVERY = 2.0
-"""s between attempts while the disk refuses."""
-MOST_PENDING = 16 * 2**20
-"""Bytes held for a disk that does not take them, minutes of telemetry; what comes beyond is
-dropped and counted."""
-MOST_FILES = 20
-"""Files begun for one recording: a disk that fails again and again is given up."""
-PATIENCE = 5.0
-"""s that `close` waits for a disk that does not answer."""
-STALLED_AFTER = 3.0
-"""s in one write from which a disk is said not to answer."""
 NOT_RECORDING = "not recording"
 """How the line of a recording that has no file begins."""
-_MOST_EVENTS = 20
-"""Events kept until taken."""
 _NO_ROOM = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 _stamp = struct.Struct(">Q")
@@ -65,6 +48,24 @@ class TlogWriter:
         InputError: the file exists, and neither of the two is wanted.
     """
 
+    WRITE_EVERY = 0.1
+    """s. What a kill -9 can cost: the rest lies with the operating system by then."""
+    SYNC_EVERY = 0.7
+    """s between syncs. What a power loss can cost, with `WRITE_EVERY`."""
+    RETRY_EVERY = 2.0
+    """s between attempts while the disk refuses."""
+    MOST_PENDING = 16 * 2**20
+    """Bytes held for a disk that does not take them, minutes of telemetry; what comes beyond is
+    dropped and counted."""
+    MOST_FILES = 20
+    """Files begun for one recording: a disk that fails again and again is given up."""
+    PATIENCE = 5.0
+    """s that `close` waits for a disk that does not answer."""
+    STALLED_AFTER = 3.0
+    """s in one write from which a disk is said not to answer."""
+    _MOST_EVENTS = 20
+    """Events kept until taken."""
+
     def __init__(self, path: Path | str, *, overwrite: bool = False, beside: bool = False) -> None:
         self.path = Path(path)
         self.problem = ""
@@ -77,7 +78,7 @@ class TlogWriter:
         self._overwrite = overwrite
         self._files: list[Path] = []  # those that hold records, in order
         self._begun = 0
-        self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[str] = deque(maxlen=self._MOST_EVENTS)
         self._wake = threading.Condition()
         self._pending: list[tuple[bytes, int]] = []  # whole records, and how many
         self._waiting = 0  # bytes of them, and of what is being written
@@ -113,10 +114,14 @@ class TlogWriter:
         data, count = b"".join(parts), len(parts) // 2
         with self._wake:
             since = self._busy_since
-            if since is not None and not self._stalled and time.monotonic() - since > STALLED_AFTER:
+            if (
+                since is not None
+                and not self._stalled
+                and time.monotonic() - since > self.STALLED_AFTER
+            ):
                 self._stalled = True
                 self._events.append(f"{self.path}: the disk does not answer, frames wait in memory")
-            if self._waiting + len(data) > MOST_PENDING and not self._dropping:
+            if self._waiting + len(data) > self.MOST_PENDING and not self._dropping:
                 self._dropping = True
                 self._events.append(f"{self.path}: the disk does not keep up, frames are lost")
             if self._dropping or self._closing or self._given_up:
@@ -185,13 +190,13 @@ class TlogWriter:
         while not closing:
             with self._wake:
                 if not self._closing and self._asked == self._done:
-                    self._wake.wait(RETRY_EVERY if self.problem else WRITE_EVERY)
+                    self._wake.wait(self.RETRY_EVERY if self.problem else self.WRITE_EVERY)
                 closing, asked = self._closing, self._asked
                 chunks, self._pending = self._pending, []
             try:
                 if not self._given_up:
                     now = time.monotonic()
-                    if now - looked >= SYNC_EVERY:
+                    if now - looked >= self.SYNC_EVERY:
                         looked = now
                         self._see_whether_there()
                     chunks = self._write(chunks)
@@ -244,7 +249,7 @@ class TlogWriter:
         if not (self.problem or self._dropping or self._stalled):
             return
         with self._wake:
-            if self._waiting > MOST_PENDING // 2:  # more has come meanwhile: first that
+            if self._waiting > self.MOST_PENDING // 2:  # more has come meanwhile: first that
                 return
             lost = f"; {self.dropped} frames are missing so far" if self._dropping else ""
             self._events.append(f"recording continues in {self.path}{lost}")
@@ -286,8 +291,8 @@ class TlogWriter:
                 self._file.truncate(self._size)
             if getattr(error, "errno", None) not in _NO_ROOM:
                 self._close_file()
-        again = f"; retried every {RETRY_EVERY:g} s"
-        if self._begun >= MOST_FILES:
+        again = f"; retried every {self.RETRY_EVERY:g} s"
+        if self._begun >= self.MOST_FILES:
             self._given_up = True
             again = "; it failed too often: start another recording"
         with self._wake:
@@ -314,7 +319,7 @@ class TlogWriter:
     # -- the other thread
 
     def _keep_synced(self) -> None:
-        while not self._ended.wait(SYNC_EVERY):
+        while not self._ended.wait(self.SYNC_EVERY):
             with self._syncing:
                 file = self._file
                 if file is None or file.closed:

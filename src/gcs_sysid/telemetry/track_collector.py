@@ -16,10 +16,6 @@ from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import JUMP_AHEAD
 
-STATE_EVERY = 1.0
-"""s between two reports of a state that is only logged when it changes."""
-STATE_FOR = 86400.0
-"""s of log accepted: a later time is damaged."""
 _AT_ONCE = 2**16
 """Samples looked at together, where copies of all would take much memory."""
 
@@ -112,6 +108,11 @@ class Recording:
         extras: name -> (n,) s and (n, width) in SI units of what is no stream yet.
     """
 
+    STATE_EVERY = 1.0
+    """s between two reports of a state that is only logged when it changes."""
+    STATE_FOR = 86400.0
+    """s of log accepted: a later time is damaged."""
+
     tracks: list[Track]
     system: int
     component: int
@@ -174,8 +175,8 @@ class Recording:
         at = np.sort(at[np.isfinite(at)])
         if not len(at):
             return
-        end = min(max(at[0], end), at[0] + STATE_FOR)
-        t = np.union1d(at, np.arange(at[0], end, STATE_EVERY))
+        end = min(max(at[0], end), at[0] + self.STATE_FOR)
+        t = np.union1d(at, np.arange(at[0], end, self.STATE_EVERY))
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
 

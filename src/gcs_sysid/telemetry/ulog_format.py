@@ -11,16 +11,6 @@ import numpy as np
 
 from gcs_sysid.errors import InputError
 
-MOST_NESTING = 8
-"""Formats inside each other; PX4 nests once."""
-MOST_FIELDS = 1024
-"""Of a format; PX4's largest has some 60."""
-MOST_COLUMNS = 1024
-"""Of a topic that is read, its arrays laid out."""
-MOST_FORMATS = 4096
-_LONGEST_ROW = 2**16 - 3
-"""Bytes; what an entry can hold beside the topic's number."""
-
 _TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4",
     "uint32_t": "<u4", "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8",
@@ -39,6 +29,16 @@ class _Field:
 class Formats:
     """What a log's F entries describe, within bounds."""
 
+    MOST_NESTING = 8
+    """Formats inside each other; PX4 nests once."""
+    MOST_FIELDS = 1024
+    """Of a format; PX4's largest has some 60."""
+    MOST_COLUMNS = 1024
+    """Of a topic that is read, its arrays laid out."""
+    MOST_FORMATS = 4096
+    _LONGEST_ROW = 2**16 - 3
+    """Bytes; what an entry can hold beside the topic's number."""
+
     def __init__(self) -> None:
         self._formats: dict[str, tuple[_Field, ...]] = {}
         self._sizes: dict[str, int] = {}
@@ -50,14 +50,14 @@ class Formats:
         Raises:
             InputError: it is not of that form, or exceeds a bound.
         """
-        if len(self._formats) >= MOST_FORMATS:
-            raise InputError(f"more than {MOST_FORMATS} formats")
+        if len(self._formats) >= self.MOST_FORMATS:
+            raise InputError(f"more than {self.MOST_FORMATS} formats")
         name, colon, rest = text.partition(":")
         if not colon or not name or not name.isprintable():
             raise InputError("a format without a name")
-        words = rest.split(";", MOST_FIELDS)
-        if len(words) > MOST_FIELDS:
-            raise InputError(f"{name:.80} has more than {MOST_FIELDS} fields")
+        words = rest.split(";", self.MOST_FIELDS)
+        if len(words) > self.MOST_FIELDS:
+            raise InputError(f"{name:.80} has more than {self.MOST_FIELDS} fields")
         self._formats[name] = tuple(_field(word, name) for word in words if word)
 
     def size(self, name: str, depth: int = 0) -> int:
@@ -67,13 +67,13 @@ class Formats:
             InputError: it is not described, or nested too deep or longer than an entry can be.
         """
         if name in self._sizes:
-            if depth + self._heights[name] > MOST_NESTING:
-                raise InputError(f"formats nested more than {MOST_NESTING} deep")
+            if depth + self._heights[name] > self.MOST_NESTING:
+                raise InputError(f"formats nested more than {self.MOST_NESTING} deep")
             return self._sizes[name]
         if name not in self._formats:
             raise InputError(f"no format {name:.80}")
-        if depth > MOST_NESTING:
-            raise InputError(f"formats nested more than {MOST_NESTING} deep")
+        if depth > self.MOST_NESTING:
+            raise InputError(f"formats nested more than {self.MOST_NESTING} deep")
         size = height = 0
         for each in self._formats[name]:
             kind = _TYPES.get(each.kind)
@@ -83,7 +83,7 @@ class Formats:
             else:
                 one = np.dtype(kind).itemsize
             size += one * (1 if each.count is None else each.count)
-            if size > _LONGEST_ROW:
+            if size > self._LONGEST_ROW:
                 raise InputError(f"rows of {name:.80} longer than an entry can be")
         self._sizes[name], self._heights[name] = size, height
         return size
@@ -137,8 +137,8 @@ class Formats:
                     self._lay_out(each.kind, column + ".", offset, columns)
                 else:
                     columns.append((column, kind, offset))
-                if len(columns) > MOST_COLUMNS:
-                    raise InputError(f"more than {MOST_COLUMNS} columns")
+                if len(columns) > self.MOST_COLUMNS:
+                    raise InputError(f"more than {self.MOST_COLUMNS} columns")
                 offset += size
 
 

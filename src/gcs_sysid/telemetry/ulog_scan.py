@@ -22,30 +22,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.file_windows import file_windows
 from gcs_sysid.telemetry.ulog_format import Formats
 
 MAGIC = b"ULog\x01\x12\x35"
-MOST_INSTANCES = 16
-"""Of a topic; PX4 has 10 at most."""
-MOST_SUBSCRIPTIONS = 1024
-"""PX4 logs some 200 topics."""
-_LONGEST_UNKNOWN = 2048
-"""Bytes of the rows of a topic whose subscription is missing."""
-_MOST_FAULTS = 100
-_MOST_NEW_KINDS = 1000
-"""Entries of unknown kinds."""
 _OTHERS, _BYTES_AN_OTHER = 2**16, 64
 """Entries that are no rows: so many, and one for so many bytes. More of them are garbage."""
-_DOUBTFUL_OTHER = 15
-"""Of those, so many more for one behind garbage or of no use: logs have few, garbage many."""
-_LONG = 300
-"""Bytes of an entry other than a row that others must follow: a length may be damaged."""
-_WINDOW = 2**22
-"""Bytes read at once."""
-_HUNTED = 2**16
-"""Bytes searched at once where the chain is broken."""
-_MARGIN = 4 * 2**16
-"""Bytes that must follow an entry before it is decided, unless the file ends."""
 _ZEROS_PIECE = 2**20
 
 _FILE_HEAD = 16
@@ -108,6 +90,26 @@ class UlogFile:
         InputError: the file cannot be read, or is no ULog that is known here.
     """
 
+    MOST_INSTANCES = 16
+    """Of a topic; PX4 has 10 at most."""
+    MOST_SUBSCRIPTIONS = 1024
+    """PX4 logs some 200 topics."""
+    _LONGEST_UNKNOWN = 2048
+    """Bytes of the rows of a topic whose subscription is missing."""
+    _MOST_FAULTS = 100
+    _MOST_NEW_KINDS = 1000
+    """Entries of unknown kinds."""
+    _DOUBTFUL_OTHER = 15
+    """Of those, so many more for one behind garbage or of no use: logs have few, garbage many."""
+    _LONG = 300
+    """Bytes of an entry other than a row that others must follow: a length may be damaged."""
+    _WINDOW = 2**22
+    """Bytes read at once."""
+    _HUNTED = 2**16
+    """Bytes searched at once where the chain is broken."""
+    _MARGIN = 4 * 2**16
+    """Bytes that must follow an entry before it is decided, unless the file ends."""
+
     def __init__(
         self,
         path: Path,
@@ -160,14 +162,8 @@ class UlogFile:
                 raise InputError(f"{path} cannot be read as a PX4 log: {error}") from error
             for start, stop in pairwise(parts):
                 file.seek(start)
-                position, content, final = start, b"", False
-                while not final:
-                    more = file.read(min(_WINDOW, stop - position - len(content)))
-                    content += more
-                    final = not more or position + len(content) >= stop
-                    done = self._scan(content, position, final=final)
-                    position += done
-                    content = content[done:]
+                for window in file_windows(file, self._WINDOW, stop):
+                    window.done = self._scan(window.content, window.position, final=window.final)
         self.garbage_bytes += path.stat().st_size - end
         self.damaged |= self.garbage_bytes > 0
 
@@ -194,7 +190,7 @@ class UlogFile:
     def _scan(self, content: bytes, position: int, *, final: bool) -> int:
         """Find the entries of a window, which begins with one; the bytes that are done."""
         end = len(content)
-        limit = end if final else max(end - _MARGIN, 0)
+        limit = end if final else max(end - self._MARGIN, 0)
         self._searched = self._next = 0
         self._found = []
         at = 0
@@ -234,7 +230,9 @@ class UlogFile:
     ) -> _Subscription | None:
         """A topic whose subscription is missing: its rows are as long as the first of them."""
         self.damaged = True
-        can_be = 10 <= size <= _LONGEST_UNKNOWN and len(self._learned) < MOST_SUBSCRIPTIONS
+        can_be = (
+            10 <= size <= self._LONGEST_UNKNOWN and len(self._learned) < self.MOST_SUBSCRIPTIONS
+        )
         if not can_be or not _follows(content, following):
             return None
         self._learned.add(number)
@@ -254,7 +252,7 @@ class UlogFile:
         bounds = _BOUNDS[kind]
         if bounds is None:  # of a later version of the format, which are to be passed over
             self._new_kinds += 1
-            can_be = 0 < size < 10_000 and self._new_kinds <= _MOST_NEW_KINDS
+            can_be = 0 < size < 10_000 and self._new_kinds <= self._MOST_NEW_KINDS
             return can_be and _follows(content, at + _HEAD + size)
         allowed = self._next_other()
         self._others += 1
@@ -262,7 +260,7 @@ class UlogFile:
             return False
         if allowed > position + at:
             return False
-        if size > _LONG and not _follows(content, at + _HEAD + size):
+        if size > self._LONG and not _follows(content, at + _HEAD + size):
             return False
         letter = chr(kind)
         body = content[at + _HEAD : at + _HEAD + size]
@@ -274,7 +272,7 @@ class UlogFile:
             self._take_subscription(body)
         elif letter in "LC":
             self._defining = False
-        elif letter == "F" and self._defining and len(self.faults) < _MOST_FAULTS:
+        elif letter == "F" and self._defining and len(self.faults) < self._MOST_FAULTS:
             try:
                 self._formats.add(body.decode("utf-8", "ignore"))
             except InputError as error:
@@ -283,7 +281,7 @@ class UlogFile:
 
     def _fault(self, name: str, why: str) -> None:
         self.damaged = True
-        if len(self.faults) < _MOST_FAULTS:
+        if len(self.faults) < self._MOST_FAULTS:
             self.faults.setdefault(name, why)
 
     def _take_parameter(self, body: bytes, at: int) -> None:
@@ -310,17 +308,17 @@ class UlogFile:
         if number in self._learned:
             self._learned.remove(number)
         elif number in self._subscriptions or name in self.faults:
-            self._others += _DOUBTFUL_OTHER
+            self._others += self._DOUBTFUL_OTHER
             return
         subscribed = len(self._subscriptions) - len(self._learned)
-        if subscribed >= MOST_SUBSCRIPTIONS or len(self.faults) >= _MOST_FAULTS:
+        if subscribed >= self.MOST_SUBSCRIPTIONS or len(self.faults) >= self._MOST_FAULTS:
             self.damaged = True
             return
         self._searched = 0  # what was found was found without it
         try:
             size = self._formats.size(name) + 2
             padding = self._formats.padding(name)
-            if name not in self._wanted or multi_id >= MOST_INSTANCES:
+            if name not in self._wanted or multi_id >= self.MOST_INSTANCES:
                 self._subscribe(number, size - padding, size, None)
                 return
             rows = self._rows.get((name, multi_id))
@@ -353,7 +351,7 @@ class UlogFile:
         self.damaged = self._hunting = True
         while at < limit:
             if not self._searched or at >= self._searched:
-                self._search(content, at, min(at + _HUNTED, limit))
+                self._search(content, at, min(at + self._HUNTED, limit))
             self._next = bisect_right(self._found, at - 1, self._next)
             found = self._found[self._next : self._next + 1]
             others = self._found_others
@@ -364,7 +362,7 @@ class UlogFile:
             if found or other:
                 self._hunting = False
                 at = min(found + other)
-                self._others += _DOUBTFUL_OTHER * (found != [at])
+                self._others += self._DOUBTFUL_OTHER * (found != [at])
                 return at
             at = self._searched
         return limit

@@ -14,8 +14,6 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
-MOST_SYSTEMS = 256
-"""Systems kept in the table: a hostile sender can claim 65 536 of them."""
 
 RADIO = (51, 68)
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
@@ -126,6 +124,9 @@ class VehicleSelector:
         wanted: system and perhaps component that the user chose; None: the first autopilot.
     """
 
+    MOST_SYSTEMS = 256
+    """Systems kept in the table: a hostile sender can claim 65 536 of them."""
+
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.chosen: Vehicle | None = None
         self.systems: dict[tuple[int, int], Vehicle] = {}
@@ -144,7 +145,7 @@ class VehicleSelector:
         counts = {divmod(sender, 256): count for sender, count in counts_of(who).items()}
         new = counts.keys() - self.systems.keys()
         first = {(i, j): int(np.argmax(who == (i << 8 | j))) for i, j in new}
-        for address in sorted(new, key=first.__getitem__)[: MOST_SYSTEMS - len(self.systems)]:
+        for address in sorted(new, key=first.__getitem__)[: self.MOST_SYSTEMS - len(self.systems)]:
             self.systems[address] = Vehicle(*address)
             self.frames[address] = 0
         for address in counts.keys() & self.systems.keys():
