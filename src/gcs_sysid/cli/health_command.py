@@ -2,9 +2,10 @@
 
 import argparse
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.failures import OneByOne
@@ -18,7 +19,8 @@ from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
+from gcs_sysid.results.health_view import cg_facts, health_fact
+from gcs_sysid.results.number_format import PLAIN, significant
 
 _NAME = 20
 _WINDY = 2e-3
@@ -114,39 +116,25 @@ def _head(health: Health) -> Iterator[str]:
     what = health.rotor_input.words
     yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
     yield ""
-    assert health.cg is not None
-    for place, positive, negative in zip(
-        health.cg, ("forward", "right"), ("aft", "left"), strict=True
-    ):
-        value, half = place.value or 0.0, place.half or 0.0
-        way = positive if value >= 0.0 else negative
-        flown = 1.96e3 * max((place.std or 0.0) ** 2 - place.std_given**2, 0.0) ** 0.5
-        yield _line(
-            "CG " + ("along" if positive == "forward" else "across"),
-            f"{PLAIN.measure(1e3 * abs(value), 1e3 * half, 'mm')} {way} of the center "
-            f"(identical rotors: ± {PLAIN.fixed(flown, decimals_for(max(flown, 0.01)))} mm)",
-        )
+    document = document_of(health)
+    for name, size, way, alike in cg_facts(document):
+        yield _line(name, f"{size} {way} of the center ({alike})")
     yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
         yield _line("  wind contribution", _as_flown(health.by_wind))
-    yield from _pure("yaw imbalance", health.yaw_imbalance, 100.0, "% of the load, ccw minus cw")
-    yield from _pure("hover throttle", health.hover_throttle, 100.0, "%")
-    yield from _pure("full thrust", health.thrust_to_weight, 1.0, "times the weight")
+    for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
+        yield from _fact(document, key)
     if health.scale is not None:
         name, quantity = health.scale
         yield _line(name, _value(quantity))
     if health.mass is not None:
         yield _line("mass", _value(health.mass))
     if health.curve is not None:
-        yield from _pure(
-            "thrust curve",
-            health.curve.c,
-            1.0,
-            health.curve.origin
-            if health.curve.origin in ("given", "assumed")
-            else f"by {health.curve.origin}",
-        )
-    yield from _pure("thrust drift", health.drift, 100.0, "% a minute, for the same command")
+        curve = health.curve
+        origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"
+        if curve.c.value is not None:
+            yield _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half or 0.0, origin))
+    yield from _fact(document, "drift_per_minute")
     if health.motor_lag:
         yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
     if health.condition is not None:
@@ -168,11 +156,10 @@ def _line(name: str, text: str) -> str:
     return f"{name:<{_NAME}}{text}"
 
 
-def _pure(name: str, quantity: Estimate | None, scale: float, words: str) -> Iterator[str]:
-    if quantity is None or quantity.value is None:
-        return
-    half = scale * (quantity.half or 0.0)
-    yield _line(name, PLAIN.measure(scale * quantity.value, half, words))
+def _fact(document: Mapping[str, Any], key: str) -> Iterator[str]:
+    found = health_fact(document, key, whole=True)
+    if found is not None:
+        yield _line(*found)
 
 
 def _value(quantity: Estimate) -> str:

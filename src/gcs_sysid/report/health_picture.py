@@ -18,7 +18,9 @@ from gcs_sysid.report.drawing import (
     text,
 )
 from gcs_sysid.report.parts import Markup, element, joined, note, section
+from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
 from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.result_view import number_figures
 
 _WIDTH, _HEIGHT = 900.0, 632.0
 
@@ -122,31 +124,17 @@ def _cg(document: Mapping[str, Any], view: PlanView) -> Iterator[Markup]:
 
 
 def _facts(document: Mapping[str, Any]) -> Iterator[Markup]:
-    lines = []
-    for axis, positive, negative in (("x", "forward", "aft"), ("y", "right", "left")):
-        place = document["cg"][axis]
-        way = positive if place["value"] >= 0.0 else negative
-        size = PAGE.measure(1e3 * abs(place["value"]), 1e3 * Z95 * place["std"], "mm")
-        lines.append(("center of gravity" if axis == "x" else "", f"{size} {way}"))
-    for key, name, factor, unit in (
-        ("yaw_imbalance", "yaw imbalance", 100.0, "%"),
-        ("hover_throttle", "hover throttle", 100.0, "%"),
-        ("thrust_to_weight", "full thrust", 1.0, "× weight"),
-        ("k_T", "k_T", 1.0, "N s²"),
-        ("T_max", "T_max", 1.0, "N"),
-        ("thrust_curve", "thrust curve", 1.0, ""),
-        ("drift_per_minute", "thrust drift", 100.0, "% a minute"),
-    ):
+    lines = [
+        ("" if i else "center of gravity", f"{size} {way}")
+        for i, (_, size, way, _) in enumerate(cg_facts(document, PAGE))
+    ]
+    sums = ("yaw_imbalance", "hover_throttle", "thrust_to_weight", "drift_per_minute")
+    lines += filter(None, (health_fact(document, key, PAGE) for key in sums))
+    for key in ("k_T", "T_max", "thrust_curve"):
         entry = document.get(key)
-        if entry is None or entry["value"] is None:
-            continue
-        half = factor * Z95 * (entry["std"] or 0.0)
-        if half:
-            value, around, power, _ = PAGE.value_and_half(factor * entry["value"], half)
-            words = f"({value} ± {around}){power} {unit}" if power else f"{value} ± {around} {unit}"
-        else:
-            words = f"{PAGE.number(factor * entry['value'])} {unit}"
-        lines.append((name, words))
+        if entry is not None and entry["value"] is not None:
+            shown = number_figures(entry["value"], half_of(entry), entry["unit"], PAGE)
+            lines.append((key.replace("_c", " c"), shown.measure))
     for i, (name, words) in enumerate(lines):
         y = 112.0 + 23.0 * i
         yield text(520.0, y, name, fill=SOFT)

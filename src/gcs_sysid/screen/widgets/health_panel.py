@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.number_format import PLAIN, decimals_for
+from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
+from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
@@ -14,13 +15,7 @@ _NAME = 16
 _BAR = 12
 _WARNING = "bold $text-warning"
 _NOT_YET = "No hover yet: hover for 10 s."
-_SUMS = (
-    ("yaw imbalance", "yaw_imbalance", 100.0, "% of the load"),
-    ("hover throttle", "hover_throttle", 100.0, "%"),
-    ("full thrust", "thrust_to_weight", 1.0, "times the weight"),
-    ("thrust drift", "drift_per_minute", 100.0, "% a minute"),
-)
-"""Name, key of the health file, factor and words."""
+_SUMS = ("yaw_imbalance", "hover_throttle", "thrust_to_weight", "drift_per_minute")
 _UNEQUAL = "± includes unequal rotors (3 %)"
 
 
@@ -35,20 +30,11 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
         why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
         return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
     lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
-    for name, key, factor, words in _SUMS:
-        quantity = health[key]
-        if quantity is not None and quantity["value"] is not None:
-            half = factor * _half(quantity)
-            text = PLAIN.measure(factor * quantity["value"], half, words)
-            lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
+    for name, text in filter(None, (health_fact(health, key) for key in _SUMS)):
+        lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
     for text in health["advice"]:
         lines += _wrapped(f"→ {text}", width, "")
     return lines
-
-
-def _half(quantity: Mapping[str, Any]) -> float:
-    low, high = quantity["ci95"]
-    return float(high - low) / 2.0
 
 
 def _wrapped(text: str, width: int, style: str) -> list[Line]:
@@ -65,22 +51,16 @@ def _weak(health: Mapping[str, Any], width: int) -> Iterator[Line]:
     weakened = health["weakened"]
     if weakened is not None and weakened["rotor"] is not None and weakened["loss"]:
         loss = PLAIN.measure(
-            100.0 * weakened["loss"]["value"], 100.0 * _half(weakened["loss"]), "%"
+            100.0 * weakened["loss"]["value"], 100.0 * half_of(weakened["loss"]), "%"
         )
         text = f"! rotor {weakened['rotor'] + 1} gives {loss} less thrust than before"
         yield from _wrapped(text, width, _WARNING)
 
 
 def _places(health: Mapping[str, Any]) -> Iterator[Line]:
-    words = (("CG along", "x", "forward", "aft"), ("CG across", "y", "right", "left"))
-    for name, axis, positive, negative in words:
-        quantity = health["cg"][axis]
-        value, std = quantity["value"], quantity["std"]
-        way = positive if value >= 0.0 else negative
-        flown = 1.96e3 * max(std**2 - quantity["std_given"] ** 2, 0.0) ** 0.5
-        text = PLAIN.measure(1e3 * abs(value), 1e3 * _half(quantity), "mm")
-        alike = f"  (identical rotors: ± {PLAIN.fixed(flown, decimals_for(max(flown, 0.01)))} mm)"
-        yield [(f"{name:<{_NAME}}", fmt.MUTED), (f"{text} {way}", "bold"), (alike, fmt.MUTED)]
+    for name, size, way, alike in cg_facts(health):
+        head = (f"{name:<{_NAME}}", fmt.MUTED)
+        yield [head, (f"{size} {way}", "bold"), (f"  ({alike})", fmt.MUTED)]
 
 
 def _rotors(health: Mapping[str, Any], width: int) -> Iterator[Line]:
