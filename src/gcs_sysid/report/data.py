@@ -28,8 +28,6 @@ from gcs_sysid.signals.sampling import SampleBlock
 
 _IN_MEMORY = 64 << 20
 """Bytes of samples kept in memory; more go to a temporary file."""
-_AT_ONCE = 8192
-"""Samples read back at once."""
 NO_COURSE = History(np.empty(0), {}, {})
 
 
@@ -78,10 +76,10 @@ class Recorder:
         self.history, self.validation = chain.history, chain.fit.validation
         self.notes = chain.events
 
-    def samples(self) -> Iterator[RotationSamples]:
+    def samples(self, at_once: int = 8192) -> Iterator[RotationSamples]:
         """What was taken, in pieces; a gap is a sample that is missing."""
         self._file.seek(0)
-        while data := self._file.read(_AT_ONCE * self._row.itemsize):
+        while data := self._file.read(at_once * self._row.itemsize):
             rows = np.frombuffer(data, self._row)
             x = rows["x"].astype(float)
             yield RotationSamples(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])

@@ -48,7 +48,6 @@ _STREAMS = {
     "rotor_command": "commands",
     "velocity": "velocity",
 }
-_DOUBT, _NEARLY_WHITE = 0.05, 1.5
 AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 
@@ -198,8 +197,8 @@ def _probability(p: float | None) -> str:
 def _color(whiteness: float | None, p: float | None) -> str:
     if whiteness is None or p is None:
         return "undetermined"
-    if p >= _DOUBT:
-        near = 1.0 / _NEARLY_WHITE < whiteness < _NEARLY_WHITE
+    if p >= 0.05:
+        near = 1.0 / 1.5 < whiteness < 1.5
         return "white: sensor noise only" if near else "undetermined"
     return "slow disturbances" if whiteness > 1.0 else "fast disturbances"
 

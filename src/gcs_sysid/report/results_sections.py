@@ -37,8 +37,6 @@ from gcs_sysid.results.result_view import (
     verdict_sentence,
 )
 
-_SIZE = 300.0
-
 
 def verdict(data: ReportData) -> Markup:
     """What is known, how well, and what is missing."""
@@ -284,7 +282,8 @@ def plan_view(data: ReportData) -> Markup | None:
         return None
     along, across = (float(e.value or 0.0) for e in cg if e is not None)
     x, y, spin = data.geometry.tolist()
-    middle = 0.5 * _SIZE
+    size = 300.0
+    middle = 0.5 * size
     view = PlanView(list(zip(x, y, strict=True)), (middle, middle), 104.0, 36.0)
     parts = [*view.frame(5.0), element("circle", cx=middle, cy=middle, r=3, class_="hub")]
     for i, ((u, v), s) in enumerate(zip(view.places, spin, strict=True), 1):
@@ -301,7 +300,7 @@ def plan_view(data: ReportData) -> Markup | None:
         "svg",
         element("title", f"Plan view. {text}"),
         *parts,
-        viewBox=f"0 0 {_SIZE:g} {_SIZE:g}",
+        viewBox=f"0 0 {size:g} {size:g}",
         role="img",
         class_="plan",
     )

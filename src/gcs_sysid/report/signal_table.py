@@ -27,7 +27,6 @@ _FIXED = (
     "t", "gyro_x", "gyro_y", "gyro_z", "rate_x", "rate_y", "rate_z", "force_x", "force_y",
     "force_z", "q_w", "q_x", "q_y", "q_z", "v_north", "v_east", "v_down", "flying",
 )  # fmt: skip
-_ROWS_AT_ONCE = 4096
 
 
 class SignalRecorder:
@@ -136,7 +135,7 @@ def _as_parquet(table: Table) -> bytes:
     return file.getvalue()
 
 
-def _as_mcap(table: Table) -> bytes:
+def _as_mcap(table: Table, at_once: int = 4096) -> bytes:
     """One topic of JSON messages, stamped with the log's own time from 0."""
     from mcap.writer import Writer
 
@@ -148,8 +147,8 @@ def _as_mcap(table: Table) -> bytes:
     topic = writer.register_channel("/gcs_sysid/signals", "json", kind)
     names = list(table)
     rows = np.column_stack(list(table.values()))
-    for start in range(0, len(rows), _ROWS_AT_ONCE):
-        for row in rows[start : start + _ROWS_AT_ONCE].tolist():
+    for start in range(0, len(rows), at_once):
+        for row in rows[start : start + at_once].tolist():
             message = {name: v for name, v in zip(names, row, strict=True) if v == v}
             stamp = round(1e9 * row[0])
             writer.add_message(topic, stamp, json.dumps(message).encode(), stamp)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PlotKind = Literal["convergence", "correlation", "prediction"]
-_MOST_REASONS = 4
 _COLORS = ("#1f6fb4", "#c2571a", "#2b8a3e")
 
 
@@ -47,8 +46,8 @@ def needed(module: str, purpose: str) -> Any:
         ) from error
 
 
-def text(result: Result) -> str:
-    """The result in at most some thirty lines of eighty columns."""
+def text(result: Result, most: int = 4) -> str:
+    """The result in at most some thirty lines of eighty columns, `most` of them reasons."""
     lines = [f"{VERDICT[result.verdict].meaning}: {result.source or 'no source'}"]
     if result.scale is not None:
         scale = result.scale
@@ -56,9 +55,9 @@ def text(result: Result) -> str:
             f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}; rotors by "
             f"{result.rotor_input}"
         )
-    lines += [f"- {reason}"[:79] for reason in result.reasons[:_MOST_REASONS]]
-    if len(result.reasons) > _MOST_REASONS:
-        lines.append(f"- and {len(result.reasons) - _MOST_REASONS} more in .reasons")
+    lines += [f"- {reason}"[:79] for reason in result.reasons[:most]]
+    if len(result.reasons) > most:
+        lines.append(f"- and {len(result.reasons) - most} more in .reasons")
     lines.append(f"{'parameter':<19}{'value':>12}{'± 95 %':>13}  {'unit':<9}status")
     lines += [
         f"{row.name:<19}{row.figures.value:>12}{row.figures.half_text:>13}  {row.unit:<9}"

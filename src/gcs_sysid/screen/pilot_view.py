@@ -24,9 +24,6 @@ from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.screen.widgets.status_bar import AnswerLine
 
-_LARGEST = 4
-"""Columns of a dot; larger letters would leave no room for a maneuver's axes."""
-_NAMES = 6
 _LINK_WORDS = {
     LinkState.WAITING: "NO VEHICLE YET",
     LinkState.CONNECTED: "LINK OK",
@@ -77,7 +74,7 @@ def _short(snapshot: Snapshot) -> list[Known]:
     return [*standing.missing, *standing.weak, *wide]
 
 
-def _missing(snapshot: Snapshot) -> list[str]:
+def _missing(snapshot: Snapshot, most: int = 6) -> list[str]:
     """How many reach the target, and as many names as there may be room for of those short."""
     standing = standing_of(snapshot)
     count = f"{standing.reached}/{standing.total}"
@@ -86,7 +83,7 @@ def _missing(snapshot: Snapshot) -> list[str]:
         return [f"{count} ALL", count]
     out = []
     for head in (f"{count} NEED", count):
-        for shown in range(min(len(names), _NAMES), 0, -1):
+        for shown in range(min(len(names), most), 0, -1):
             rest = len(names) - shown
             out.append(" ".join([head, *names[:shown], *([f"+{rest}"] if rest else [])]))
     return [*out, count]
@@ -101,7 +98,8 @@ def pilot_lines(view: View, width: int, height: int) -> list[Line]:
         height: lines; where even small letters do not fit, the last lines are cut.
     """
     wanted, share = blocks(view)
-    scale = _LARGEST
+    # Columns of a dot; larger letters would leave no room for a maneuver's axes.
+    scale = 4
     bar = 0 if share is None else 1
     while scale > 1 and len(wanted) * height_of(scale) + bar > height:
         scale -= 1

@@ -21,9 +21,6 @@ from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import parse_request
 
-_LEAST_STEP = 0.01
-"""Of progress that is worth a line."""
-
 OnProgress = Callable[[str, float], None]
 
 
@@ -58,14 +55,19 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
 
 
 class Progress:
-    """Says how far the work is, as often as there is something to see."""
+    """Says how far the work is, as often as there is something to see.
 
-    def __init__(self) -> None:
+    Args:
+        least: share of the work that is worth a line.
+    """
+
+    def __init__(self, least: float = 0.01) -> None:
+        self._least = least
         self._stage, self._share = "", 0.0
 
     def show(self, stage: str, share: float) -> None:
         """Say it, if it has changed."""
-        if stage != self._stage or abs(share - self._share) >= _LEAST_STEP:
+        if stage != self._stage or abs(share - self._share) >= self._least:
             self._stage, self._share = stage, share
             _say({"progress": round(min(share, 1.0), 3), "stage": stage})
 

@@ -34,7 +34,6 @@ from gcs_sysid.web.result_json import result_rows
 
 MOST_POINTS = 240
 """Of a plot."""
-_EVENTS = 40
 
 
 def session_view(
@@ -81,7 +80,7 @@ def session_view(
         if snapshot.attitude is None
         else [round(math.degrees(angle), 1) for angle in snapshot.attitude],
         "events": [
-            {"t": clock_tenths(event.t), "text": event.text} for event in snapshot.events[-_EVENTS:]
+            {"t": clock_tenths(event.t), "text": event.text} for event in snapshot.events[-40:]
         ],
         "playback": None if snapshot.playback is None else _playback(snapshot.playback),
     }

@@ -22,8 +22,6 @@ _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _ASSETS = ("page.css", "common.js", "analysis.js", "live.js")
 _CHARTS = ("charts.css", "charts.js")
 """Those of the report."""
-_SHUTDOWN = 2.0
-"""s that responses under way have to end."""
 
 
 class SiteContent(Protocol):
@@ -97,7 +95,7 @@ class Site:
             self._application(),
             access_log=None,
             logger=_silent(),
-            shutdown_timeout=_SHUTDOWN,
+            shutdown_timeout=2.0,  # s that responses under way have to end
             handler_cancellation=True,
         )
         await runner.setup()

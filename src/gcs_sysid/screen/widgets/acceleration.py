@@ -16,8 +16,6 @@ PREDICTED = "•"
 MIN_WIDTH, MIN_HEIGHT = 20, 4
 MARGIN = 7
 """Columns for an axis' name and scale."""
-BRIDGE = 0.3
-"""s; a longer gap is not drawn over."""
 
 
 def strip(
@@ -35,7 +33,7 @@ def strip(
     """
     per_second = (text_drawing.DOTS_WIDE * size[0] - 1) / (end - start)
     x = np.rint((t - start) * per_second).astype(np.int64)
-    bridge = max(2, round(BRIDGE * per_second))
+    bridge = max(2, round(0.3 * per_second))  # a gap of more than 0.3 s is not drawn over
     return text_drawing.curve(*text_drawing.extremes(x, values), (-limit, limit), size, bridge)
 
 

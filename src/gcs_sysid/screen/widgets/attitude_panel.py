@@ -9,8 +9,6 @@ from gcs_sysid.screen.widgets.lines import Line, Lines
 
 HORIZON_WIDTH = 25
 WINGS = "━━━┫◆┣━━━"
-_SPAN_DEG = 60.0
-"""Pitch from the top of the horizon to its bottom."""
 _GROUND, _SKY = "#8a5a2b", "#2d6a9f"
 
 
@@ -23,7 +21,7 @@ def horizon(roll: float, pitch: float, height: int) -> list[str]:
         height: lines of the drawing, an odd number.
     """
     rows = 2 * height
-    sink = math.degrees(pitch) * rows / _SPAN_DEG
+    sink = math.degrees(pitch) * rows / 60.0  # 60° from the top to the bottom
     sine, cosine = math.sin(roll), math.cos(roll)
 
     def ground(column: int, row: int) -> bool:

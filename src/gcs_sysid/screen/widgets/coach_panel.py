@@ -9,8 +9,6 @@ from gcs_sysid.screen.snapshot_view import gain_text, seconds_left
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
-BAR = 20
-
 
 def advice_lines(advice: Advice, width: int) -> list[Line]:
     """The advice as lines: what to fly, then progress and gains."""
@@ -19,7 +17,7 @@ def advice_lines(advice: Advice, width: int) -> list[Line]:
     if not advice.manoeuvre:
         return [[("COACH  ", "bold $text-primary"), (advice.text, "")]]
     parts: Line = [
-        (fmt.bar(advice.progress, BAR), "$text-primary on $panel"),
+        (fmt.bar(advice.progress, 20), "$text-primary on $panel"),
         (f" {100.0 * advice.progress:3.0f} %  {seconds_left(advice):.0f} s left", "bold"),
     ]
     room = width - sum(len(text) for text, _ in parts)

@@ -10,11 +10,7 @@ from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
 
-SCROLLBAR = 2
-"""Columns that the scroll bar takes when there are many messages."""
 _WARNING = "$text-warning"
-_MOST_PPM = 10_000.0
-"""No clock drifts by a hundredth; a computer that falls behind makes it seem so."""
 
 
 def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
@@ -23,7 +19,8 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     lost = f"{grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
     gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
     drift = link.clock_ppm
-    known = drift is not None and abs(drift) <= _MOST_PPM
+    # No clock drifts by a hundredth; a computer that falls behind makes it seem so.
+    known = drift is not None and abs(drift) <= 1e4
     clock = f"{drift:+.0f} ppm" if known else "unknown"
     return [
         ("link", f"{LINK_SIGN[link.state]} {link.url}", ""),
@@ -92,7 +89,7 @@ class LinkPanel(VerticalScroll, can_focus=False):
         if view.snapshot is None:
             return [[("no link yet", fmt.MUTED)]]
         link = view.snapshot.link
-        room = (self.content_size.width or 36) - SCROLLBAR
+        room = (self.content_size.width or 36) - 2  # of the scroll bar
         width = min(room, 44)
         lines: list[Line] = []
         for name, text, style in facts(link):

@@ -15,8 +15,6 @@ from gcs_sysid.screen.snapshot_view import playback_text
 from gcs_sysid.screen.widgets.lines import Line
 
 KEYS = "space · ← → 10 s · [ ] speed"
-_LEAST_BAR = 10
-"""Columns; below it the bar gives way to the numbers."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,8 @@ class TransportBar(Widget):
             after.append((f"  {KEYS}", fmt.MUTED))
         start = sum(len(text) for text, _ in before)
         room = self.size.width - start - sum(len(text) for text, _ in after)
-        return before, start, room if room >= _LEAST_BAR else 0, after
+        # A bar of a few columns gives way to the numbers.
+        return before, start, room if room >= 10 else 0, after
 
     def render(self) -> Content:
         """State, position, bar, duration, keys."""

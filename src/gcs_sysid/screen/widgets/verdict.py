@@ -23,12 +23,6 @@ from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
 _TITLE = len("✗ unobservable")
-_COUNT = 4
-"""Columns of how many there are in a group, and the gap behind."""
-_BESIDE = 40
-"""Columns beside large letters that three lines of words need."""
-_NARROW = 78
-"""Columns below which the headline is short."""
 
 
 def verdict_lines(snapshot: Snapshot, width: int, *, large: bool) -> list[Line]:
@@ -57,7 +51,7 @@ def _absent(snapshot: Snapshot) -> str:
 
 
 def _small(snapshot: Snapshot, standing: Standing, width: int) -> Line:
-    text = short_headline(snapshot) if width < _NARROW else headline(snapshot)
+    text = short_headline(snapshot) if width < 78 else headline(snapshot)
     head = f"{sign_of(snapshot)} {text} {standing.reached}/{standing.total}"
     parts: Line = [(head, "bold")]
     why = _contradiction(snapshot)
@@ -86,7 +80,7 @@ def _large_contradiction(why: str, text: str, width: int) -> list[Line]:
     letters = big(text)
     room = width - len(letters[0]) - 3
     beside = wrap(why, max(room, 1), max_lines=HEIGHT, placeholder="…")
-    if room < _BESIDE:
+    if room < 40:  # columns that three lines of words need
         return []
     beside += [""] * (HEIGHT - len(beside))
     return [
@@ -98,7 +92,8 @@ def _large_contradiction(why: str, text: str, width: int) -> list[Line]:
 def _large(text: str, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
     """Nothing where it does not fit: a line that wraps would shift the letters."""
     letters = big(f"{text} {standing.reached}/{standing.total}")
-    room = width - len(letters[0]) - 3 - _TITLE - _COUNT
+    # Beside the letters stand a title, how many there are in its group, and their names.
+    room = width - len(letters[0]) - 3 - _TITLE - 4
     target = snapshot.target
     known = f"{standing.reached} within the target of ±{100.0 * target:g} %"
     if len(known) > room:
