@@ -13,9 +13,20 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.data import Provenance, Recorder, gather
-from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
+from gcs_sysid.report.prediction_series import predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
+
+
+def agreement(prediction):
+    """(3,) R squared and (3,) Theil's coefficient on the rows not fitted; NaN without any."""
+    rows = prediction.held_out
+    if not rows.any():
+        return np.full(3, np.nan), np.full(3, np.nan)
+    y, z = prediction.measured[rows], prediction.predicted[rows]
+    error, power, own = (np.mean(v**2, axis=0) for v in (y - z, y, z))
+    return 1.0 - error / power, np.sqrt(error) / (np.sqrt(power) + np.sqrt(own))
+
 
 MADE = Provenance(("gcs-sysid",), {}, 0, "")
 
@@ -71,7 +82,7 @@ def test_after_a_change_the_segment_in_force_is_predicted(fly):
     flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100")
     log = fly(*flight, "--seed", "1", "--mass-step", "30:1.2").tlog
     data = analyzed(log, load_airframe("paper"))
-    (segment,) = data.result["segments"]
+    (segment,) = data.result.segments
     there = np.isfinite(data.prediction.predicted[:, 0])
     assert data.prediction.t[there].min() >= segment["end"]
     told = data.result.validation["r_squared"]

@@ -111,16 +111,6 @@ def predict(
     )
 
 
-def agreement(prediction: Prediction) -> tuple[Array, Array]:
-    """(3,) R squared and (3,) Theil's coefficient on the rows not fitted; NaN without any."""
-    rows = prediction.held_out
-    if not rows.any():
-        return np.full(3, np.nan), np.full(3, np.nan)
-    y, z = prediction.measured[rows], prediction.predicted[rows]
-    error, power, own = (np.mean(v**2, axis=0) for v in (y - z, y, z))
-    return 1.0 - error / power, np.sqrt(error) / (np.sqrt(power) + np.sqrt(own))
-
-
 def residual_spectrum(
     prediction: Prediction, dt: float, rotor_input: RotorInput
 ) -> Spectrum | None:
