@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt, with_axis_damping
+from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import Problem, minimize
+from gcs_sysid.estimation.fit.solver import minimize
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
@@ -36,7 +37,7 @@ def flown(yaw_share, together, seed=1, sigma=0.3):
     y = x @ rb.forward_matrix(THETA, torque).T + sigma * rng.normal(size=(N, 3))
     rows = np.column_stack([x, y])
     moments = rows.T @ rows
-    problem = Problem(moments[None], N, PLAIN, None)
+    problem = JointProblem(moments[None], N, PLAIN, None)
     start = np.concatenate([THETA, [0.0, 0.0, 1.0, 0.0, 0.0]])[None]
     point, _ = minimize(problem, start, 40)
     covariance = np.linalg.pinv(point.hessian[0], rcond=1e-14)

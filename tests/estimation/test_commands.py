@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import butter, lfilter, lfilter_zi, sosfilt
 
 from gcs_sysid.estimation.changes.change_reference import reference_of
-from gcs_sysid.estimation.fit.rotation import fit_rotation
+from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import command_record
 from gcs_sysid.estimation.record.command_noise import CommandNoise

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit import curve_scatter as module
-from gcs_sysid.estimation.fit.axis_problem import AxisProblem
-from gcs_sysid.estimation.fit.curve_scatter import curve_scatter
+from gcs_sysid.estimation.fit import whitened_fit as module
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.problem import AxisProblem
+from gcs_sysid.estimation.fit.whitened_fit import curve_scatter
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 
 BASIS = LocalDynamics(np.array([0.0, 0.05, 0.5, 0.0, 0.0]), "speed", 0.004)
@@ -22,12 +22,12 @@ def found(monkeypatch):
     said = SimpleNamespace(curves=[0.5, 0.5, 0.5], left=None)
 
     def minimized(problem, unknowns, limit):
-        said.left = problem.bank[:, 0, 0, 0], problem.rows
+        said.left = problem.moments[:, 0, 0, 0], problem.rows
         unknowns = unknowns.copy()
         unknowns[:, Unknown.CURVE] = said.curves
         return SimpleNamespace(unknowns=unknowns), np.ones(3, dtype=bool)
 
-    monkeypatch.setattr(module, "minimize_axes", minimized)
+    monkeypatch.setattr(module, "minimize", minimized)
     return said
 
 

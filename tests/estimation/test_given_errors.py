@@ -8,8 +8,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from gcs_sysid.estimation.fit.rotation import fit_rotation
 from gcs_sysid.estimation.fit.translation import TranslationFit
+from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.estimation.parameters.given_errors import (
     Given,

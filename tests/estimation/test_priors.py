@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit import window_fit
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown, prior_of
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -38,7 +38,7 @@ def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):
     moments = NormalEquations((1, WIDTH, WIDTH), PER_BATCH)
     moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None])
     none = np.zeros((1, WIDTH, WIDTH))
-    return rotation.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
+    return window_fit.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
 
 
 def test_a_prior_is_a_paraboloid():

@@ -7,7 +7,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
-from gcs_sysid.estimation.fit import rotation, translation
+from gcs_sysid.estimation.fit import translation, window_fit
+from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
@@ -55,7 +56,7 @@ def bank_of(truth, samples, smoother, memory=0.0):
 
 
 def rotation_fit(truth, samples, smoother, memory=0.0):
-    return rotation.fit_rotation(*bank_of(truth, samples, smoother, memory))
+    return window_fit.fit_rotation(*bank_of(truth, samples, smoother, memory))
 
 
 SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3, others=1.0)
@@ -109,16 +110,16 @@ def test_intervals_hold_the_truth_with_noise(truth, flight):
 
 def test_a_start_near_the_minimum_leads_to_the_same_minimum(truth, flight):
     bank = bank_of(truth, noisy(flight, 0.02, 1), WindowSmoother(DT, 20))
-    cold = rotation.fit_rotation(*bank)
+    cold = window_fit.fit_rotation(*bank)
     warm = replace(cold, theta=cold.theta * 1.02)
     for _ in range(5):  # a few steps each
-        warm = rotation.fit_rotation(*bank, warm)
+        warm = window_fit.fit_rotation(*bank, warm)
     np.testing.assert_allclose(warm.theta / SIZE, cold.theta / SIZE, rtol=0.0, atol=1e-6)
 
 
 def test_no_fit_without_data_or_response(truth, flight):
     assert (
-        rotation.fit_rotation(
+        window_fit.fit_rotation(
             np.zeros((3, 1, 19, 19)),
             np.array([5, 5, 5]),
             ActuatorDynamics((0.0,)),
@@ -409,12 +410,12 @@ def test_rounding_of_the_speeds_is_the_least_noise(truth):
 def test_of_fits_that_are_nearly_as_certain_the_first_is_taken():
     def fit(std, leak):
         covariance = np.diag(np.full(rb.N_THETA, std**2))
-        return rotation.RotationFit(
+        return RotationFit(
             np.ones(rb.N_THETA), covariance, np.eye(3), np.ones(3), 100, converged=True, leak=leak
         )
 
     def taken(*stds):
-        return rotation.most_certain([fit(std, leak) for leak, std in enumerate(stds)]).leak
+        return window_fit.most_certain([fit(std, leak) for leak, std in enumerate(stds)]).leak
 
     assert taken(1.3, 1.0, 0.95) == 1
     assert taken(1.3, 1.0, 0.85) == 2

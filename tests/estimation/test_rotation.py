@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit import inference, window_fit
+from gcs_sysid.estimation.fit.inference import Outcome, follow_rotation
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, prior_of
-from gcs_sysid.estimation.fit.rotation import Outcome, RotationFit, fit_rotation, follow_rotation
-from gcs_sysid.estimation.fit.search import Problem
+from gcs_sysid.estimation.fit.problem import JointProblem
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
@@ -120,9 +122,9 @@ def test_a_step_of_up_to_three_deviations_is_taken_without_a_search(monkeypatch,
     # The deviations are the likelihood's, those of the fit are up to 1.2 times as wide.
     batches, counts, _ = moments_of(rows_per_batch=20, sigma=0.1)
     fit = fit_rotation(batches, counts, PLAIN, NONE)
-    searches, minimize = [], rotation.minimize
+    searches, minimize = [], inference.minimize
     monkeypatch.setattr(
-        rotation, "minimize", lambda *args: searches.append(args) or minimize(*args)
+        inference, "minimize", lambda *args: searches.append(args) or minimize(*args)
     )
     # Along the ridge, where a move of one unknown's deviations is as many of the likelihood's.
     unknowns = fit.warm_start.unknowns.copy()
@@ -170,13 +172,13 @@ def fit_of(std):
 )
 def test_the_shortest_memory_of_those_alike_is_taken(stds, chosen):
     fits = [fit_of(std) for std in stds]
-    assert rotation.most_certain(fits) is fits[chosen]
+    assert window_fit.most_certain(fits) is fits[chosen]
 
 
 def test_damping_and_rotor_inertia_do_not_choose_the_memory():
     sharp = replace(fit_of(1.0), covariance=np.diag(np.append(np.ones(rb.DAMPING), 1e-7 * OTHERS)))
-    assert rotation.uncertainty(sharp) == pytest.approx(0.0)
-    assert rotation.uncertainty(fit_of(np.e)) == pytest.approx(1.0)
+    assert window_fit.uncertainty(sharp) == pytest.approx(0.0)
+    assert window_fit.uncertainty(fit_of(np.e)) == pytest.approx(1.0)
 
 
 def test_too_few_rows_give_no_fit():
@@ -278,13 +280,13 @@ def test_instants_are_followed_as_each_would_be_alone():
 @pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
 def test_factors_on_deviations_are_on_them_once_with_a_prior_too(prior):
     batches, _, _ = moments_of()
-    problem = Problem(batches.sum(axis=0), ROWS, PLAIN, prior)
-    outcome, p = (
+    problem = JointProblem(batches.sum(axis=0), ROWS, PLAIN, prior)
+    made, p = (
         Outcome(problem, problem.evaluate(np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None]), NONE),
         problem.p,
     )
     factors = np.linspace(1.0, 3.0, p)
-    plain, wide = (outcome.fits(np.eye(p), f, [True], [0])[0] for f in (np.ones(p), factors))
+    plain, wide = (made.fits(np.eye(p), f, [True], [0])[0] for f in (np.ones(p), factors))
     # The prior is ten times as wide as what it says: it takes a little of the widest.
     np.testing.assert_allclose(wide.std, plain.std * factors, rtol=0.01)
 

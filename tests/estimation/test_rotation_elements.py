@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit import rotation
+from gcs_sysid.estimation.fit import window_fit
+from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import Unknown, prior_of
-from gcs_sysid.estimation.fit.rotation import Outcome, fit_rotation
-from gcs_sysid.estimation.fit.search import MAX_ITERATIONS, Problem, minimize
+from gcs_sysid.estimation.fit.problem import JointProblem
+from gcs_sysid.estimation.fit.search import MAX_ITERATIONS
+from gcs_sysid.estimation.fit.solver import minimize
+from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
@@ -44,15 +47,15 @@ def quiet(basis, leaks=1):
 @pytest.mark.parametrize("index", [0, 4, Unknown.DELAY, Unknown.LAG])
 def test_what_is_left_is_twice_the_rise_of_the_likelihood(prior, index):
     batches, _ = moments_of_elements(COMMANDS, AT)
-    problem = Problem(batches.sum(axis=0), ROWS, COMMANDS, prior)
+    problem = JointProblem(batches.sum(axis=0), ROWS, COMMANDS, prior)
     best, _ = minimize(problem, np.append(THETA, AT)[None], MAX_ITERATIONS)
     std = 1.0 / np.sqrt(best.hessian[0].diagonal()[problem.free.tolist().index(index)])
     unknowns = best.unknowns.copy()
     unknowns[:, index] += 0.3 * std
     point = problem.evaluate(unknowns)
-    left = Outcome(problem, point, quiet(COMMANDS)).left
+    left = Outcome(problem, point).left
     np.testing.assert_allclose(left, ROWS * (point.cost - best.cost), rtol=0.02)
-    assert Outcome(problem, best, quiet(COMMANDS)).left < 1e-6
+    assert Outcome(problem, best).left < 1e-6
 
 
 def astray(unknowns):
@@ -65,7 +68,7 @@ def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
     fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     off = fit.warm_start.unknowns.copy()
     off[0] *= 1.1
-    monkeypatch.setattr(rotation, "search", astray(off[None]))
+    monkeypatch.setattr(window_fit, "search", astray(off[None]))
     again = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     assert again.converged
     assert not again.warm_start.stuck
@@ -77,9 +80,9 @@ def test_a_search_that_gets_nowhere_is_begun_again_four_times(monkeypatch):
     off = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS)).warm_start.unknowns.copy()
     off[0] *= 1.1
     nowhere, begun = astray(off[None]), []
-    monkeypatch.setattr(rotation, "search", nowhere)
+    monkeypatch.setattr(window_fit, "search", nowhere)
     monkeypatch.setattr(
-        rotation, "minimize", lambda problem, at, _: begun.append(at) or nowhere(problem, at)
+        window_fit, "minimize", lambda problem, at, _: begun.append(at) or nowhere(problem, at)
     )
     fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     assert len(begun) == 4
@@ -92,14 +95,14 @@ def test_away_from_the_minimum_the_common_pull_is_no_scatter():
     batches, counts = moments_of_elements(COMMANDS, AT)
     counts = np.where(np.arange(len(counts)) < 10, 2, 1) * counts
     unknowns = np.append(1.1 * THETA, AT)[None]
-    problem = Problem(batches.sum(axis=0), int(counts.sum()), COMMANDS, None)
-    outcome = Outcome(problem, problem.evaluate(unknowns), quiet(COMMANDS))
-    scores = outcome.scores(0, batches[:, 0], counts)
-    alone = outcome.scores(0, batches[:1, 0], counts[:1])
+    problem = JointProblem(batches.sum(axis=0), int(counts.sum()), COMMANDS, None)
+    outcome = Outcome(problem, problem.evaluate(unknowns))
+    scores = outcome.scores(0, batches, counts)
+    alone = outcome.scores(0, batches[:1], counts[:1])
     np.testing.assert_allclose(scores.sum(axis=0), 0.0, atol=1e-9 * np.abs(scores).max())
     # Of one batch the pull is all that there is.
     np.testing.assert_allclose(alone, 0.0, atol=1e-9 * np.abs(scores).max())
-    twice = outcome.scores(0, np.repeat(batches[:2, 0], 2, axis=0), np.array([3, 1, 1, 1]))
+    twice = outcome.scores(0, np.repeat(batches[:2], 2, axis=0), np.array([3, 1, 1, 1]))
     pull = (twice[1] - twice[0]) / (2.0 / 6.0)
     np.testing.assert_allclose(twice[2] - twice[3], 0.0, atol=1e-9 * np.abs(pull).max())
     np.testing.assert_allclose(twice.sum(axis=0), 0.0, atol=1e-9 * np.abs(pull).max())
@@ -111,7 +114,7 @@ def test_a_memory_whose_search_got_stuck_is_not_chosen(monkeypatch, bad):
     fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     both = np.stack([fit.warm_start.unknowns] * 2)
     both[bad, 0] *= 1.1
-    monkeypatch.setattr(rotation, "search", astray(both))
+    monkeypatch.setattr(window_fit, "search", astray(both))
     chosen = fit_rotation(np.repeat(batches, 2, axis=1), counts, COMMANDS, quiet(COMMANDS, 2))
     assert chosen.leak == 1 - bad
     assert not chosen.warm_start.stuck
@@ -128,11 +131,11 @@ def test_a_memory_whose_search_got_stuck_is_not_chosen(monkeypatch, bad):
 )
 def test_curve_and_lag_of_a_false_minimum_are_hardly_known(share, stuck, widened):
     batches, _ = moments_of_elements(COMMANDS, AT)
-    problem = Problem(batches.sum(axis=0), ROWS, COMMANDS, None)
+    problem = JointProblem(batches.sum(axis=0), ROWS, COMMANDS, None)
     theta = THETA.copy()
     theta[:6] *= share
     point = problem.evaluate(np.append(theta, AT)[None])
-    outcome, p = Outcome(problem, point, quiet(COMMANDS)), problem.p
+    outcome, p = Outcome(problem, point), problem.p
     (fit,) = outcome.fits(np.eye(p), np.ones(p), [True], [0], np.array([stuck]))
     assert bool(fit.r_squared.min() < -0.5) is (share == 0.33)
     usual = np.linalg.inv(point.hessian[0])
@@ -166,10 +169,10 @@ def test_batches_share_what_they_know_of_the_coordinates():
     rng = np.random.default_rng(9)
     rows = rng.normal(size=(20, COMMANDS.width))
     each = rows[:, :, None] * rows[:, None, :]
-    problem = Problem(each.sum(axis=0)[None], 20, COMMANDS, None)
+    problem = JointProblem(each.sum(axis=0)[None], 20, COMMANDS, None)
     unknowns = np.append(THETA, AT)
     point = problem.evaluate(unknowns[None])
-    shares = Outcome(problem, point, quiet(COMMANDS)).shares(0, each)[:, rb.N_THETA :]
+    shares = Outcome(problem, point).shares(0, each[:, None])[:, rb.N_THETA :]
     Q = rb.forward_matrix(THETA)
     for i, step in enumerate((1e-6, 1e-6, 1e-5)):
         move = step * np.eye(5)[i]

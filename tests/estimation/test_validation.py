@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.checks.validation import validate
-from gcs_sysid.estimation.fit.search import N_X
+from gcs_sysid.estimation.fit.problem import N_X
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
-from gcs_sysid.estimation.fit.whitened_fit import shocks_in
+from gcs_sysid.estimation.fit.shocks import shocks_in
 from gcs_sysid.estimation.noise.whitening import (
     AVERAGED,
     WhitenerBank,

@@ -12,9 +12,8 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import Craft, Noise
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
-from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATES, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import COORDINATE_MEAN
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import bartlett
 from gcs_sysid.estimation.online.fit import Fit

@@ -7,7 +7,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import Craft, Noise, speed_noise
-from gcs_sysid.estimation.fit.search import COORDINATE_STD
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY

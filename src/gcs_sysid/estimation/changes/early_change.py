@@ -20,8 +20,8 @@ from gcs_sysid.estimation.changes.change_detection import Change
 from gcs_sysid.estimation.changes.change_hypotheses import Judgement, judge, likeliest_step
 from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
 from gcs_sysid.estimation.changes.change_window import TUNING, History, Window
+from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf
 from gcs_sysid.signals.samples import Samples
 

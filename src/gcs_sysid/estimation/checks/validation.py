@@ -20,8 +20,9 @@ from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.fit.priors import Prior
-from gcs_sysid.estimation.fit.rotation import RotationFit, fit_rotation
-from gcs_sysid.estimation.fit.search import N_X
+from gcs_sysid.estimation.fit.problem import N_X
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 
 FITTED_SHARE = 0.6

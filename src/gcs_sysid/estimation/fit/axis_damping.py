@@ -20,8 +20,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING
+from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import N_X, residual_maker, scales
+from gcs_sysid.estimation.fit.solver import scales
 from gcs_sysid.estimation.noise.uncertainty import symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 

@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import scales
+from gcs_sysid.estimation.fit.solver import scales
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 

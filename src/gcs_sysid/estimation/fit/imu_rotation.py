@@ -3,11 +3,10 @@
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.search import N_X
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
 
-_AXES = 3
+N_X, _AXES = rb.N_SIGNALS, 3
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 _RATES = [_COLUMN[name] for name in "pqr"]
 _MOMENTUM = [_COLUMN["pH"], _COLUMN["qH"]]

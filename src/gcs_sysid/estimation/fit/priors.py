@@ -29,6 +29,13 @@ class Unknown(IntEnum):
     EXPONENT = rb.N_THETA + Coordinate.EXPONENT
 
 
+COORDINATE_MEAN = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
+COORDINATE_STD = np.array([0.03, 0.05, 0.5, 0.4, 0.5])
+"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag at usual values while
+the flight does not determine them. Simulators and motors on the bench have an asymmetry of 0 to
+0.7."""
+
+
 @dataclass(frozen=True)
 class Prior:
     """Knowledge about theta (relative to k_T) and the basis' coordinates.

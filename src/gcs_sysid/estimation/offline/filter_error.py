@@ -21,9 +21,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
+from gcs_sysid.estimation.fit.problem import residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import residual_maker
-from gcs_sysid.estimation.fit.whitened_fit import SHOCK
+from gcs_sysid.estimation.fit.shocks import SHOCK
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
 from gcs_sysid.estimation.noise.whitening import (
     QUICK,

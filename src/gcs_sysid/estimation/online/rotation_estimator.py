@@ -12,12 +12,12 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
-from gcs_sysid.estimation.fit import rotation
 from gcs_sysid.estimation.fit.axis_damping import with_axis_damping
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
-from gcs_sysid.estimation.fit.lag_hypotheses import fit_lag_places, with_lag_doubt
+from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation, with_lag_doubt
 from gcs_sysid.estimation.online.fit import FitMoments
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
@@ -85,7 +85,7 @@ class RotationEstimator:
             fits = self._whitening.follow(moments, start, prior)
         else:
             self._record.use_place(place)
-            fits = rotation.follow_rotation(
+            fits = follow_rotation(
                 np.stack([i.rotation for i in instants]),
                 np.array([i.rows for i in instants]),
                 self._basis,
@@ -188,10 +188,10 @@ class RotationEstimator:
             return self._fit_lag_places(start, prior)
         data = record.rotation.batches, record.rotation.counts, self._basis, self._noise()
         if start is not None:
-            fit = rotation.fit_rotation(*data, start, prior, record.noise_doubt)
+            fit = fit_rotation(*data, start, prior, record.noise_doubt)
             if fit is not None and fit.converged:
                 return fit
-        return rotation.fit_rotation(*data, prior=prior, doubt=record.noise_doubt)
+        return fit_rotation(*data, prior=prior, doubt=record.noise_doubt)
 
     def _fitted_to_whitened(
         self, whitened: WhitenedEstimator, start: RotationFit | None, prior: Prior | None
@@ -239,7 +239,7 @@ class RotationEstimator:
         places = self._basis.body_places(PRODUCTS)
         moments[..., places, :] = 0.0
         moments[..., :, places] = 0.0
-        fit = rotation.fit_rotation(
+        fit = fit_rotation(
             moments,
             self._record.rotation.counts,
             self._basis,

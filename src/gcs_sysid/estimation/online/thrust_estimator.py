@@ -8,9 +8,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit import translation
 from gcs_sysid.estimation.fit.disturbance import RULES
-from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import COORDINATE_STD
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.whitened_estimator import WhitenedEstimator

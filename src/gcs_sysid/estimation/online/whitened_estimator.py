@@ -21,11 +21,13 @@ from gcs_sysid.estimation.checks.validation import (
     whiteness_of,
 )
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.problem import residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import residual_maker
+from gcs_sysid.estimation.fit.shocks import find_shocks
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened, follow_whitened
+from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.noise.whitening import slower
 from gcs_sysid.estimation.record.record import FlightRecord
@@ -149,7 +151,7 @@ class WhitenedEstimator:
         self, instants: Sequence[WhitenedInstant], start: RotationFit, prior: Prior | None
     ) -> list[RotationFit]:
         """Quick fits at some instants, from an earlier one."""
-        return follow_whitened(
+        return follow_rotation(
             np.stack([i.moments for i in instants]),
             np.array([i.rows for i in instants]),
             instants[0].basis,
@@ -206,7 +208,9 @@ class WhitenedEstimator:
         own = data.of_axes(self._white.places(fit.whiteners))
         P = self.basis.map_at(fit.coordinates)
         # Collisions and landings are not predicted by anybody.
-        shocks = find_shocks(residual_maker(fit.Q) @ P, fit, own, data.counts)
+        shocks = find_shocks(
+            residual_maker(fit.Q) @ P, np.diag(fit.residual_covariance), own, data.counts
+        )
         kept = held_out & ~shocks
         if not kept.any():
             return None

@@ -33,7 +33,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.deviations import Deviations
 from gcs_sysid.estimation.fit.imu_rotation import PER_TURN, missed_by, rotation_of, turned
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
-from gcs_sysid.estimation.fit.search import N_X, residual_maker
+from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.scale import resolve_scale
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.fit.lag_hypotheses import fit_lag_places
-from gcs_sysid.estimation.fit.rotation import fit_rotation
-from gcs_sysid.estimation.fit.whitened_fit import explained_by
+from gcs_sysid.estimation.fit.whitener_choice import explained_by
+from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
 from gcs_sysid.estimation.noise.whitening import bank_for
 from gcs_sysid.estimation.record import article_estimator as article

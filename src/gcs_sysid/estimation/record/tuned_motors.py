@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
+from gcs_sysid.estimation.fit.problem import residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import COORDINATE_STD, residual_maker
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord

@@ -14,7 +14,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
-from gcs_sysid.estimation.fit.whitened_fit import ShockReference, least_power, shocks_in
+from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
+from gcs_sysid.estimation.fit.whitened_fit import least_power
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank, WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import (

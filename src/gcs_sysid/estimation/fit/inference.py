@@ -1,0 +1,358 @@
+"""From points near the minima of a problem to estimates with their covariance.
+
+Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it is,
+but in the outcome it is weighed against the information that the scatter of the batch scores
+leaves: the curvature-adjusted composite likelihood of Chandler and Bate (2007), Biometrika 94,
+167-183.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.arrays import Array, Mask, by_parts
+from gcs_sysid.estimation.fit.priors import (
+    COORDINATE_STD,
+    COORDINATES,
+    N_UNKNOWNS,
+    Prior,
+    Unknown,
+)
+from gcs_sysid.estimation.fit.problem import (
+    N_X,
+    AxisProblem,
+    Evaluation,
+    JointProblem,
+    Problem,
+    residual_maker,
+)
+from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along
+from gcs_sysid.estimation.fit.solver import minimize, scales, vanish
+from gcs_sysid.estimation.noise.uncertainty import symmetric_roots
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
+
+_FOLLOWED, _FOLLOWED_WHITENED = 2, 3
+"""Iterations of a fit that follows, where it is not near."""
+_BLIND_STEP = 3.0
+"""Standard deviations; a smaller step of a fit that follows is taken unseen."""
+_ABSURD = -0.5
+"""Share of an axis' acceleration explained: less indicates a false minimum."""
+_HALVINGS = 20
+"""A step that leads out of the physical inertias is shortened so often, then not taken."""
+_AXES = np.arange(3)
+
+
+def follow_rotation(
+    totals: Array,
+    rows: Array,
+    basis: ActuatorDynamics,
+    noise: Array,
+    start: RotationFit,
+    prior: Prior | None = None,
+) -> list[RotationFit]:
+    """Follow a growing record from an earlier fit: a step or two with its leak, or its whiteners.
+
+    How far the score scatters is taken over from the earlier fit, as it hardly changes.
+
+    Args:
+        totals: (K, width, width) moments of all rows at K instants, with the leak of `start`; or
+            (K, 3, width, width) as each axis' whitener has them.
+        rows: (K,) in them.
+        basis: of the elements.
+        noise: (K, ...) of the inputs in one row, in the form of `ActuatorDynamics.noise_at`.
+        start: a fit of the same record when it was shorter.
+        prior: what else is known.
+
+    Returns:
+        K fits, each of which depends on `start` and its own instant alone.
+    """
+    before = start.warm_start
+    assert before is not None
+    unknowns = np.tile(before.unknowns, (len(rows), 1))
+    whitened = totals.ndim == 4
+    of_speeds = None if whitened or basis.motors else noise
+    problem: Problem = (
+        AxisProblem(totals, rows, basis, prior, noise, start.deviating)
+        if whitened
+        else JointProblem(totals, rows, basis, prior, noise if basis.motors else None)
+    )
+    outcome = Outcome(problem, problem.evaluate(unknowns), of_speeds)
+    near = outcome.take_step(_BLIND_STEP)
+    scatter, stuck = (before.inflation, before.widening), np.full(len(rows), before.stuck)
+    leaks = [start.leak] * len(rows)
+    fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)
+    if not near.all():
+        far = ~near
+        point, converged = _searched(problem.part(far), unknowns[far])
+        if of_speeds is not None:
+            of_speeds = noise[far]
+        searched = Outcome(problem.part(far), point, of_speeds)
+        better = searched.fits(*scatter, converged, leaks[: len(converged)], stuck[far])
+        for i, fit in zip(np.flatnonzero(far), better, strict=True):
+            fits[i] = fit
+    return [
+        replace(
+            fit,
+            whiteners=start.whiteners,
+            disturbance=start.disturbance,
+            deviating=start.deviating,
+        )
+        for fit in fits
+    ]
+
+
+def _searched(problem: Problem, unknowns: Array) -> tuple[Evaluation, Mask]:
+    """Where a search from (K, N_UNKNOWNS + m) leads in a few iterations."""
+    if isinstance(problem, JointProblem) and not problem.silent:
+        # Where there is no cost to fall: by the rows as they are, then without the noise.
+        found, converged = minimize(problem.noisy, unknowns, _FOLLOWED)
+        return vanish(problem, found, problem.with_prior(found)[1]), converged
+    limit = _FOLLOWED if isinstance(problem, JointProblem) else _FOLLOWED_WHITENED
+    return minimize(problem, unknowns, limit)
+
+
+class Outcome:
+    """What follows from points near the minima of K hypotheses.
+
+    Args:
+        problem: that was solved.
+        point: its solution.
+        noise: (K, WIDTH, WIDTH) in the moments of one row, of measured speeds, that is still in
+            the problem; None: there is none, or it is taken out of the problem already.
+    """
+
+    def __init__(self, problem: Problem, point: Evaluation, noise: Array | None = None) -> None:
+        self._problem, self._point, self._noise = problem, point, noise
+        self._unknowns: Array = point.unknowns
+        self._gradient: Array = point.gradient
+        self._scale = scales(point.hessian)
+        self._scales = self._scale[:, :, None] * self._scale[:, None, :]
+        # A direction that the data do not see at all keeps a huge, finite variance.
+        self.roots = symmetric_roots(point.hessian / self._scales)
+        """(K, p, p) roots of the scaled information, and of its inverse."""
+
+    def spread_of(self, pull: Array) -> Array:
+        """(K, p, p) what a (K, p) gradient that is uncertain by itself adds to the inflation."""
+        moved = _times(self.roots[1], pull / self._scale)
+        spread: Array = moved[:, :, None] * moved[:, None, :]
+        return spread
+
+    @property
+    def left(self) -> Array:
+        """(K,) twice by how much the likelihood could still rise: standard deviations, squared."""
+        gradient, hessian = self._problem.with_prior(self._point)
+        inverse_roots = symmetric_roots(hessian / self._scales)[1]
+        left: Array = (_times(inverse_roots, gradient / self._scale) ** 2).sum(axis=1)
+        return left
+
+    @property
+    def pull(self) -> Array:
+        """(K, p) gradient that undoes what noise of measured speeds does, to first order.
+
+        It makes least squares underrate its inputs (errors in variables).
+        """
+        problem, point = self._problem, self._point
+        pull = np.zeros_like(self._scale)
+        if self._noise is not None:
+            noise = problem.rows[:, None, None] * self._noise
+            excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
+            flat = point.WG.reshape(*point.WG.shape[:2], -1)
+            pull[:, : problem.linear] = _times(flat, excess.reshape(len(pull), -1))
+        return pull
+
+    def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
+        """(k, p) scaled downhill gradient of half the cost, batch by batch.
+
+        Args:
+            i: of the hypothesis.
+            batches: (k, 1 or 3, width, width) of this hypothesis, without the known noise.
+            counts: (k,) rows in each.
+        """
+        f, point = len(self._problem.basis.free), self._point
+        P = self._problem.maps(self._unknowns[i : i + 1])[0]
+        TP = residual_maker(point.Q[i]) @ P
+        WG = point.WG[i].reshape(self._problem.linear, -1)
+        slopes = (point.W[i] @ TP[1:]).reshape(f, TP.shape[-2] * TP.shape[-1])
+
+        def some(batches: Array) -> Array:
+            k = len(batches)
+            TPM = TP[0] @ batches[:, 0] if batches.shape[1] == 1 else _each_axis(TP[0], batches)
+            of_theta = (TPM @ P[0, :N_X].T).reshape(k, -1) @ WG.T
+            return np.column_stack([of_theta, -TPM.reshape(k, -1) @ slopes.T])
+
+        scores = by_parts(some, batches)
+        # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
+        scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
+        scaled: Array = scores / self._scale[i]
+        return scaled
+
+    def shares(self, i: int, batches: Array) -> Array:
+        """(k, p) what each batch is expected to add to the variance of each unknown.
+
+        The diagonal of H^-1 H_b H^-1, H_b the information of a batch; any scale.
+
+        Args:
+            i: of the hypothesis.
+            batches: (k, 1 or 3, width, width) of this hypothesis.
+        """
+        n, inverse_root, point = self._problem.linear, self.roots[1][i], self._point
+        W = point.W[i]
+        P = self._problem.maps(self._unknowns[i : i + 1])[0]
+        inverse = (inverse_root @ inverse_root) / self._scales[i]
+        weighted = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, 3, N_X)
+        moved = point.residual[i] @ weighted
+        # Of each axis the outer product of what a parameter does to its Q.
+        powers = moved[..., None] * weighted[..., None, :]
+        if batches.shape[1] == 1:
+            powers = powers.sum(axis=1)
+        powers = powers.reshape(n, -1).T
+        X, TP = P[0, :N_X], residual_maker(point.Q[i]) @ P[1:]
+
+        def some(batches: Array) -> Array:
+            of_theta: Array = (X @ batches @ X.T).reshape(len(batches), -1) @ powers
+            bends = [((W @ row) * _each_axis(row, batches)).sum(axis=(1, 2)) for row in TP]
+            return np.column_stack([of_theta, *bends])
+
+        return by_parts(some, batches)
+
+    def take_step(self, largest: float) -> Mask:
+        """Go on by a Gauss-Newton step where that is no longer than so many deviations.
+
+        Returns:
+            (K,) where it was taken.
+        """
+        problem, d = self._problem, self._scale
+        root, inverse_root = self.roots
+        downhill = self._gradient / d
+        if problem.prior is None:
+            step = _times(inverse_root, _times(inverse_root, downhill))
+        else:
+            downhill = downhill + problem.prior_pull(self._unknowns) / d
+            information = root @ root + problem.prior_information / self._scales
+            step = np.linalg.solve(information, downhill[..., None])[..., 0]
+        near: Mask = (step * downhill).sum(axis=1) <= largest**2
+        moved = self._moved(np.where(near[:, None], step / d, 0.0))
+        way = (moved - self._unknowns)[:, problem.free]
+        self._gradient = self._gradient - _times(self._point.hessian, way)
+        self._unknowns = moved
+        return near
+
+    def fits(
+        self,
+        spread: Array,
+        widening: Array,
+        converged: Iterable[bool],
+        leaks: Iterable[int],
+        stuck: Mask | None = None,
+    ) -> list[RotationFit]:
+        """The K estimates.
+
+        Args:
+            spread: (K, p, p) or (p, p) inflation of the covariance.
+            widening: (K, p) or (p,) factors on the standard deviations.
+            converged: whether each minimum was reached.
+            leaks: index of each one's leak.
+            stuck: (K,) whether each search ended elsewhere than near a minimum; None: none did.
+        """
+        problem, point, d, n = self._problem, self._point, self._scale, rb.N_THETA
+        K, p = d.shape
+        spread, widening = np.broadcast_to(spread, (K, p, p)), np.broadcast_to(widening, (K, p))
+        root, inverse_root = self.roots
+        prior = problem.prior
+        pull = self.pull
+        wider = widening[:, :, None] * inverse_root
+        data_covariance = wider @ spread @ np.swapaxes(wider, 1, 2)
+        covariance = data_covariance
+        if prior is None:
+            step = _times(inverse_root, _times(inverse_root, pull / d))
+        else:
+            pull += self._gradient
+            coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
+            inside = (coordinates > basis.low) & (coordinates < basis.high)
+            pull[:, problem.linear :] *= inside[:, list(basis.free)]
+            held = (root / widening[:, :, None]) @ np.linalg.inv(spread)
+            covariance = np.linalg.inv(
+                held @ (root / widening[:, None, :])
+                + problem.prior_information / self._scales
+                + 1e-15 * np.eye(p)
+            )
+            from_data = _times(held, _times(inverse_root, pull / (d * widening)))
+            step = _times(covariance, from_data + problem.prior_pull(self._unknowns) / d)
+        unknowns = self._moved(step / d)
+        every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
+        every[:, problem.free[:, None], problem.free] = covariance / self._scales
+        full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
+        if problem.basis.curve_doubt and Unknown.CURVE in problem.free:
+            for own in full:
+                with_curve = along(own, Unknown.CURVE, problem.basis.curve_doubt)
+                own += np.outer(with_curve, with_curve)
+        r_squared = self._explained()
+        stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
+        if problem.basis.motors and Unknown.CURVE in problem.free:
+            # A fit that explains an axis worse than nothing is in a false minimum.
+            astray = stuck | (r_squared.min(axis=1) < _ABSURD)
+            for i in np.flatnonzero(astray):
+                own = full[i]
+                # There curve and lag are what they ordinarily are.
+                for place in (Unknown.CURVE, Unknown.LAG):
+                    off = along(own, place, COORDINATE_STD[place - rb.N_THETA])
+                    own += np.outer(off, off)
+        data_std = _deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        return [
+            RotationFit(
+                theta=unknowns[i, :n],
+                covariance=full[i, :n, :n],
+                residual_covariance=point.residual[i],
+                r_squared=r_squared[i],
+                rows=int(problem.rows[i]),
+                converged=bool(done),
+                coordinates=unknowns[i, COORDINATES],
+                leak=leak,
+                data_std=data_std[i, :n],
+                full_covariance=full[i],
+                warm_start=RotationStart(self._unknowns[i], spread[i], widening[i], bool(stuck[i])),
+                deviations=unknowns[i, N_UNKNOWNS:],
+                extended_covariance=every[i],
+            )
+            for i, (done, leak) in enumerate(zip(converged, leaks, strict=True))
+        ]
+
+    def _explained(self) -> Array:
+        """(K, 3) share of each axis' angular acceleration that the model explains."""
+        problem = self._problem
+        moments = problem.moments
+        of_axis = _AXES if moments.shape[1] > 1 else 0
+        all_ = moments[:, of_axis, _AXES - 3, _AXES - 3] / problem.rows[:, None]
+        share: Array = 1.0 - self._point.variance / np.maximum(all_, 1e-300)
+        return share
+
+    def _moved(self, step: Array) -> Array:
+        """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""
+        for _ in range(_HALVINGS):
+            unknowns = self._problem.moved(self._unknowns, step)
+            physical = self._problem.are_allowed(unknowns)
+            if physical.all():
+                return unknowns
+            step = np.where(physical[:, None], step, 0.5 * step)
+        return np.where(self._problem.are_allowed(unknowns)[:, None], unknowns, self._unknowns)
+
+
+def _deviations(variances: Array) -> Array:
+    """Square roots; without limit where less noise than there is left negative information."""
+    root: Array = np.sqrt(np.where(variances >= 0.0, variances, np.inf))
+    return root
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """(K, a) products of (K, a, b) and (K, b)."""
+    products: Array = (matrices @ vectors[..., None])[..., 0]
+    return products
+
+
+def _each_axis(rows: Array, batches: Array) -> Array:
+    """(k, 3, width) of (3, width) rows times (k, 1 or 3, width, width) batches of each axis."""
+    each: Array = (rows[:, None] @ batches)[:, :, 0]
+    return each

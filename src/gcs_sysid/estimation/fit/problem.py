@@ -1,0 +1,400 @@
+"""What is minimized: the power that Q(theta) leaves in rows, from their moments alone.
+
+Rows [x, y] hold y = w' and signals x, and w' = Q(theta) x for a rigid body. At coordinates eta of
+the actuators they are P(eta) z of rows z of elements, so that with T = [-Q, 1] residuals T P z have
+the covariance
+
+    S = T P M P' T' / n ,    M the sum of z z'
+
+an exact quadratic in Q that follows from moments, as do its derivatives. The weight W is the
+inverse of what is left, iterated to the maximum-likelihood point, in one of two ways:
+
+    `JointProblem`   W = S^-1, all axes having the same rows; what falls is ln det S
+    `AxisProblem`    W = diag(1 / sigma_a^2), each axis having rows that its own whitener made
+
+Known noise N of the rotors' inputs is part of the residual; but it is no part of what turned the
+vehicle, and least squares would underrate the inputs for it (errors in variables). Gradient and
+curvature are therefore those of M - n N, for which the truth is the stationary point.
+"""
+
+from abc import ABC, abstractmethod
+from copy import copy
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, Deviations
+from gcs_sysid.estimation.fit.priors import (
+    COORDINATE_MEAN,
+    COORDINATE_STD,
+    COORDINATES,
+    N_UNKNOWNS,
+    Prior,
+)
+from gcs_sysid.estimation.fit.solver import Iterate, Stopping
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
+
+N_X = rb.N_SIGNALS
+NOISE_SHARE = 0.97
+"""Share of the inputs' known noise that is taken out of whitened rows. How strong it is, is known
+to one or two percent, and where inputs are hardly more than noise, information must not become
+negative."""
+LEAST_POWER = 0.05
+"""Share of an innovation's power that no correction leaves it without."""
+_ALIKE = 3e-13
+"""Share of all residual power that every axis has at least: weights stay finite."""
+_EPSILON = 4e-15
+"""Rounding of sums of products, relative to the squares in them."""
+_IDENTITY = np.eye(3)
+_AXES, _DIAGONAL = np.arange(3), np.arange(WIDTH)
+
+
+@dataclass(frozen=True)
+class Evaluation(Iterate):
+    """A problem at some unknowns, for K hypotheses.
+
+    Attributes:
+        cost: (K,) log det of the residual covariance, with what coordinates, deviations and prior
+            add; all per row.
+        power: (K, 3) of the residuals of all rows, without the inputs' known noise; may be
+            negative.
+        weak: (K,) what coordinates, deviations and prior add to twice the cost of all rows.
+        residual: (K, 3, 3) covariance of one row's residual.
+        W: (K, 3, 3) its inverse.
+        Q: (K, 3, N_X).
+        WG: (K, N_THETA + m, 3, N_X) derivatives of Q by theta and m deviations, weighted.
+    """
+
+    cost: Array
+    power: Array
+    weak: Array
+    residual: Array
+    W: Array
+    Q: Array
+    WG: Array
+
+    @property
+    def variance(self) -> Array:
+        """(K, 3) power of one row's residual."""
+        variance: Array = np.diagonal(self.residual, axis1=1, axis2=2)
+        return variance
+
+
+class Problem(ABC):
+    """Hypotheses that are fitted side by side.
+
+    Args:
+        moments: (K, 1, width, width) of rows of elements, the same for all axes, or (K, 3, ...) as
+            each axis has them; (K, width, width) for short.
+        rows: in each; (K,) where they are not equally many.
+        basis: of the elements; what it leaves free is fitted.
+        prior: what else is known.
+        noise: as `moments`, of one row: known noise of the inputs in it; None: there is none.
+        deviations: m of them, fitted too: unknowns after the coordinates.
+    """
+
+    stopping: Stopping
+    _noise_share = 1.0
+
+    def __init__(
+        self,
+        moments: Array,
+        rows: Array | int,
+        basis: ActuatorDynamics,
+        prior: Prior | None,
+        noise: Array | None = None,
+        deviations: Deviations = NO_DEVIATIONS,
+    ) -> None:
+        self.moments = moments if moments.ndim == 4 else moments[:, None]
+        self.rows: Array = np.full(len(moments), rows, dtype=float)
+        """(K,) in each."""
+        self.basis, self.prior, self.deviations = basis, prior, deviations
+        m = len(deviations.std)
+        self.linear = rb.N_THETA + m
+        """Theta and deviations, which come first among what is fitted."""
+        self.free_coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
+        """(f,) indices of those coordinates among the unknowns."""
+        self.free = np.concatenate(
+            [np.arange(rb.N_THETA), N_UNKNOWNS + np.arange(m), self.free_coordinates]
+        )
+        """(p,) indices of the unknowns that are fitted, coordinates last."""
+        self.p = len(self.free)
+        self._mean = COORDINATE_MEAN[list(basis.free)]
+        self._information = COORDINATE_STD[list(basis.free)] ** -2.0
+        self.silent = noise is None or not noise.any()
+        self.informed = self.moments
+        """As `moments`, without the known noise."""
+        self._noise: Array | None = None
+        if noise is not None and not self.silent:
+            noise = noise if noise.ndim == 4 else noise[:, None]
+            self._noise = self.rows[:, None, None, None] * noise
+            self.informed = self.moments - self._noise_share * self._noise
+
+    def part(self, which: Array) -> Self:
+        """Some of the hypotheses."""
+        some = copy(self)
+        for name in ("moments", "rows", "informed", "_noise"):
+            values = getattr(self, name)
+            setattr(some, name, None if values is None else values[which])
+        return some
+
+    # ---- unknowns ----------------------------------------------------------------------------
+
+    @property
+    def prior_information(self) -> Array:
+        """(p, p) of the prior, on what is fitted."""
+        information = np.zeros((self.p, self.p))
+        if self.prior is not None:
+            known = self.free < N_UNKNOWNS
+            places = self.free[known]
+            information[np.ix_(known, known)] = self.prior.information[np.ix_(places, places)]
+        return information
+
+    def prior_pull(self, unknowns: Array) -> Array:
+        """(..., p) of the prior, on what is fitted."""
+        pull = np.zeros((*unknowns.shape[:-1], self.p))
+        if self.prior is not None:
+            known = self.free < N_UNKNOWNS
+            pull[..., known] = self.prior.pull(unknowns[..., :N_UNKNOWNS])[..., self.free[known]]
+        return pull
+
+    def with_prior(self, at: Evaluation) -> tuple[Array, Array]:
+        """(K, p) gradient and (K, p, p) curvature, with what the prior adds."""
+        if self.prior is None:
+            return at.gradient, at.hessian
+        return at.gradient + self.prior_pull(at.unknowns), at.hessian + self.prior_information
+
+    def weak_cost(self, unknowns: Array) -> Array:
+        """(...) of leaving the ordinary, see COORDINATE_STD."""
+        away = unknowns[..., self.free_coordinates] - self._mean
+        cost: Array = (away * away) @ self._information
+        return cost
+
+    def extended(self, unknowns: Array) -> Array:
+        """(..., N_UNKNOWNS + m) of (..., N_UNKNOWNS or more): deviations, if missing, zero."""
+        shape = (*unknowns.shape[:-1], N_UNKNOWNS + len(self.deviations.std))
+        if unknowns.shape[-1] == shape[-1]:
+            return unknowns
+        out = np.zeros(shape)
+        out[..., :N_UNKNOWNS] = unknowns[..., :N_UNKNOWNS]
+        return out
+
+    def moved(self, unknowns: Array, step: Array) -> Array:
+        """(..., N_UNKNOWNS + m) after a (..., p) step, within the basis' range."""
+        moved: Array = unknowns.copy()
+        if len(self.basis.free) > 1:
+            step = step * self._room(unknowns, step)[..., None]
+        moved[..., self.free] += step
+        moved[..., COORDINATES] = np.clip(moved[..., COORDINATES], self.basis.low, self.basis.high)
+        return moved
+
+    def _room(self, unknowns: Array, step: Array) -> Array:
+        """(...) share of a step that does not lead out of the basis' range.
+
+        Lag and delay do the same to slow signals: cut off singly, a step along both goes astray.
+        """
+        free = list(self.basis.free)
+        low, high = self.basis.low[free], self.basis.high[free]
+        at, way = unknowns[..., self.free_coordinates], step[..., -len(free) :]
+        room = np.where(way > 0.0, high - at, at - low)
+        share = 0.9 * room / np.maximum(np.abs(way), 1e-300)
+        # At the edge itself a coordinate is just held.
+        share = np.where(room > 1e-3 * (high - low), share, 1.0)
+        smallest: Array = np.minimum(share.min(axis=-1), 1.0)
+        return smallest
+
+    def are_allowed(self, unknowns: Array) -> Mask:
+        """(...) whether a rigid body can have such inertia."""
+        return rb.are_physical(unknowns)
+
+    def maps(self, unknowns: Array) -> Array:
+        """(K, 1 + f, WIDTH, width) what makes rows [x, y] here, and its derivatives."""
+        return self.basis.maps(unknowns[:, COORDINATES])
+
+    # ---- cost --------------------------------------------------------------------------------
+
+    def evaluate(self, unknowns: Array) -> Evaluation:
+        """Cost and its derivatives at (K, N_UNKNOWNS + m), or at (1, N_UNKNOWNS + m) for all."""
+        K, n, f = len(self.moments), self.linear, len(self.basis.free)
+        unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
+        moments, informed = self.moments, self.informed
+        if self.basis is not PLAIN:
+            P = self.maps(unknowns)
+            first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
+            moments = first @ moments @ turned
+            informed = moments if self.silent else first @ informed @ turned
+        phi = unknowns[:, N_UNKNOWNS:]
+        Q, G = self._model(unknowns[:, : rb.N_THETA], phi)
+        T = residual_maker(Q)
+        residual, W, power = self._weigh(T, moments, informed)
+        # By axis: (K, 3, n, N_X).
+        WG, by_axis = (np.swapaxes(each, 1, 2) for each in (W[:, None] @ G, G))
+        hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
+        signals = informed[..., :N_X, :N_X]
+        hessian[:, :n, :n] = (WG @ signals @ np.swapaxes(by_axis, -1, -2)).sum(axis=1)
+        downhill = WG @ (informed[..., :N_X, :] @ T[..., None])
+        gradient[:, :n] = downhill.sum(axis=1)[..., 0]
+        weak = np.zeros(K)
+        if phi.shape[1]:
+            information = self.deviations.information
+            weak = weak + (phi * phi) @ information
+            places = np.arange(rb.N_THETA, n)
+            gradient[:, places] -= phi * information
+            hessian[:, places, places] += information
+        if f:
+            # Of residuals, by coordinate: (K, f, 3, width), and with all columns.
+            TP = T[:, None] @ P[:, 1:]
+            TPM = times_moments(TP, self.informed)
+            changed = TPM
+            if self._noise is not None and self._noise_share < 1.0:
+                # What a delay does to the noise itself is no information: all of it is taken out.
+                changed = TPM - (1.0 - self._noise_share) * times_moments(TP, self._noise)
+            slopes = ((W[:, None] @ changed) * (T @ P[:, 0])[:, None]).sum(axis=(2, 3))
+            weighted = (W[:, None] @ TPM).reshape(K, f, -1)
+            bends = weighted @ np.swapaxes(TP.reshape(K, f, -1), 1, 2)
+            columns = TPM @ np.swapaxes(P[:, :1, :N_X], -1, -2)  # (K, f, 3, N_X)
+            cross = (WG @ np.moveaxis(columns, 1, -1)).sum(axis=1)  # (K, n, f)
+            away = unknowns[:, self.free_coordinates] - self._mean
+            gradient[:, n:] = -slopes - away * self._information
+            hessian[:, :n, n:] = -cross
+            hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
+            hessian[:, n:, n:] = bends + np.diag(self._information)
+            weak = weak + self.weak_cost(unknowns)
+        if self.prior is not None:
+            weak = weak + self.prior.cost(unknowns[:, :N_UNKNOWNS])
+        cost = np.linalg.slogdet(residual)[1] + weak / self.rows
+        WG = np.swapaxes(WG, 1, 2)
+        return Evaluation(unknowns, gradient, hessian, cost, power, weak, residual, W, Q, WG)
+
+    def _model(self, theta: Array, phi: Array) -> tuple[Array, Array]:
+        """Q and its derivatives by theta and phi, (K, N_THETA + m, 3, N_X)."""
+        if not phi.shape[1]:
+            return rb.forward_jacobian(theta)
+        Q, G = rb.forward_jacobian(theta, self.deviations.torque(phi))
+        J_inv = np.linalg.inv(rb.inertia_matrix(theta))
+        return Q, np.concatenate([G, J_inv[:, None] @ self.deviations.torques], axis=1)
+
+    @abstractmethod
+    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
+        """Residual covariance, its inverse, and power, as of `Evaluation`.
+
+        Args:
+            T: (K, 3, WIDTH) what makes residuals.
+            moments: (K, 1 or 3, WIDTH, WIDTH) of rows [x, y].
+            informed: the same without the inputs' known noise.
+        """
+
+    @abstractmethod
+    def fall(self, before: Evaluation, after: Evaluation) -> Array:
+        """(K,) by how much a step lowers what is minimized."""
+
+
+class JointProblem(Problem):
+    """All axes have the same rows, and are weighed by their joint residual covariance."""
+
+    stopping = Stopping(enough=1e-6, unseen=1e-2, shortened=1.0)
+
+    @property
+    def noisy(self) -> Self:
+        """The same of rows as they are, noise taken for what acted."""
+        rows_as_they_are = copy(self)
+        rows_as_they_are.informed, rows_as_they_are.silent = self.moments, True
+        rows_as_they_are._noise = None
+        return rows_as_they_are
+
+    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
+        rows = self.rows[:, None]
+        S = times_moments(T[:, None], moments)[:, 0] @ np.swapaxes(T, -1, -2) / rows[..., None]
+        # Without noise only rounding is left of large terms; that keeps it definite.
+        sizes = moments[:, 0, _DIAGONAL, _DIAGONAL]
+        own = S[:, _AXES, _AXES]
+        S[:, _AXES, _AXES] = own + (
+            (T * T @ sizes[..., None])[..., 0] * (_EPSILON / rows)
+            + (_ALIKE * own.sum(axis=1) + 1e-300)[:, None]
+        )
+        return S, np.linalg.inv(S), S[:, _AXES, _AXES] * rows
+
+    def fall(self, before: Evaluation, after: Evaluation) -> Array:
+        """Of log det of the residual covariance: W is concentrated out."""
+        return before.cost - after.cost
+
+
+class AxisProblem(Problem):
+    """Each axis has rows that its own whitener made, and is weighed by its innovations' power."""
+
+    stopping = Stopping(enough=3e-4, unseen=3e-4, poor=0.25)
+    """Between two delays there is less noise than on a straight line: steps may overshoot."""
+    _noise_share = NOISE_SHARE
+
+    def __init__(
+        self,
+        moments: Array,
+        rows: Array | int,
+        basis: ActuatorDynamics,
+        prior: Prior | None,
+        noise: Array,
+        deviations: Deviations = NO_DEVIATIONS,
+    ) -> None:
+        super().__init__(moments, rows, basis, prior, noise, deviations)
+        usual = noise if basis is PLAIN else basis.moments_at(noise, basis.nodes[basis.middle])
+        self._usual = NOISE_SHARE * usual
+        """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
+
+    def part(self, which: Array) -> Self:
+        """Some of the hypotheses."""
+        some = super().part(which)
+        if len(self._usual) > 1:
+            some._usual = self._usual[which]
+        return some
+
+    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
+        rows = self.rows[:, None]
+        own = axis_power(T, informed)
+        all_ = own if self.silent else axis_power(T, moments)
+        # Signals between two of the basis' delays are means of both, and have less noise: a weight
+        # that followed that would make every delay look for the middle between two.
+        usual = own / rows if self.silent else own / rows + axis_power(T, self._usual)
+        sizes = moments[..., _DIAGONAL, _DIAGONAL]
+        least = LEAST_POWER * all_ + _EPSILON * (T * T * sizes).sum(axis=-1)
+        variance = np.maximum(usual, least / rows) + 1e-300
+        return variance[..., None] * _IDENTITY, _IDENTITY / variance[..., None], own
+
+    def fall(self, before: Evaluation, after: Evaluation) -> Array:
+        """Of the power over the innovations' variance as it was before the step.
+
+        At the point that this leads to in the end the gradient without the known noise vanishes.
+        """
+        was, now = ((at.power / before.variance).sum(axis=1) + at.weak for at in (before, after))
+        fall: Array = was - now
+        return fall
+
+
+def residual_maker(Q: Array) -> Array:
+    """(..., 3, WIDTH) what makes residuals y - Q x of rows [x, y]."""
+    T = np.empty((*Q.shape[:-1], WIDTH))
+    T[..., :N_X] = -Q
+    T[..., N_X:] = _IDENTITY
+    return T
+
+
+def times_moments(left: Array, moments: Array) -> Array:
+    """(K, f, 3, n) of such rows, or (1, f, 3, n), times (K, 1 or 3, n, n) moments of each axis."""
+    if moments.shape[1] == 1:
+        # In one product each.
+        product = left.reshape(len(left), -1, left.shape[-1]) @ moments[:, 0]
+        out: Array = product.reshape(len(product), *left.shape[1:])
+        return out
+    out = np.swapaxes(np.swapaxes(left, 1, 2) @ moments, 1, 2)
+    return out
+
+
+def axis_power(T: Array, moments: Array) -> Array:
+    """(..., 3) T_a M_a T_a' of (..., 3, n) rows and (..., 1 or 3, n, n) moments."""
+    if moments.shape[-3] == 1:
+        power: Array = ((T @ moments[..., 0, :, :]) * T).sum(axis=-1)
+    else:
+        power = ((T[..., None, :] @ moments)[..., 0, :] * T).sum(axis=-1)
+    return power

@@ -1,0 +1,232 @@
+"""Damped Gauss-Newton, for several hypotheses side by side: the one minimizer of all fits.
+
+Levenberg-Marquardt on the normal matrix scaled to a unit diagonal. What is minimized, in what
+units, and which steps are allowed, is the problem's.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
+_EASED, _RAISED, _POOR = 0.1, 10.0, 5.0
+"""Factors on the damping after a step that was taken, one that was not, and a poor one."""
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Where the search stands, for K hypotheses.
+
+    Attributes:
+        unknowns: (K, u).
+        gradient: (K, p) downhill, of half the cost.
+        hessian: (K, p, p) of the same, Gauss-Newton.
+    """
+
+    unknowns: Array
+    gradient: Array
+    hessian: Array
+
+    def where(self, better: Mask, other: Self) -> Self:
+        """The other one for the hypotheses where that is better."""
+        if len(better) == 1:
+            return other if better[0] else self
+        mine, others = vars(self), vars(other)
+        return type(self)(
+            **{
+                name: np.where(better.reshape(-1, *(1,) * (old.ndim - 1)), others[name], old)
+                for name, old in mine.items()
+            }
+        )
+
+    def part(self, which: Array) -> Self:
+        """Some of the hypotheses."""
+        return type(self)(**{name: values[which] for name, values in vars(self).items()})
+
+    def filled(self, which: Mask, some: Self) -> Self:
+        """With others for some of the hypotheses."""
+        every = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in vars(some).items():
+            every[name][which] = values
+        return type(self)(**every)
+
+
+At = TypeVar("At", bound=Iterate)
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """When a step is taken, and when the last one was.
+
+    Attributes:
+        enough: standard deviations; smaller steps change nothing.
+        unseen: standard deviations; smaller steps are taken without looking at what they gain,
+            which is lost in its rounding, and end the search once they become no shorter.
+        shortened: damping above which small steps are looked at nevertheless: it made them short.
+        poor: share of the gain expected; a step that brings less was too long. 0: none is.
+    """
+
+    enough: float
+    unseen: float
+    shortened: float = np.inf
+    poor: float = 0.0
+
+
+class Minimized(Protocol[At]):
+    """What is minimized, for K hypotheses."""
+
+    @property
+    def stopping(self) -> Stopping:
+        """When the search ends."""
+        ...
+
+    def part(self, which: Array) -> Self:
+        """Some of the hypotheses."""
+        ...
+
+    def evaluate(self, unknowns: Array) -> At:
+        """At (K, u) unknowns."""
+        ...
+
+    def with_prior(self, at: At) -> tuple[Array, Array]:
+        """(K, p) gradient and (K, p, p) curvature, with what is known beforehand."""
+        ...
+
+    def moved(self, unknowns: Array, step: Array) -> Array:
+        """(K, u) unknowns after a (K, p) step."""
+        ...
+
+    def are_allowed(self, unknowns: Array) -> Mask:
+        """(K,) whether unknowns mean anything."""
+        ...
+
+    def fall(self, before: At, after: At) -> Array:
+        """(K,) by how much a step lowers what is minimized."""
+        ...
+
+
+def minimize(problem: Minimized[At], unknowns: Array, limit: int) -> tuple[At, Mask]:
+    """The minimum that a start leads to.
+
+    Args:
+        problem: K hypotheses.
+        unknowns: (K, u) starting points.
+        limit: most iterations.
+
+    Returns:
+        The minimizers, and (K,) whether each was reached.
+    """
+    K = len(unknowns)
+    start = problem.evaluate(unknowns)
+    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), limit)
+
+
+def _descend(
+    problem: Minimized[At], point: At, damping: Array, gain: Array, limit: int
+) -> tuple[At, Mask]:
+    """The steps of `minimize`, with (K,) damping and (K,) gain of the step before."""
+    converged, stopping = np.zeros(len(damping), dtype=bool), problem.stopping
+    for taken in range(1, limit + 1):
+        gradient, hessian = problem.with_prior(point)
+        d = scales(hessian)
+        step, downhill = _step(hessian, gradient, d, damping)
+        # How much the cost can still fall, in units of the likelihood.
+        before, gain = gain, (step * downhill).sum(axis=1)
+        # Steps that do not become shorter any more are rounding.
+        small = gain < stopping.enough**2
+        small |= (gain < stopping.unseen**2) & (gain > 0.5 * before)
+        candidate = problem.moved(point.unknowns, step / d)
+        allowed = problem.are_allowed(candidate)
+        tried = problem.evaluate(np.where(allowed[:, None], candidate, point.unknowns))
+        fall = problem.fall(point, tried)
+        unseen = (gain < stopping.unseen**2) & (damping <= stopping.shortened)
+        better = allowed & ((fall >= 0.0) | unseen) & ~converged
+        point = point.where(better, tried)
+        poor = (stopping.poor > 0.0) & ~small & (fall < stopping.poor * gain)
+        factor = np.where(better, np.where(poor, _POOR, _EASED), _RAISED)
+        damping = np.maximum(factor * damping, _LEAST_DAMPING)
+        # Where no step however small helps any more, rounding has the last word.
+        converged = converged | small | (damping > _MOST_DAMPING)
+        if converged.all():
+            break
+        if 2 * np.count_nonzero(converged) >= len(converged):
+            left = ~converged
+            rest = _descend(
+                problem.part(left),
+                point.part(left),
+                damping[left],
+                gain[left],
+                limit - taken,
+            )
+            point, converged[left] = point.filled(left, rest[0]), rest[1]
+            break
+    return point, converged
+
+
+def _step(hessian: Array, gradient: Array, d: Array, damping: Array) -> tuple[Array, Array]:
+    """(K, p) damped step and (K, p) gradient, both in units of (K, p) scales."""
+    H = hessian / (d[:, :, None] * d[:, None, :])
+    H = H + (damping + _lift(H))[:, None, None] * np.eye(d.shape[1])
+    downhill = gradient / d
+    return np.linalg.solve(H, downhill[..., None])[..., 0], downhill
+
+
+def _lift(H: Array) -> Array:
+    """(K,) what makes scaled curvatures positive definite, which less known noise need not be."""
+    try:
+        np.linalg.cholesky(H)
+    except np.linalg.LinAlgError:
+        least = np.linalg.eigvalsh(H)[:, 0]
+        lift: Array = np.where(least > _LEAST_DAMPING, 0.0, _LEAST_DAMPING - 2.0 * least)
+        return lift
+    return np.zeros(len(H))
+
+
+_STEPS, _LEFT = 100, 1e-10
+"""Steps at most, and squared standard deviations to go at which they end."""
+_LONGER, _SHORTER = 2.0, 0.25
+"""Times the share of a step that is taken, after one that came nearer, and one that did not."""
+
+
+def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
+    """Where the gradient vanishes, of a problem that has no cost to fall.
+
+    Args:
+        problem: K hypotheses.
+        point: where to start.
+        hessian: (K, p, p) curvature that steps go by throughout; where it is too large, they are
+            short.
+    """
+    d = scales(point.hessian)
+    damping = np.full(len(d), _DAMPING)
+
+    def to_go(at: At) -> tuple[Array, Array]:
+        """Step to where the gradient vanishes, in units of d, and (K,) how far that is."""
+        step, downhill = _step(hessian, problem.with_prior(at)[0], d, damping)
+        return step, (step * downhill).sum(axis=1)
+
+    found = problem.evaluate(point.unknowns)
+    step, left = to_go(found)
+    share = np.ones(len(d))
+    for _ in range(_STEPS):
+        if left.max() < _LEFT:
+            break
+        moved = problem.moved(found.unknowns, share[:, None] * step / d)
+        allowed = problem.are_allowed(moved)
+        tried = problem.evaluate(np.where(allowed[:, None], moved, found.unknowns))
+        further, less = to_go(tried)
+        # A step that leaves more to go was too long.
+        nearer = less <= left
+        found = found.where(nearer, tried)
+        step, left = np.where(nearer[:, None], further, step), np.where(nearer, less, left)
+        share = np.where(nearer, np.minimum(_LONGER * share, 1.0), _SHORTER * share)
+    return found
+
+
+def scales(hessian: Array) -> Array:
+    """(..., p) square roots of the diagonal, 1 where there is no information at all."""
+    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))

@@ -1,0 +1,236 @@
+"""Whiteners of a bank, tried on all axes at once; each axis takes that of least innovation power.
+
+Where the search starts from nothing it looks at every node of the rotors' dynamics, so that delay
+is found by the power of the innovations, within its bounds. As a free column it would be found
+where torque predicts the motion best, which under feedback is the inverse of the controller.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
+from gcs_sysid.estimation.fit.disturbance import BankTrial
+from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.fit.problem import (
+    LEAST_POWER,
+    NOISE_SHARE,
+    AxisProblem,
+    Evaluation,
+    axis_power,
+    residual_maker,
+)
+from gcs_sysid.estimation.fit.search import first_guess
+from gcs_sysid.estimation.fit.solver import minimize, scales
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
+
+_SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 30
+"""Iterations: at a node; with a whitener, from there and from a fit; with those of the axes."""
+_SCANNED = 64
+"""Pairs of whitener and node that are looked at, about."""
+_AXES = np.arange(3)
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """The fit with a whitener for each axis.
+
+    Attributes:
+        problem: that was solved.
+        point: its solution.
+        converged: whether that was reached.
+        pick: whitener of each axis.
+        trial: of all whiteners, there.
+    """
+
+    problem: AxisProblem
+    point: Evaluation
+    converged: bool
+    pick: tuple[int, ...]
+    trial: BankTrial
+
+    @property
+    def cost(self) -> float:
+        """Nats a row, summed over the axes."""
+        power = self.trial.variance[list(self.pick), _AXES]
+        weak = self.point.weak[0] / self.problem.rows[0]
+        return 0.5 * float(np.log(power).sum() + weak)
+
+
+@dataclass(frozen=True)
+class BankProblem:
+    """Moments under every whitener of a bank, to be fitted.
+
+    Attributes:
+        data: the moments.
+        basis: of the elements.
+        prior: what else is known.
+        kept: (k,) batches to fit; None: all.
+        deviations: from the model, fitted too.
+    """
+
+    data: WhitenedMoments
+    basis: ActuatorDynamics
+    prior: Prior | None = None
+    kept: Mask | None = None
+    deviations: Deviations = NO_DEVIATIONS
+
+    @cached_property
+    def total(self) -> Array:
+        """(bank, width, width) sum over the batches kept."""
+        kept = np.ones(len(self.data.counts), dtype=bool) if self.kept is None else self.kept
+        return self.data.total(kept)
+
+    @cached_property
+    def rows(self) -> int:
+        """In them."""
+        counts = self.data.counts
+        return int(counts.sum() if self.kept is None else counts[self.kept].sum())
+
+    def axes(self, pick: tuple[int, ...]) -> AxisProblem:
+        """The problem with one whitener for each axis."""
+        places = list(pick)
+        moments, noise = self.total[places][None], self.data.noise[places][None]
+        return AxisProblem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
+
+    def solve(self, trial: BankTrial) -> AxisFit:
+        """Fit with the whiteners of a trial; and once more, should others be better there."""
+        pick = trial.pick
+        unknowns = trial.unknowns[list(pick)]
+        for again in (True, False):
+            problem = self.axes(pick)
+            # From what the first axis or the others found, whichever is nearer to all of it.
+            starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
+            best = min(starts, key=lambda start: float(start.cost[0]))
+            point, converged = minimize(problem, best.unknowns, _FIT)
+            trial = self.tried(point.unknowns[0])
+            fit = AxisFit(problem, point, bool(converged[0]), pick, trial)
+            if not again or trial.pick == pick:
+                break
+            pick, unknowns = trial.pick, point.unknowns
+        return fit
+
+    def tried(self, unknowns: Array, limit: int = _AGAIN) -> BankTrial:
+        """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
+        fitted = unknowns if unknowns.ndim == 1 else None
+        unknowns = np.broadcast_to(unknowns, (len(self.total), unknowns.shape[-1]))
+        at = unknowns[0, COORDINATES]
+        moments, noise = (
+            self.basis.moments_at(m, at)[:, None] for m in (self.total, self.data.noise)
+        )
+        problem = AxisProblem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
+        point, _ = minimize(problem, problem.extended(unknowns), limit)
+        known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
+        alike = self._alike(point, noise, known)
+        for axis, own in enumerate(self.data.own):
+            # An axis' noise is its own.
+            alike[[i for i in self.data.own if i != own], axis] = np.inf
+        found = point.unknowns.copy()
+        if self.basis.motors:
+            found[:, COORDINATES] = at  # plain rows have none
+        return BankTrial(self.data.whiteners, self.data.time, found, alike, point.hessian)
+
+    def scanned(self) -> BankTrial | None:
+        """From the data alone: every node with every whitener, then all of these at the best one.
+
+        None while the data cannot even start a fit.
+        """
+        basis, nodes, rows = self.basis, self.basis.nodes, self.rows
+        every = max(len(self.total) * len(nodes) // _SCANNED, 1)
+        some, some_noise = self.total[::every], self.data.noise[::every]
+        middle = nodes[basis.middle]
+        at_middle = basis.moments_at(some - NOISE_SHARE * rows * some_noise, middle)
+        guesses = [first_guess(moments, rows, middle, self.prior) for moments in at_middle]
+        known = [guess for guess in guesses if guess is not None]
+        if not known:
+            return None
+        guess = np.stack([known[len(known) // 2] if g is None else g for g in guesses])
+        P = basis.maps(nodes)[:, 0]
+        turned = np.swapaxes(P, 1, 2)
+        moments, noise = (
+            (P @ m[:, None] @ turned).reshape(-1, 1, WIDTH, WIDTH) for m in (some, some_noise)
+        )
+        starts = np.repeat(guess, len(nodes), axis=0)
+        starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
+        problem = AxisProblem(moments, rows, PLAIN, self.prior, noise)
+        point, _ = minimize(problem, starts, _SCAN)
+        alike = self._alike(point, noise, np.median(point.unknowns, axis=0))
+        power = np.log(alike).reshape(len(some), len(nodes), len(_AXES))
+        weak = self.axes((0, 0, 0)).weak_cost(starts)
+        cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
+        best = int(np.argmin(cost))
+        found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
+        if basis.motors:
+            found[:, COORDINATES] = nodes[best]  # plain rows have none
+        return self.tried(np.repeat(found, every, axis=0)[: len(self.total)], TRY)
+
+    def _alike(self, point: Evaluation, noise: Array, known: Array) -> Array:
+        """(K, 3) power of innovations as it would be if all had the same share of known noise.
+
+        Input noise biases the minimum of the power towards a vehicle with less response. An
+        estimate that errs that way by chance would look better than the truth. The power compared
+        is therefore that without the known noise, which is stationary at the truth, plus that noise
+        with one and the same response.
+
+        Args:
+            point: K solutions.
+            noise: (K, 1, WIDTH, WIDTH) in one row.
+            known: (N_UNKNOWNS + m,) of that vehicle.
+        """
+        m = known[N_UNKNOWNS:]
+        torque = self.deviations.torque(m) if len(m) else 0.0
+        of_noise = axis_power(residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque)), noise)
+        alike: Array = np.maximum(
+            point.power / self.rows + NOISE_SHARE * of_noise, LEAST_POWER * point.variance
+        )
+        return alike
+
+    def choose_deviations(self, fit: AxisFit, choice: DeviationChoice) -> Deviations:
+        """The deviations for which there is evidence, from one look at all of them."""
+        point = fit.point
+        every = choice.every(point.unknowns[0])
+        competing = choice.with_turns(every, point.unknowns[0])
+        n, m = rb.N_THETA, len(competing.std)
+        places = list(fit.pick)
+        problem = AxisProblem(
+            self.total[places][None],
+            self.rows,
+            self.basis,
+            self.prior,
+            self.data.noise[places][None],
+            competing,
+        )
+        unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
+        # The fit in terms of all deviations: the same torque.
+        flat = every.torques.reshape(len(every.std), -1)
+        torque = self.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
+        phi = np.zeros(m)
+        phi[: len(flat)] = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
+        unknowns[:, N_UNKNOWNS:] = phi
+        gradient, hessian = (part[0] for part in problem.with_prior(problem.evaluate(unknowns)))
+        of = np.arange(n, n + m)
+        others = np.setdiff1d(np.arange(problem.p), of)
+        d = scales(hessian[None])[0][others]
+        cross = hessian[np.ix_(others, of)] / d[:, None]
+        inverse = np.linalg.pinv(
+            hessian[np.ix_(others, others)] / np.outer(d, d), rcond=1e-12, hermitian=True
+        )
+        information = hessian[np.ix_(of, of)] - cross.T @ inverse @ cross
+        score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
+        return choice.choose(every, point.unknowns[0], score + information @ phi, information)
+
+
+def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
+    """(3,) shares of the whitened acceleration that a quick fit explains; None: there is none."""
+    problem = BankProblem(data, basis)
+    trial = problem.scanned()
+    if trial is None:
+        return None
+    places = list(trial.pick)
+    power = problem.total[places, _AXES - 3, _AXES - 3] / problem.rows
+    share: Array = 1.0 - trial.variance[places, _AXES] / np.maximum(power, 1e-300)
+    return share

@@ -1,0 +1,203 @@
+"""Fit of the rotational parameters to rows of the window, with several leaks as hypotheses.
+
+Rows hold the rotors' signals in several forms, of which those at any delay, and with commands
+at any motor lag and thrust curve, are linear maps (`estimation.rows.actuator_dynamics`); these
+are unknowns of the fit too. What lags behind commands is a hypothesis beside them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.inference import Outcome
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.fit.problem import JointProblem
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.search import (
+    MAX_ITERATIONS,
+    first_guess,
+    scan,
+    search,
+)
+from gcs_sysid.estimation.fit.solver import minimize, vanish
+from gcs_sysid.estimation.noise.uncertainty import inflation, meat, student_factor
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, LagPlace
+from gcs_sysid.model import rigid_body as rb
+
+_WARM_ITERATIONS = 12
+_ALIKE = 0.1
+"""Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
+_NEAR, _ROUNDS = 0.1, 4
+"""Squared standard deviations that a search may be from the minimum; how often it continues."""
+
+
+def fit_rotation(
+    batches: Array,
+    counts: NDArray[np.int64],
+    basis: ActuatorDynamics,
+    noise: Array,
+    start: RotationFit | None = None,
+    prior: Prior | None = None,
+    doubt: float = 0.0,
+    hint: RotationFit | None = None,
+) -> RotationFit | None:
+    """Fit theta and the basis' coordinates to moments.
+
+    Args:
+        batches: (k, leaks, width, width) moments of rows of elements.
+        counts: (k,) rows in each.
+        basis: of the elements.
+        noise: what known noise of the inputs adds to the moments of a row, with each leak, in the
+            form of `ActuatorDynamics.noise_at`.
+        start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
+            the data alone, to the minimum.
+        prior: what else is known.
+        doubt: one standard deviation of the noise, relative.
+        hint: an earlier fit, from which a search from the data alone starts too.
+
+    Returns:
+        The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
+        response to roll and pitch torque).
+    """
+    rows = int(counts.sum())
+    if rows < 3 * rb.N_THETA:
+        return None
+    bank = batches.sum(axis=0)
+    of_speeds = None if basis.motors else noise
+    problem = JointProblem(bank, rows, basis, prior)
+    at = basis.nodes[basis.middle]
+    first = [first_guess(m, rows, at, prior) for m in basis.moments_at(bank, at)]
+    if any(guess is None for guess in first):
+        return None
+    unknowns = np.stack([guess for guess in first if guess is not None])
+    if start is None:
+        starts = scan(problem, unknowns)
+        if hint is not None:
+            known = np.broadcast_to(hint.unknowns, (1, len(bank), N_UNKNOWNS))
+            starts = np.concatenate([starts, known])
+        point, converged = search(problem, starts)
+    else:
+        # An earlier estimate from too little motion may lie in a valley of its own.
+        earlier = np.tile(start.unknowns, (len(bank), 1))
+        closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
+        unknowns = np.where(closer[:, None], earlier, unknowns)
+        point, converged = minimize(problem, unknowns, _WARM_ITERATIONS)
+    stuck = np.zeros(len(bank), dtype=bool)
+    if basis.motors:
+        for round_ in range(_ROUNDS + 1):
+            # A search that steps out of the physical inertias only is at no minimum.
+            stuck = Outcome(problem, point, of_speeds).left >= _NEAR
+            converged &= ~stuck
+            if converged.any() or round_ == _ROUNDS:
+                break
+            # Curve and lag bend the valley: it takes many steps along.
+            point, converged = minimize(problem, point.unknowns, MAX_ITERATIONS)
+    pull = None
+    if basis.motors and noise.any():
+        # Such noise is a good part of what slow commands show: unlike that of measured speeds, one
+        # step does not take it out, and it pulls delay, lag and curve as well. Each step leaves of
+        # the way that share by which noise adds to the moments: a third at most, but for curve and
+        # lag.
+        raw, problem = problem, JointProblem(bank, rows, basis, prior, noise)
+        # The curvature with noise is the larger: steps with it are short.
+        point = vanish(problem, point, raw.with_prior(point)[1])
+        pull = raw.evaluate(point.unknowns).gradient - point.gradient
+        batches = batches - counts[:, None, None, None] * noise
+    outcome = Outcome(problem, point, of_speeds)
+    if pull is not None:
+        # Where the noise has shifted the minimum far, the way there may not be found.
+        stuck = stuck | (outcome.left >= _NEAR)
+        converged = converged & ~stuck
+    inverse_roots = outcome.roots[1]
+    scatter = []
+    for i in range(len(bank)):
+        own = batches[:, i : i + 1]
+        spread_out = inflation(inverse_roots[i], meat(outcome.scores(i, own, counts)))
+        scatter.append((spread_out, student_factor(outcome.shares(i, own))))
+    spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
+    if doubt:
+        spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
+    fits = outcome.fits(spread, widening, converged, range(len(bank)), stuck)
+    return most_certain([fit for fit, no in zip(fits, stuck, strict=True) if not no] or fits)
+
+
+def most_certain(fits: Sequence[RotationFit]) -> RotationFit:
+    """The first that is nearly as certain as any, so the one with the shortest memory.
+
+    How certain each is, is itself estimated from scatter, with error. The least of several such
+    numbers is too small, and long memories, which sum up slow errors, gain most by chance.
+    """
+    uncertain = np.array([uncertainty(fit) for fit in fits])
+    return fits[int(np.argmax(uncertain <= uncertain.min() + _ALIKE))]
+
+
+def uncertainty(fit: RotationFit) -> float:
+    """Mean log standard deviation of what makes up the core parameters."""
+    return float(np.mean(np.log(fit.std[: rb.DAMPING])))
+
+
+def fit_lag_places(
+    batches: Array,
+    counts: NDArray[np.int64],
+    basis: ActuatorDynamics,
+    noise: Array,
+    places: Sequence[LagPlace],
+    independent: float,
+    start: RotationFit | None = None,
+    prior: Prior | None = None,
+    doubt: float = 0.0,
+    hint: RotationFit | None = None,
+) -> RotationFit | None:
+    """The fit with what lags behind the commands as a hypothesis; the others widen it.
+
+    Estimates are those of the likeliest. By what those of the others differ from them, they may be
+    off with these one's probability (Hoeting et al. (1999), Bayesian model averaging: a tutorial,
+    Statistical Science 14, 382-417).
+
+    Args:
+        batches: as for `fit_rotation`, and so are all arguments not listed here.
+        counts: rows in each batch.
+        basis: of the elements; is left with the place that is taken.
+        noise: of the inputs.
+        places: hypotheses; the others start from the first one's fit.
+        independent: how many rows there would be, did windows not overlap.
+        start: an earlier fit.
+        prior: what else is known.
+        doubt: of the noise.
+        hint: an earlier fit.
+    """
+    basis.lag_place = places[0]
+    first = fit_rotation(batches, counts, basis, noise, start, prior, doubt, hint)
+    if first is None:
+        return None
+    leak = slice(first.leak, first.leak + 1)
+    fits = [first]
+    for basis.lag_place in places[1:]:
+        fit = fit_rotation(batches[:, leak], counts, basis, noise[leak], first, prior, doubt)
+        fits.append(first if fit is None else replace(fit, leak=first.leak))
+    cost = np.array([np.linalg.slogdet(fit.residual_covariance)[1] for fit in fits])
+    weight = np.exp(-0.5 * independent * (cost - cost.min()))
+    best = int(np.argmin(cost))
+    basis.lag_place = places[best]
+    away = np.stack([fit.unknowns - fits[best].unknowns for fit in fits])
+    doubted = (away * (weight / weight.sum())[:, None]).T @ away
+    return with_lag_doubt(fits[best], places[best], doubted)
+
+
+def with_lag_doubt(fit: RotationFit, place: LagPlace, doubt: Array) -> RotationFit:
+    """A fit with its place of the lag, and the (N_UNKNOWNS, N_UNKNOWNS) covariance of its error."""
+    n = rb.N_THETA
+    extended = fit.extended_covariance.copy()
+    extended[:N_UNKNOWNS, :N_UNKNOWNS] += doubt
+    return replace(
+        fit,
+        lag_place=place,
+        lag_doubt=doubt,
+        covariance=fit.covariance + doubt[:n, :n],
+        full_covariance=fit.full_covariance + doubt,
+        extended_covariance=extended,
+        data_std=np.hypot(fit.data_std, np.sqrt(np.diag(doubt)[:n])),
+    )
