@@ -22,11 +22,11 @@ from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.web.result_json import why_no_health
 
 RATE = 100.0
-PX4 = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+PX4 = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
 BETAFLIGHT = usual_layouts(4)["quad bf-x"]
 COAXIAL = tuple(
     Rotor(x, y, spin)
@@ -192,7 +192,7 @@ def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
 
 
 def test_frames_of_ardupilot():
-    vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
     plus = guess_airframe(vehicle, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}, None, None)
     assert [place_words(r) for r in plus.airframe.rotors] == ["right", "left", "front", "rear"]
     assert not plus.assumed

@@ -21,7 +21,7 @@ from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
 
@@ -191,7 +191,7 @@ def test_without_an_airframe_the_vehicles_type_tells_how_many_rotors(fly):
 def flown(*speeds, vehicle_type):
     """Inspects 12 s of flight with these rotor speeds, varied a little."""
     intake = Intake()
-    intake.selector.chosen = Vehicle(1, 1, vehicle_type, 12)
+    intake.selector.chosen = MavlinkSystem(1, 1, vehicle_type, 12)
     inspector = Inspector(intake)
     records = []
     for i in range(1200):

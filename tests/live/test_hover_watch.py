@@ -8,7 +8,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 RATE = 25.0
 
@@ -17,7 +17,7 @@ class Told:
     """What a link tells beside its records."""
 
     def __init__(self):
-        self.vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+        self.vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
         self.systems = (self.vehicle,)
         self.parameters = {}
 

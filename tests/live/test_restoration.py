@@ -17,7 +17,7 @@ from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.stream_restoration import SCHEMA, StreamRestoration
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from sim_bridge.ardupilot import LOOP_STEPS, STEP_US, ArduPilot
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
@@ -196,7 +196,7 @@ class Ground:
 
     def __init__(self, folder=None, vehicle=None, **options):
         self.raws = []
-        self.vehicle = vehicle or Vehicle(1, 1, 2, 12)
+        self.vehicle = vehicle or MavlinkSystem(1, 1, 2, 12)
         gate = Gate(self.raws.append)
         self.restoration = StreamRestoration(gate, 4, folder, "udpin:0.0.0.0:14550")
         self.requests = StreamRequests(gate, 250.0, restoration=self.restoration, **options)
@@ -271,7 +271,7 @@ def test_what_is_not_told_is_taken_from_what_arrives():
     ],
 )
 def test_what_the_autopilots_mean(autopilot, told, own):
-    ground = Ground(vehicle=Vehicle(1, 1, 2, autopilot))
+    ground = Ground(vehicle=MavlinkSystem(1, 1, 2, autopilot))
     arriving = {"HIGHRES_IMU": 200.0} if own == 5000.0 else {}
     ground.turn(**arriving)
     ground.tell(HIGHRES_IMU=told)

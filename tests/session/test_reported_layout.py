@@ -22,7 +22,7 @@ from gcs_sysid.session.reported_layout import (
 )
 from gcs_sysid.setup_help.layouts import layout_rotors
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.web import log_worker
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.cli import main as sim_bridge
@@ -287,7 +287,7 @@ def test_what_other_logs_lack(layout, lacking):
 def test_only_a_blackbox_log_of_a_quad_has_a_suggestion(tmp_path):
     assert suggestion_of(blackbox_of(tmp_path, motors=4)) == "betaflight-quad-x"
     assert suggestion_of(blackbox_of(tmp_path, motors=6)) is None
-    quad = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+    quad = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
     assert suggested_airframe("tlog", quad) is None
     assert suggested_airframe("blackbox", None) is None
 

@@ -19,7 +19,7 @@ from gcs_sysid.setup_help.listening import (
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.urls import parse_url
-from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+from gcs_sysid.telemetry.vehicles import MavlinkSystem, VehicleSelector
 
 
 def heartbeat(system=1, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=mavlink.MAV_AUTOPILOT_PX4):
@@ -93,7 +93,7 @@ def test_frames_that_are_damaged_are_nobody():
 
 
 def test_a_vehicle_of_no_usual_kind_needs_a_file():
-    tri = Vehicle(1, 1, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_AUTOPILOT_PX4)
+    tri = MavlinkSystem(1, 1, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_AUTOPILOT_PX4)
     assert "--airframe FILE.toml --mass KG" in start_command(tri, "COM3")
 
 

@@ -7,7 +7,7 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASK_AGAIN_AFTER, StreamRequests
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import GROUPS, fitting_groups
 
 RAW_SENSORS, RC, EXTRA1, POSITION, EXTRA3 = 1, 3, 10, 6, 12
@@ -34,7 +34,7 @@ class OldArduPilot:
         self.deaf = set()
         self.intervals = 0
         self.now = 0.0
-        self.vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3, version)
+        self.vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3, version)
         self.requests = StreamRequests(Gate(self.hear), rate, baud=baud)
 
     def hear(self, raw):
@@ -124,7 +124,7 @@ def test_arducopter_4_0_to_4_5_is_asked_for_raw_imu_alone():
     """It knows single requests, and no HIGHRES_IMU."""
     raws = []
     requests = StreamRequests(Gate(raws.append), 250.0)
-    vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3)
+    vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3)
     for i in range(200):
         absent = ("HIGHRES_IMU", "ESC_TELEMETRY_1_TO_4")
         arriving = {name: hz for name, hz in requests.asked.items() if name not in absent}
@@ -138,6 +138,6 @@ def test_px4_is_never_asked_for_groups():
     raws = []
     requests = StreamRequests(Gate(raws.append), 250.0)
     for i in range(600):
-        requests.tick(0.2 * i, Vehicle(1, 1, 2, 12), {})
+        requests.tick(0.2 * i, MavlinkSystem(1, 1, 2, 12), {})
     numbers = {read_frame(raw).message_id for raw in raws}
     assert mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM not in numbers

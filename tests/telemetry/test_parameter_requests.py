@@ -10,10 +10,10 @@ from gcs_sysid.telemetry.parameter_requests import (
     layout_parameters,
     wanted_parameters,
 )
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
-PX4 = Vehicle(1, 1, 2, 12)
-ARDUPILOT = Vehicle(1, 1, 2, 3)
+PX4 = MavlinkSystem(1, 1, 2, 12)
+ARDUPILOT = MavlinkSystem(1, 1, 2, 3)
 
 
 class Autopilot:
@@ -93,7 +93,7 @@ def test_after_an_outage_those_given_up_get_another_chance():
 def test_nothing_is_asked_of_nobody_or_when_only_listening():
     autopilot = Autopilot(())
     drive(ParameterRequests(autopilot.gate), autopilot, None, 5.0)
-    drive(ParameterRequests(autopilot.gate), autopilot, Vehicle(1, 1, 2, 8), 5.0)
+    drive(ParameterRequests(autopilot.gate), autopilot, MavlinkSystem(1, 1, 2, 8), 5.0)
     autopilot.gate.listen_only = True
     drive(ParameterRequests(autopilot.gate), autopilot, PX4, 5.0)
     assert autopilot.asked == []

@@ -6,11 +6,11 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name, unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASKS_AT_MOST, StreamRequests
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import bytes_per_second
 
-VEHICLE = Vehicle(1, 1, 2, 12)
-ARDUPILOT = Vehicle(1, 1, 2, 3)
+VEHICLE = MavlinkSystem(1, 1, 2, 12)
+ARDUPILOT = MavlinkSystem(1, 1, 2, 3)
 RATES = {
     "HIGHRES_IMU": 250.0,
     "ESC_STATUS": 250.0,
@@ -239,7 +239,7 @@ def test_a_little_loss_changes_nothing(wire, requests):
 
 def test_a_vehicle_of_version_1_is_answered_in_version_1(wire, requests):
     """But for its first heartbeats: PX4 speaks 1 until it hears 2."""
-    vehicle = Vehicle(1, 1, 2, 12, version=1)
+    vehicle = MavlinkSystem(1, 1, 2, 12, version=1)
     versions = []
     for i in range(60):
         requests.tick(0.2 * i, vehicle, {})
@@ -258,7 +258,7 @@ def test_a_vehicle_of_version_1_is_answered_in_version_1(wire, requests):
 
 
 def test_a_vehicle_that_changes_to_version_2_is_asked_for_what_that_carries(wire, requests):
-    requests.tick(0.0, Vehicle(1, 1, 2, 12, version=1), {})
+    requests.tick(0.0, MavlinkSystem(1, 1, 2, 12, version=1), {})
     wire.take()
     requests.tick(0.2, VEHICLE, {})
     said = wire.take()

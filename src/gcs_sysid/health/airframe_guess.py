@@ -23,7 +23,7 @@ from gcs_sysid.session.reported_layout import place_words, reported_layout, usua
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 _ROTORS = {
     mavlink.MAV_TYPE_QUADROTOR: "quad",
@@ -74,7 +74,10 @@ class GuessedAirframe:
 
 
 def guess_airframe(
-    vehicle: Vehicle, parameters: Mapping[str, float], given: Airframe | None, arm: float | None
+    vehicle: MavlinkSystem,
+    parameters: Mapping[str, float],
+    given: Airframe | None,
+    arm: float | None,
 ) -> GuessedAirframe:
     """The airframe given, else one by the log.
 
@@ -126,7 +129,7 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
     )
 
 
-def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirframe:
+def _by_type(vehicle: MavlinkSystem, parameters: Mapping[str, float]) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
     reported = reported_layout(vehicle.key, parameters)

@@ -16,7 +16,7 @@ from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource as BelievedSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 SHORTEST_FLIGHT = 1.0
 """s; less is a jump of the autopilot's judgement."""
@@ -165,7 +165,7 @@ _ROTORS = {
 }
 
 
-def rotor_count(vehicle: Vehicle | None) -> int | None:
+def rotor_count(vehicle: MavlinkSystem | None) -> int | None:
     """How many rotors a vehicle has by its type; None when unknown."""
     return None if vehicle is None else _ROTORS.get(vehicle.vehicle_type or -1)
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.vehicles import RADIO, Vehicle
+from gcs_sysid.telemetry.vehicles import RADIO, MavlinkSystem
 
 SCHEMA = "gcs-sysid-inspect/1"
 AXES = ("roll", "pitch", "yaw")
@@ -125,8 +125,8 @@ class Inspection:
     source: str
     kind: Literal["tlog", "ulog", "dataflash", "blackbox", "table", "link"]
     duration: float
-    vehicle: Vehicle | None
-    systems: tuple[Vehicle, ...]
+    vehicle: MavlinkSystem | None
+    systems: tuple[MavlinkSystem, ...]
     flights: tuple[tuple[float, float], ...]
     flight_told_by: Literal["autopilot", "rotors", "arming", ""]
     """What says that it flies; "" when nothing does."""
@@ -225,7 +225,7 @@ class Inspection:
         }
 
 
-def role(system: Vehicle) -> str:
+def role(system: MavlinkSystem) -> str:
     """What a system is: "vehicle", "radio", "gcs", "other"; "unknown" without a heartbeat."""
     if system.address == RADIO:
         return "radio"

@@ -24,7 +24,7 @@ from gcs_sysid.telemetry.frame_gathering import FrameGathering
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import ReceivedFrames
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class LiveEstimate:
         advice = None if self._advised is None else self._advised.as_json()
         return replace(result, advice=advice, health=self._health)
 
-    def know(self, others: Sequence[Vehicle]) -> None:
+    def know(self, others: Sequence[MavlinkSystem]) -> None:
         """Keep other vehicles in mind, to be chosen."""
         selector = self.intake.selector
         for known in others:

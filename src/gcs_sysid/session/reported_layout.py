@@ -22,7 +22,7 @@ from gcs_sysid.model.airframe import (
 )
 from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 _MOST_ROTORS = 12
 _UNIT = 1e-3
@@ -125,7 +125,7 @@ def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> Reported
     return replace(reported, outputs=_outputs(autopilot, parameters, len(reported.rotors)))
 
 
-def suggested_airframe(kind: str, vehicle: Vehicle | None) -> str | None:
+def suggested_airframe(kind: str, vehicle: MavlinkSystem | None) -> str | None:
     """The built-in airframe to try where no parameters report a layout; None: any is a guess.
 
     Args:

@@ -15,7 +15,7 @@ from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
 from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
-from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+from gcs_sysid.telemetry.vehicles import MavlinkSystem, VehicleSelector
 
 USUAL_PORTS = {
     14550: "ground stations",
@@ -138,7 +138,7 @@ def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
     return [Finding("vehicle", Sign.WARNING, text, advice)]
 
 
-def start_command(vehicle: Vehicle, url: str, several: bool = False) -> str:
+def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> str:
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
     # The type in its heartbeat gives no order of motors, and for many a hexa not even the number;
     # its parameters do, once they may be requested.

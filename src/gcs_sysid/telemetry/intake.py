@@ -21,7 +21,7 @@ from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.track_collector import TrackCollector
 from gcs_sysid.telemetry.vehicle_states import STATE_IDS
-from gcs_sysid.telemetry.vehicles import INERTIAL_IDS, Vehicle, VehicleSelector
+from gcs_sysid.telemetry.vehicles import INERTIAL_IDS, MavlinkSystem, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
@@ -75,12 +75,12 @@ class Intake:
         self._events: list[IntakeEvent] = []
 
     @property
-    def vehicle(self) -> Vehicle | None:
+    def vehicle(self) -> MavlinkSystem | None:
         """The chosen vehicle; None until it has sent a heartbeat."""
         return self.selector.chosen
 
     @property
-    def systems(self) -> list[Vehicle]:
+    def systems(self) -> list[MavlinkSystem]:
         """All systems found, in the order found."""
         return list(self.selector.systems.values())
 
@@ -261,7 +261,7 @@ class Intake:
         self.drift.add_moments(now[made], walls * 1e-6)
 
     @staticmethod
-    def _from(frames: FrameBlock, vehicle: Vehicle) -> Mask:
+    def _from(frames: FrameBlock, vehicle: MavlinkSystem) -> Mask:
         mask: Mask = (frames.system == vehicle.system) & (frames.component == vehicle.component)
         return mask
 
@@ -308,7 +308,7 @@ class Intake:
         selector = self.selector
         return selector.chosen is not None and selector.wanted is None and self.clock is None
 
-    def _switch_vehicle(self, first: Vehicle) -> None:
+    def _switch_vehicle(self, first: MavlinkSystem) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
         self._others.add(first.address)  # reported here
         self.decoder = RecordDecoder()
@@ -362,7 +362,7 @@ class Intake:
         if self._contradictions.note_heartbeat(vehicle_type, autopilot, armed=armed):
             self._note("senders", *self._contradicting)
 
-    def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:
+    def _note_other(self, chosen: MavlinkSystem, who: tuple[int, int]) -> None:
         """Report another vehicle that could be meant, when the user chose none."""
         other = self.selector.systems.get(who)
         if other is None or not other.is_autopilot or self.selector.wanted is not None:

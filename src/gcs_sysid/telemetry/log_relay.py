@@ -11,7 +11,7 @@ from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import Log, one_by_one, open_log
 from gcs_sysid.telemetry.object_pipe import ObjectSender
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 
 @dataclass(eq=False)
@@ -20,8 +20,8 @@ class LogFigures:
 
     kind: str
     recorded: float | None
-    vehicle: Vehicle | None
-    systems: list[Vehicle]
+    vehicle: MavlinkSystem | None
+    systems: list[MavlinkSystem]
     parameters: dict[str, float]
     drift: ClockDrift
     drift_ppm: float | None

@@ -37,7 +37,7 @@ from gcs_sysid.telemetry.monitor import Monitor
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 
 class Telemetry(Protocol):
@@ -48,11 +48,11 @@ class Telemetry(Protocol):
     a link."""
 
     @property
-    def vehicle(self) -> Vehicle | None:
+    def vehicle(self) -> MavlinkSystem | None:
         """The chosen vehicle; None until it is found."""
 
     @property
-    def systems(self) -> list[Vehicle]:
+    def systems(self) -> list[MavlinkSystem]:
         """All systems found, in the order found."""
 
     @property
@@ -137,12 +137,12 @@ class TlogLog:
         return self.intake.drift
 
     @property
-    def vehicle(self) -> Vehicle | None:
+    def vehicle(self) -> MavlinkSystem | None:
         """As `Telemetry` says."""
         return self.intake.vehicle
 
     @property
-    def systems(self) -> list[Vehicle]:
+    def systems(self) -> list[MavlinkSystem]:
         """As `Telemetry` says."""
         return self.intake.systems
 
@@ -184,7 +184,7 @@ class OnboardLog:
         self.kind = kind
         self.drift = ClockDrift()
         self._recording = recording
-        own = Vehicle(
+        own = MavlinkSystem(
             recording.system, recording.component, recording.vehicle_type, recording.autopilot
         )
         self.systems = [own]

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 
 from gcs_sysid.telemetry.transceiver import Requests
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 _PX4_LAYOUT = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "SYS_AUTOSTART")
 _PX4 = (
@@ -126,7 +126,7 @@ class ParameterRequests:
         self._layout: set[str] = set()
         self._last = -self.ASK_EVERY
 
-    def tick(self, now: float, vehicle: Vehicle | None, arrived: Mapping[str, float]) -> None:
+    def tick(self, now: float, vehicle: MavlinkSystem | None, arrived: Mapping[str, float]) -> None:
         """Ask for one where that is due.
 
         Args:
@@ -156,7 +156,7 @@ class ParameterRequests:
             if name not in self._layout:
                 return
 
-    def _follow_count(self, vehicle: Vehicle, arrived: Mapping[str, float]) -> None:
+    def _follow_count(self, vehicle: MavlinkSystem, arrived: Mapping[str, float]) -> None:
         """Ask for the rotors that the vehicle has beyond those of the airframe."""
         count = arrived.get("CA_ROTOR_COUNT", 0.0)
         if not self._rotors < count <= MOST_ROTORS:
@@ -167,7 +167,7 @@ class ParameterRequests:
         self._layout.update(more)
         self._queue.extendleft(reversed(more))
 
-    def _begin(self, vehicle: Vehicle) -> None:
+    def _begin(self, vehicle: MavlinkSystem) -> None:
         self.missing = []
         self._queue = deque(wanted_parameters(vehicle.key, self._rotors))
         self._layout = set(layout_parameters(vehicle.key, self._rotors))

@@ -13,7 +13,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Requests
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import (
     ARDUPILOT_LOOP_RATE,
     ESC_GROUP,
@@ -55,7 +55,9 @@ class GroupRequests:
     _SILENT_BELOW = 0.3
     """Hz. What came slower than this was not on."""
 
-    def __init__(self, gate: Requests, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
+    def __init__(
+        self, gate: Requests, vehicle: MavlinkSystem, arriving: Mapping[str, float]
+    ) -> None:
         self.asked: dict[str, float] = {}
         self.short: dict[str, float] = {}
         self._gate = gate
@@ -152,7 +154,7 @@ class StreamRequests:
         self._rotors = rotors
         self._baud = baud
         self._line = None if baud is None else baud / 10.0 * USABLE
-        self._vehicle: Vehicle | None = None
+        self._vehicle: MavlinkSystem | None = None
         self._heartbeat_at: float | None = None
         self._introductions = 0
         self._rates: dict[str, float] = {}
@@ -171,7 +173,7 @@ class StreamRequests:
     def tick(
         self,
         now: float,
-        vehicle: Vehicle | None,
+        vehicle: MavlinkSystem | None,
         arriving: Mapping[str, float],
         turning: Collection[str] = (),
         lost_of: tuple[int, int] = (0, 0),
@@ -225,7 +227,7 @@ class StreamRequests:
         for name, hz in self._rates.items():
             self._see_to(name, hz, arriving.get(name, 0.0), now, intervals)
 
-    def _heartbeat(self, now: float, vehicle: Vehicle | None) -> None:
+    def _heartbeat(self, now: float, vehicle: MavlinkSystem | None) -> None:
         due = self._heartbeat_at is None or now - self._heartbeat_at >= self.HEARTBEAT_EVERY
         if due:
             self._gate.version = 2
@@ -238,7 +240,7 @@ class StreamRequests:
         if vehicle is not None:
             self._gate.version = vehicle.version
 
-    def _plan(self, vehicle: Vehicle) -> None:
+    def _plan(self, vehicle: MavlinkSystem) -> None:
         """Decide what to ask for; ask at once for what has changed."""
         speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
         signed = self._gate.signing and vehicle.version == 2
@@ -290,7 +292,7 @@ class StreamRequests:
         """To be put back, us."""
         return 0 if self._restoration is None else self._restoration.own(name)
 
-    def _knows_groups_alone(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> bool:
+    def _knows_groups_alone(self, vehicle: MavlinkSystem, arriving: Mapping[str, float]) -> bool:
         """Whether this is ArduPilot before 4.0, by what does not come although asked for.
 
         HIGHRES_IMU came to ArduPilot after the requests for single messages. Those in between
@@ -305,7 +307,7 @@ class StreamRequests:
             self._asks.get(name, 0) >= self.REPORT_AFTER for name in ("HIGHRES_IMU", commands)
         )
 
-    def _turn_to_groups(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
+    def _turn_to_groups(self, vehicle: MavlinkSystem, arriving: Mapping[str, float]) -> None:
         for name in list(self.asked):
             self._restore(name)
         self._groups = GroupRequests(self._gate, vehicle, arriving)
@@ -315,7 +317,11 @@ class StreamRequests:
         )
 
     def _see_to_groups(
-        self, groups: GroupRequests, vehicle: Vehicle, now: float, arriving: Mapping[str, float]
+        self,
+        groups: GroupRequests,
+        vehicle: MavlinkSystem,
+        now: float,
+        arriving: Mapping[str, float],
     ) -> None:
         speeds, _ = rotor_streams(vehicle.key, self._rotors, vehicle.version)
         turning = speeds[0] if speeds and self._turning.issuperset(speeds) else None

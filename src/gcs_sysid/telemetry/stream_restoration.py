@@ -19,7 +19,7 @@ from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from gcs_sysid.telemetry.transceiver import Requests
-from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import LAST_ID_OF_VERSION_1, default_rates, rotor_streams
 
 VEHICLE_DEFAULT, OFF = 0, -1
@@ -61,7 +61,7 @@ class StreamRestoration:
         self._rotors = rotors
         self._folder = folder
         self._link = link
-        self._vehicle: Vehicle | None = None
+        self._vehicle: MavlinkSystem | None = None
         self._names: tuple[str, ...] = ()
         self._began: float | None = None
         self._heard_before = 0
@@ -78,7 +78,7 @@ class StreamRestoration:
         self._looking: dict[str, tuple[float, int]] = {}
         self._reported: set[str] = set()
 
-    def follow(self, vehicle: Vehicle) -> None:
+    def follow(self, vehicle: MavlinkSystem) -> None:
         """Begin with another vehicle."""
         self._vehicle = vehicle
         speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)

@@ -67,7 +67,7 @@ def _type_name(vehicle_type: int) -> str:
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class MavlinkSystem:
     """A system that was found, with what its heartbeat says."""
 
     system: int
@@ -128,8 +128,8 @@ class VehicleSelector:
     """Systems kept in the table: a hostile sender can claim 65 536 of them."""
 
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
-        self.chosen: Vehicle | None = None
-        self.systems: dict[tuple[int, int], Vehicle] = {}
+        self.chosen: MavlinkSystem | None = None
+        self.systems: dict[tuple[int, int], MavlinkSystem] = {}
         self.frames: dict[tuple[int, int], int] = {}
         self.wanted = wanted
         self._shown: dict[tuple[int, int], tuple[int, int]] = {}
@@ -146,7 +146,7 @@ class VehicleSelector:
         new = counts.keys() - self.systems.keys()
         first = {(i, j): int(np.argmax(who == (i << 8 | j))) for i, j in new}
         for address in sorted(new, key=first.__getitem__)[: self.MOST_SYSTEMS - len(self.systems)]:
-            self.systems[address] = Vehicle(*address)
+            self.systems[address] = MavlinkSystem(*address)
             self.frames[address] = 0
         for address in counts.keys() & self.systems.keys():
             self.frames[address] += counts[address]
@@ -167,7 +167,7 @@ class VehicleSelector:
         """Note a heartbeat's data on its sender."""
         vehicle_type, autopilot = _heartbeat(heartbeat.payload)
         who = (heartbeat.system, heartbeat.component)
-        self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))
+        self._hear(MavlinkSystem(*who, vehicle_type, autopilot, heartbeat.version))
 
     def go_over(self, frame: Frame) -> bool:
         """Choose the sender of a frame instead of a vehicle without data.
@@ -192,11 +192,11 @@ class VehicleSelector:
         return True
 
     @property
-    def autopilots(self) -> list[Vehicle]:
+    def autopilots(self) -> list[MavlinkSystem]:
         """All vehicles found that one could choose, in the order found."""
         return [vehicle for vehicle in self.systems.values() if vehicle.is_autopilot]
 
-    def _hear(self, vehicle: Vehicle) -> None:
+    def _hear(self, vehicle: MavlinkSystem) -> None:
         if vehicle.address in self.systems:
             self.systems[vehicle.address] = vehicle
         if self.chosen is None and self._fits(vehicle):
@@ -204,7 +204,7 @@ class VehicleSelector:
         elif self.chosen is not None and self.chosen.address == vehicle.address:
             self.chosen = replace(self.chosen, version=vehicle.version)
 
-    def _fits(self, vehicle: Vehicle) -> bool:
+    def _fits(self, vehicle: MavlinkSystem) -> bool:
         if vehicle.system == _EVERYBODY:
             return False
         if self.wanted is None:
