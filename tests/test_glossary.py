@@ -38,7 +38,9 @@ SOURCES = sorted(
     path for folder in ("src/gcs_sysid", "sim_bridge") for path in (ROOT / folder).rglob("*.py")
 )
 ASSETS = sorted((ROOT / "src" / "gcs_sysid" / "web" / "assets").glob("*.[hj]*"))
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
+TERMS = ROOT / "docs" / "terms.md"
+"""Names what it replaced."""
+PAGES = sorted({*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"} - {TERMS})
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:

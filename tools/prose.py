@@ -62,7 +62,8 @@ def help_texts(
 
 def pages() -> dict[str, str]:
     """Name -> text of all that is checked."""
-    paths = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    docs = sorted({*(ROOT / "docs").rglob("*.md")} - {ROOT / "docs" / "terms.md"})
+    paths = [ROOT / "README.md", ROOT / "CHANGELOG.md", *docs]  # the terms name what they replace
     found = {path.name: prose(path.read_text("utf-8")) for path in paths}
     return found | {f"{name}.help": text for name, text in help_texts()}
 
