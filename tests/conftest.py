@@ -8,7 +8,7 @@ import os
 import shutil
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that no worker is left alone with one at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+ASKED = {"capsys", "capfd", "capsysbinary", "capfdbinary", "caplog"}
+"""Fixtures of a test that asks for what is printed or logged."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A test fails of what it printed or logged, or what a process it started did, unasked."""
+    report = yield
+    stray = [f"{name}:\n{text}" for name, text in report.sections if name.endswith(" call")]
+    asked = ASKED & set(getattr(item, "fixturenames", ()))
+    if report.when == "call" and report.passed and stray and not asked:
+        report.outcome = "failed"
+        report.longrepr = "\n".join(["output that the test did not ask for", *stray])
+    return report
 
 
 @dataclass(frozen=True)

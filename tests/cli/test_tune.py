@@ -102,11 +102,12 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
     assert "g.param exists; --force overwrites it" in capsys.readouterr().err
 
 
-def test_indi_matrices(files):
+def test_indi_matrices(files, capsys):
     assert run(["tune", "command.json", "--to", "indi", "-o", "g.txt"]) == 0
     assert "set indi_act_g1_roll = " in (files / "g.txt").read_text()
     assert run(["tune", "command.json", "--to", "paparazzi", "-o", "g.xml"]) == 0
     assert "STABILIZATION_INDI_" in (files / "g.xml").read_text()
+    assert "INDI has no place for" in capsys.readouterr().err
 
 
 def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, capsys):

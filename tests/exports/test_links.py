@@ -1,5 +1,6 @@
 """Drake loads URDF and SDF (with Gazebo's own parser) and finds the vehicle of all links."""
 
+import logging
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,6 +18,8 @@ from pydrake.multibody.plant import (  # noqa: E402
     MultibodyPlant,
 )
 
+logging.getLogger("drake").setLevel(logging.ERROR)
+"""It warns of Gazebo's plugins, which it does not know."""
 TRUTH = Equations()
 CG = TURN @ TRUTH.cg
 J = TURN @ TRUTH.J @ TURN

@@ -150,9 +150,10 @@ def test_a_hexacopter_loads():
 
 
 @pytest.mark.slow
-def test_an_exported_ensemble_spreads_as_the_covariance_says(tmp_path):
+def test_an_exported_ensemble_spreads_as_the_covariance_says(tmp_path, capsys):
     told = gcs_sysid.analyze(SAMPLE, "paper", mass=1.5, uncertainty={"mass": "2%"})
     spread = spread_of(told, 60, tmp_path)
+    assert "note: weak" in capsys.readouterr().err
     assert (spread.expected > 0.0).all()
     # 60 vehicles tell a standard deviation to 9 %; four of them by chance within 0.1 %.
     assert (spread.p > 1e-3).all()

@@ -122,30 +122,39 @@ def test_rates_that_are_asked_for_are_given_back(relay):
     assert [(f["param1"], f["param2"]) for f in restored] == [(105, 0), (291, 0), (32, 20408)] * 2
 
 
-def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(frames, monkeypatch):
-    """Beyond some room frames are counted, and everything else waits."""
+@pytest.fixture
+def outgoing():
+    """Both ends of a pipe: where it is read, and where an outbox writes."""
     reads, writes = os.pipe()
-    outbox = Outbox(os.fdopen(writes, "wb", buffering=0))
+    with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
+        yield pipe, out
+
+
+def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(
+    frames, outgoing, monkeypatch
+):
+    """Beyond some room frames are counted, and everything else waits."""
+    pipe, out = outgoing
+    outbox = Outbox(out)
     size = sum(len(frame.raw) for frame in frames)
     monkeypatch.setattr(receiver_main, "MOST_WAITING", 200_000)
     some = 400_000 // size
     outbox.put_items([ReceivedFrames(n, frames) for n in range(some)])
     assert 0 < outbox.unlearnt < some * len(frames)
     outbox.put_items([RecordingCut(), Ended()])
-    with os.fdopen(reads, "rb") as pipe:
-        got = []
-        while not got or not isinstance(got[-1], Ended):
-            got.append(receiver_wire.read_item(*receiver_wire.read_message(pipe)))
+    got = []
+    while not got or not isinstance(got[-1], Ended):
+        got.append(receiver_wire.read_item(*receiver_wire.read_message(pipe)))
     outbox.close()
     handed = sum(len(item.frames) for item in got if isinstance(item, ReceivedFrames))
     assert handed + outbox.unlearnt == some * len(frames)
     assert [type(item) for item in got[-2:]] == [RecordingCut, Ended]
 
 
-def test_an_outbox_whose_reader_is_gone_waits_for_nobody(frames):
-    reads, writes = os.pipe()
-    outbox = Outbox(os.fdopen(writes, "wb", buffering=0))
-    os.close(reads)
+def test_an_outbox_whose_reader_is_gone_waits_for_nobody(frames, outgoing):
+    pipe, out = outgoing
+    outbox = Outbox(out)
+    pipe.close()
     outbox.put_items([ReceivedFrames(1, frames)])
     outbox.close()
 

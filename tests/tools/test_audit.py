@@ -48,9 +48,10 @@ def test_a_release_that_could_not_be_checked_fails(osv, tmp_path, capsys):
     assert "half.json is no OSV advisory" in capsys.readouterr().out
 
 
-def test_advisories_of_other_ecosystems_check_nothing(osv):
+def test_advisories_of_other_ecosystems_check_nothing(osv, capsys):
     osv({"id": "GO-1", "affected": [{"package": {"ecosystem": "Go", "name": "numpy"}}]})
     assert audit.main(["--release"]) == 2
+    assert "not possible" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
