@@ -158,6 +158,12 @@ def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
     assert not told(flight(commands="alone", sensors=False), airframe).available
 
 
+def test_a_rotor_that_stands_has_no_load_to_compare(airframe):
+    health = told(flight(seconds=80.0, loads=(1.0, 1.0, 0.0, 1.0)), airframe)
+    assert health.load is None
+    assert health.weakened is None
+
+
 def test_a_rotor_that_turns_without_a_command_has_no_motor_gain(airframe):
     health = told(flight(commands="beside", throttles=(0.4, 0.0, 0.4, 0.4)), airframe)
     assert [rotor.motor_gain for rotor in health.rotors] == [None] * 4

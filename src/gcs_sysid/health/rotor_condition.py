@@ -100,9 +100,10 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
         c: the thrust curve of commands; None for speeds.
 
     Returns:
-        None where there is too little hover.
+        None where there is too little hover, or where a rotor carries nothing: loads are compared
+        by their ratio.
     """
-    if len(thrust) < TUNING.fewest_windows:
+    if len(thrust) < TUNING.fewest_windows or not (thrust.mean(axis=0) > 0.0).all():
         return None
     lift = lift_of(windows)
     turning = windows.turning
@@ -113,6 +114,8 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
     relative = thrust / mean
     fitted = robust_values(columns, relative, ridge)
     values = fitted[0] * mean / lift.mean()
+    if not (values > 0.0).all():
+        return None
     residual = np.clip((relative - columns @ fitted).T, -0.3, 0.3)  # (rotors, n)
     covariance = _long_run(residual) / len(lift)
     sideways = windows.force[:, :2][complete_rows(windows.force[:, :2])]
