@@ -86,7 +86,7 @@ class Autopilot:
             yield mavlink.MAVLink_highres_imu_message(us, *still, 0, 0, 0, 1013, 0, 0, 20, 63, 0)
         yield mavlink.MAVLink_attitude_message(ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    def hear(self, data):
+    def notice(self, data):
         """Take bytes; the answers."""
         self.received += len(data)
         answers = []

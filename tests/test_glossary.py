@@ -34,6 +34,8 @@ PROSE = re.compile(
     r"manoeuvres?|(?:normal|marginal|linear|minim)ise[drs]?|analysed?)\b",
     re.IGNORECASE,
 )
+IN_FILES = {"flight_told_by"}
+"""Names of JSON keys, which stay."""
 SOURCES = sorted(
     path for folder in ("src/gcs_sysid", "sim_bridge") for path in (ROOT / folder).rglob("*.py")
 )
@@ -150,6 +152,48 @@ def test_docstrings_and_comments_use_the_words_of_the_glossary():
         f"{path.relative_to(ROOT)}:{each}"
         for path in SOURCES
         for each in replaced_in_prose(path.read_text("utf-8"))
+    ]
+    assert found == []
+
+
+NAMES = re.compile(
+    r"told|tells?|untold|speaks?|spoken?|hears?|heard|(?:un)?learnt|anew|yardsticks?|reckon|footing|"
+    r"colours?|neighbours?|behaviour|(?:un)?modelled|metres?|centres?|analyse|wishes|reel",
+    re.IGNORECASE,
+)
+"""Words of identifiers that the glossary replaced. Those that have another meaning too, such as
+`moments`, are left to the eye."""
+
+
+def named(source: str) -> Iterator[tuple[int, str]]:
+    """Names that a module gives to classes, functions, arguments, variables and attributes."""
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.arg(arg=name):
+                yield node.lineno, name
+            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                yield node.lineno, name
+
+
+def replaced_in_names(source: str) -> list[str]:
+    return [
+        f"{line}: {name}"
+        for line, name in named(source)
+        # The words of snake_case and of CamelCase.
+        if any(map(NAMES.fullmatch, re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)))
+    ]
+
+
+def test_identifiers_use_the_words_of_the_glossary():
+    assert replaced_in_names("class HeardVehicle:\n    told_at = 1.0\n    theta = 2.0\n") == [
+        "1: HeardVehicle",
+        "2: told_at",
+    ]
+    found = [
+        f"{path.relative_to(ROOT)}:{each}"
+        for path in SOURCES
+        for each in replaced_in_names(path.read_text("utf-8"))
+        if each.partition(": ")[2] not in IN_FILES
     ]
     assert found == []
 

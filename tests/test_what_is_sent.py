@@ -63,7 +63,7 @@ class Air(Link):
         return [ReceivedBytes(raw, ("10.0.0.1", 14550)) for raw in said]
 
     def send(self, data):
-        self._answers += self._vehicle.hear(data)
+        self._answers += self._vehicle.notice(data)
 
     def close(self):
         self.ended = True
@@ -158,13 +158,13 @@ class Ground:
                 if self._over.wait(0.05):
                     break
                 self._send(answers + self._vehicle.speak(0.05))
-                answers = self._vehicle.hear(self._receive())
+                answers = self._vehicle.notice(self._receive())
                 if waiting and self._enough(self._vehicle.asked):
                     waiting = False
                     self._then()
             else:
                 raise TimeoutError(f"asked for no more than {dict(self._vehicle.asked)}")
-            self._vehicle.hear(self._receive())
+            self._vehicle.notice(self._receive())
         except Exception as problem:  # noqa: BLE001 - told by the test
             self.problem = problem
             os.kill(os.getpid(), signal.SIGTERM)

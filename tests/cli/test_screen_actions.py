@@ -11,7 +11,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError
 from gcs_sysid.exports.formats import TARGETS
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.results.snapshot import HeardVehicle, LinkState, LinkStatus
+from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus
 from gcs_sysid.session.analysis import analyze_log
 
 
@@ -58,7 +58,7 @@ class Recorded:
         return self.recording
 
     def latest(self):
-        heard = (HeardVehicle((1, 1), "PX4 quadrotor 1:1", True),)
+        heard = (FoundVehicle((1, 1), "PX4 quadrotor 1:1", True),)
         status = LinkStatus(LinkState.CONNECTED, "udpin:x", vehicles=heard)
         return argparse.Namespace(link=status)
 

@@ -463,7 +463,7 @@ def test_a_link_is_asked_for_streams_and_given_its_rates_back(recording):
 def test_silence_is_told():
     link = ScriptedLink()
     found = listen(link)
-    assert not found.heard
+    assert not found.is_received
     assert link.closed
     assert found.verdict == "no"
     assert "no MAVLink message received" in texts(found)

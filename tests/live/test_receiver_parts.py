@@ -140,14 +140,14 @@ def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(
     monkeypatch.setattr(receiver_main, "MOST_WAITING", 200_000)
     some = 400_000 // size
     outbox.put_items([ReceivedFrames(n, frames) for n in range(some)])
-    assert 0 < outbox.unlearnt < some * len(frames)
+    assert 0 < outbox.withheld < some * len(frames)
     outbox.put_items([RecordingCut(), Ended()])
     got = []
     while not got or not isinstance(got[-1], Ended):
         got.append(receiver_wire.read_item(*receiver_wire.read_message(pipe)))
     outbox.close()
     handed = sum(len(item.frames) for item in got if isinstance(item, ReceivedFrames))
-    assert handed + outbox.unlearnt == some * len(frames)
+    assert handed + outbox.withheld == some * len(frames)
     assert [type(item) for item in got[-2:]] == [RecordingCut, Ended]
 
 
@@ -162,7 +162,7 @@ def test_an_outbox_whose_reader_is_gone_waits_for_nobody(frames, outgoing):
 class Source:
     """What a backlog looks at."""
 
-    waiting, unlearnt, link_report = 0.0, 0, LinkReport()
+    waiting, withheld, link_report = 0.0, 0, LinkReport()
 
 
 def test_slowness_is_told_once_and_its_end_too():
@@ -186,7 +186,7 @@ def test_slowness_is_told_once_and_its_end_too():
 def test_what_is_lost_for_want_of_speed_is_a_reason():
     source = Source()
     backlog = Backlog(source)
-    source.unlearnt, source.link_report = 12, LinkReport(dropped=34)
+    source.withheld, source.link_report = 12, LinkReport(dropped=34)
     assert len(backlog.look(0.0)) == 1
     assert backlog.look(1.0) == []
     first, second = backlog.reasons

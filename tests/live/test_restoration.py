@@ -79,7 +79,7 @@ class Emulated:
             said += self.pilot.poll(self._tick)
         return said
 
-    def hear(self, data):
+    def notice(self, data):
         for frame in self._scanner.feed(data):
             if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
                 self.asked[unpack(76, frame.payload)["command"]] += 1

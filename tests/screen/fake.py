@@ -17,8 +17,8 @@ from gcs_sysid.results.snapshot import (
     Acceleration,
     Advice,
     Event,
+    FoundVehicle,
     Gain,
-    HeardVehicle,
     History,
     LinkState,
     LinkStatus,
@@ -137,7 +137,7 @@ def link(state: LinkState = LinkState.CONNECTED, **changes: object) -> LinkStatu
             gaps=2,
             last_gap=0.31,
             clock_ppm=12.4,
-            vehicles=(HeardVehicle((1, 1), "PX4 quadrotor 1:1", True),),
+            vehicles=(FoundVehicle((1, 1), "PX4 quadrotor 1:1", True),),
             recording="logs/2025-06-01_101502.tlog",
             bytes_per_second=38_420.0,
         ),
@@ -169,7 +169,7 @@ def advice() -> Advice:
 
 def two_vehicles() -> Snapshot:
     """A second vehicle speaks on the same link."""
-    vehicles = (*link().vehicles, HeardVehicle((2, 1), "ArduPilot quadrotor 2:1"))
+    vehicles = (*link().vehicles, FoundVehicle((2, 1), "ArduPilot quadrotor 2:1"))
     return replace(snapshot(), link=link(vehicles=vehicles))
 
 

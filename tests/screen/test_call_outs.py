@@ -9,7 +9,7 @@ import pytest
 
 from gcs_sysid.results.snapshot import Advice, LinkState
 from gcs_sysid.screen.call_outs import Announcer, Speaker
-from gcs_sysid.screen.snapshot_view import call_outs, spoken
+from gcs_sysid.screen.snapshot_view import call_outs, pronounced
 
 from . import fake
 
@@ -60,7 +60,7 @@ def test_the_words():
     assert call_outs(led(advice=last))["time"] == "5 seconds left."
     done = Advice("", "every interval is within 2 %", enough=True)
     assert call_outs(led(advice=done))["coach"] == "Enough. Every interval is within the target."
-    assert spoken("Ixy from 12 % to 3 %, k_T, climb ±1 m") == (
+    assert pronounced("Ixy from 12 % to 3 %, k_T, climb ±1 m") == (
         "I x y from 12 percent to 3 percent, k T, climb plus or minus 1 meters"
     )
 

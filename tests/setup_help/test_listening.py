@@ -10,10 +10,10 @@ import pytest
 from gcs_sysid.setup_help.checks import Sign
 from gcs_sysid.setup_help.listening import (
     Ear,
-    heard,
     holder_of_udp_port,
     listen,
     open_ears,
+    received,
     start_command,
 )
 from gcs_sysid.telemetry.dialect import mavlink
@@ -52,7 +52,7 @@ def findings_after(*links, seconds=3.0):
     ears = [Ear(link, VehicleSelector()) for link in links]
     listen(ears, seconds, clock=itertools.count(0.0, 0.1).__next__)
     assert all(link.closed for link in links)
-    return heard(ears, seconds)
+    return received(ears, seconds)
 
 
 def test_a_vehicle_with_the_command_to_start():

@@ -33,7 +33,7 @@ class Desk:
         filled = [*params, *[0.0] * (7 - len(params))]
         return self.ask(mavlink.MAVLink_command_long_message(*target, number, 0, *filled))
 
-    def hear(self, seconds: float) -> list[Any]:
+    def notice(self, seconds: float) -> list[Any]:
         """What comes in so much flight from now on."""
         heard = []
         for _ in range(round(seconds / self.simulation.step_size)):
@@ -43,7 +43,7 @@ class Desk:
 
     def counts(self, seconds: float) -> Counter[str]:
         """Messages of each type in so much flight."""
-        return Counter(message.get_type() for message in self.hear(seconds))
+        return Counter(message.get_type() for message in self.notice(seconds))
 
 
 @pytest.fixture(scope="session")

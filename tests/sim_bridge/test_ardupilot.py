@@ -88,7 +88,7 @@ def test_intervals_are_whole_milliseconds_and_no_shorter_than_three(
 
 def test_250_hz_come_as_steps_of_2500_and_5000_us(desk: Any) -> None:
     desk.command(SET, IMU, 4000)
-    stamps = [m.time_usec for m in of_type(desk.hear(2.0), "HIGHRES_IMU")]
+    stamps = [m.time_usec for m in of_type(desk.notice(2.0), "HIGHRES_IMU")]
     assert len(stamps) == 500
     assert Counter(np.diff(stamps).tolist()) == {5000: 299, 2500: 200}
 
@@ -245,7 +245,7 @@ def test_the_gyro_is_the_filtered_truth_at_the_time_of_sending(make_desk: Any) -
 def test_rotor_speeds_have_no_stamp_no_sign_and_lag_by_a_reading(make_desk: Any) -> None:
     desk = make_desk(mission="all-axes")
     desk.command(SET, mavlink.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4, 4000)
-    desk.hear(3.0)
+    desk.notice(3.0)
     truth, sent, at = [], [], []
     for _ in range(2400):
         desk.simulation.step()
@@ -269,7 +269,7 @@ def test_rotor_speeds_have_no_stamp_no_sign_and_lag_by_a_reading(make_desk: Any)
 def test_in_calm_hover_rotor_speeds_repeat(make_desk: Any) -> None:
     desk = make_desk()
     desk.command(SET, mavlink.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4, 4000)
-    rpm = np.array([m.rpm for m in of_type(desk.hear(4.0), "ESC_TELEMETRY_1_TO_4")])
+    rpm = np.array([m.rpm for m in of_type(desk.notice(4.0), "ESC_TELEMETRY_1_TO_4")])
     assert (np.diff(rpm, axis=0) == 0).all(axis=1).mean() > 0.4
 
 
@@ -277,7 +277,7 @@ def test_outputs_begin_at_spin_min(make_desk: Any) -> None:
     for airframe in ("ardupilot-quad-x", "paper"):
         desk = make_desk(airframe)
         desk.command(SET, SERVO, 4000)
-        servo = of_type(desk.hear(0.1), "SERVO_OUTPUT_RAW")[-1]
+        servo = of_type(desk.notice(0.1), "SERVO_OUTPUT_RAW")[-1]
         u = (servo.servo1_raw - 1150.0) / 800.0
         vehicle = desk.simulation.vehicle
         c = vehicle.thrust_curve
@@ -289,7 +289,7 @@ def test_outputs_begin_at_spin_min(make_desk: Any) -> None:
 def test_the_magnetic_field_of_highres_imu_is_a_million_times_too_large(desk: Any) -> None:
     desk.command(SET, IMU, 4000)
     desk.ask(stream(mavlink.MAV_DATA_STREAM_RAW_SENSORS, 50))
-    heard = desk.hear(0.2)
+    heard = desk.notice(0.2)
     imu, raw = of_type(heard, "HIGHRES_IMU")[-1], of_type(heard, "RAW_IMU")[-1]
     assert imu.zmag == pytest.approx(0.43e6, rel=0.01)
     assert (raw.zmag, raw.zacc) == (430, -1000)
@@ -299,7 +299,7 @@ def test_the_magnetic_field_of_highres_imu_is_a_million_times_too_large(desk: An
 def test_more_rotors_come_in_groups_of_four(make_desk: Any, airframe: str, groups: int) -> None:
     desk = make_desk(f"ardupilot-{airframe}-x")
     desk.command(SET, mavlink.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4, 4000)
-    heard = desk.hear(0.1)
+    heard = desk.notice(0.1)
     telemetry = [m for m in heard if m.get_type().startswith("ESC_TELEMETRY")][-groups:]
     names = ["ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8"][:groups]
     assert [m.get_type() for m in telemetry] == names

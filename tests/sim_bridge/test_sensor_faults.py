@@ -76,18 +76,18 @@ def rpm_of(messages: list[Any]) -> np.ndarray:
 @pytest.mark.parametrize("autopilot", ["px4", "copter"])
 def test_rotor_speeds_that_lie(autopilot: str, request: pytest.FixtureRequest) -> None:
     make: OpenDesk = request.getfixturevalue(autopilot)
-    plain = rpm_of(make().hear(3.0))
-    assert not rpm_of(make("rpm-zero").hear(3.0)).any()
-    dead = rpm_of(make("rpm-dead=3").hear(3.0))
+    plain = rpm_of(make().notice(3.0))
+    assert not rpm_of(make("rpm-zero").notice(3.0)).any()
+    dead = rpm_of(make("rpm-dead=3").notice(3.0))
     assert not dead[:, 2].any()
     np.testing.assert_array_equal(dead[:, [0, 1, 3]], plain[:, [0, 1, 3]])
-    radians = rpm_of(make("rpm-rad").hear(3.0))
+    radians = rpm_of(make("rpm-rad").notice(3.0))
     np.testing.assert_allclose(radians * 30.0 / np.pi, plain, atol=6.0)
 
 
 def test_commanded_speeds_sold_as_measured_ones(px4: OpenDesk) -> None:
     desk = px4("rpm-command")
-    heard = desk.hear(3.0)
+    heard = desk.notice(3.0)
     vehicle = desk.simulation.vehicle
     outputs = of_type(heard, "ACTUATOR_OUTPUT_STATUS")
     commands = (np.array([m.actuator[:4] for m in outputs]) - 1000.0) / 1000.0
@@ -96,24 +96,24 @@ def test_commanded_speeds_sold_as_measured_ones(px4: OpenDesk) -> None:
 
 
 def test_signed_rotor_speeds(px4: OpenDesk) -> None:
-    signed, plain = rpm_of(px4("rpm-signed").hear(1.0)), rpm_of(px4().hear(1.0))
+    signed, plain = rpm_of(px4("rpm-signed").notice(1.0)), rpm_of(px4().notice(1.0))
     np.testing.assert_array_equal(signed, plain * [1, 1, -1, -1])
 
 
 @pytest.mark.slow
 def test_old_rotor_speeds_under_fresh_stamps(px4: OpenDesk) -> None:
-    status = of_type(px4("rpm-repeats=0.4", noise="mems").hear(6.0), "ESC_STATUS")
+    status = of_type(px4("rpm-repeats=0.4", noise="mems").notice(6.0), "ESC_STATUS")
     repeats = [a.rpm == b.rpm for a, b in pairwise(status)]
     assert np.mean(repeats) == pytest.approx(0.4, abs=0.05)
     assert np.unique(np.diff([m.time_usec for m in status])).tolist() == [4000]
-    again = of_type(px4(noise="mems").hear(2.0), "ESC_STATUS")
+    again = of_type(px4(noise="mems").notice(2.0), "ESC_STATUS")
     assert sum(a.rpm == b.rpm for a, b in pairwise(again)) == 0
 
 
 @pytest.mark.slow
 def test_quaternions_flip_and_stay_the_same_attitude(px4: OpenDesk) -> None:
-    heard = of_type(px4("quaternion-flips").hear(6.0), "ATTITUDE_QUATERNION")
-    plain = of_type(px4().hear(6.0), "ATTITUDE_QUATERNION")
+    heard = of_type(px4("quaternion-flips").notice(6.0), "ATTITUDE_QUATERNION")
+    plain = of_type(px4().notice(6.0), "ATTITUDE_QUATERNION")
     q = np.array([[m.q1, m.q2, m.q3, m.q4] for m in heard])
     p = np.array([[m.q1, m.q2, m.q3, m.q4] for m in plain])
     signs = (q * p).sum(axis=1)
@@ -131,7 +131,7 @@ def force_of(messages: list[Any]) -> np.ndarray:
 
 @pytest.mark.slow
 def test_gyro_outliers(px4: OpenDesk) -> None:
-    off = np.abs(gyro_of(px4("gyro-outliers=0.01").hear(8.0)) - gyro_of(px4().hear(8.0)))
+    off = np.abs(gyro_of(px4("gyro-outliers=0.01").notice(8.0)) - gyro_of(px4().notice(8.0)))
     struck = off.max(axis=1) > 1.0
     assert np.mean(struck) == pytest.approx(0.01, abs=0.006)
     assert off[struck].max(axis=1).min() >= 8.0
@@ -140,17 +140,17 @@ def test_gyro_outliers(px4: OpenDesk) -> None:
 
 @pytest.mark.slow
 def test_accelerometer_outliers(px4: OpenDesk) -> None:
-    spoilt = px4("accelerometer-outliers=0.01").hear(8.0)
-    off = np.abs(force_of(spoilt) - force_of(px4().hear(8.0)))
+    spoilt = px4("accelerometer-outliers=0.01").notice(8.0)
+    off = np.abs(force_of(spoilt) - force_of(px4().notice(8.0)))
     struck = off.max(axis=1) > 1.0
     assert np.mean(struck) == pytest.approx(0.01, abs=0.006)
     assert off[struck].max(axis=1).min() >= 39.9
-    assert np.array_equal(gyro_of(spoilt), gyro_of(px4().hear(8.0)))
+    assert np.array_equal(gyro_of(spoilt), gyro_of(px4().notice(8.0)))
 
 
 @pytest.mark.slow
 def test_attitude_outliers(px4: OpenDesk) -> None:
-    spoilt, plain = px4("attitude-outliers=0.05").hear(8.0), px4().hear(8.0)
+    spoilt, plain = px4("attitude-outliers=0.05").notice(8.0), px4().notice(8.0)
     angles = [
         np.array([[m.roll, m.pitch, m.yaw] for m in of_type(messages, "ATTITUDE")])
         for messages in (spoilt, plain)
@@ -170,13 +170,13 @@ def test_attitude_outliers(px4: OpenDesk) -> None:
 
 @pytest.mark.slow
 def test_a_frozen_imu_repeats_all_its_values(px4: OpenDesk) -> None:
-    messages = px4("imu-frozen=0.05").hear(8.0)
+    messages = px4("imu-frozen=0.05").notice(8.0)
     values = np.hstack([gyro_of(messages), force_of(messages)])
     assert np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)) == pytest.approx(0.05, abs=0.015)
 
 
 def test_an_accelerometer_bias(px4: OpenDesk) -> None:
-    off = force_of(px4("accelerometer-bias=0.3").hear(1.0)) - force_of(px4().hear(1.0))
+    off = force_of(px4("accelerometer-bias=0.3").notice(1.0)) - force_of(px4().notice(1.0))
     np.testing.assert_allclose(off, 0.3, atol=1e-5)
 
 
@@ -198,7 +198,7 @@ def test_sensors_that_stand_still_or_say_nothing(
     )
     noise = {"noise": "mems"} if autopilot == "px4" else {}
     desk = make(*sensor_faults, "attitude-stuck=0.6:0.4", **noise)
-    heard = desk.hear(2.0)
+    heard = desk.notice(2.0)
     imu = of_type(heard, "HIGHRES_IMU")
     t = np.array([1e-6 * m.time_usec for m in imu])
     t -= t[0] - 0.004
@@ -222,7 +222,7 @@ def test_sensors_that_stand_still_or_say_nothing(
 
 
 def test_wild_rotor_speeds(px4: OpenDesk) -> None:
-    off = rpm_of(px4("rpm-spikes=0.05").hear(3.0)) - rpm_of(px4().hear(3.0))
+    off = rpm_of(px4("rpm-spikes=0.05").notice(3.0)) - rpm_of(px4().notice(3.0))
     struck = (off != 0).any(axis=1)
     assert struck.mean() == pytest.approx(0.05, abs=0.025)
     assert ((off != 0).sum(axis=1) <= 1).all()
@@ -231,7 +231,7 @@ def test_wild_rotor_speeds(px4: OpenDesk) -> None:
 
 @pytest.mark.parametrize("autopilot", ["px4", "copter"])
 def test_an_esc_falls_silent_in_flight(autopilot: str, request: pytest.FixtureRequest) -> None:
-    rpm = rpm_of(request.getfixturevalue(autopilot)("esc-silent=3:1").hear(2.0))
+    rpm = rpm_of(request.getfixturevalue(autopilot)("esc-silent=3:1").notice(2.0))
     half = len(rpm) // 2
     assert rpm[: half - 2].all()
     assert not rpm[half + 2 :, 2].any()
@@ -240,7 +240,7 @@ def test_an_esc_falls_silent_in_flight(autopilot: str, request: pytest.FixtureRe
 
 @pytest.mark.parametrize(("by", "least"), [(30.0, 51.0), (-0.5, 20.5), (-60.0, 0.0)])
 def test_the_clock_is_set_in_flight(px4: OpenDesk, by: float, least: float) -> None:
-    heard = px4(f"clock-jump=1:{by}").hear(2.0)
+    heard = px4(f"clock-jump=1:{by}").notice(2.0)
     stamps = 1e-6 * np.array([m.time_usec for m in of_type(heard, "HIGHRES_IMU")])
     steps = np.diff(stamps)
     at = int(np.argmax(np.abs(steps - 0.004)))
@@ -274,22 +274,22 @@ def test_the_gyro_is_the_mean_of_the_interval_that_ends_at_its_stamp(px4: OpenDe
 
 @pytest.mark.slow
 def test_streams_that_are_late(px4: OpenDesk) -> None:
-    plain = px4().hear(4.0)
-    late = px4("rotor-late=8").hear(4.0)
+    plain = px4().notice(4.0)
+    late = px4("rotor-late=8").notice(4.0)
     np.testing.assert_array_equal(rpm_of(late)[10:], rpm_of(plain)[8:-2])
     np.testing.assert_array_equal(gyro_of(late), gyro_of(plain))
     attitude = px4("attitude-late=20")
     imu = px4("imu-late=12")
-    np.testing.assert_array_equal(gyro_of(imu.hear(4.0))[10:], gyro_of(plain)[7:-3])
+    np.testing.assert_array_equal(gyro_of(imu.notice(4.0))[10:], gyro_of(plain)[7:-3])
     assert imu.autopilot.rotor_delay == pytest.approx(-0.012)
-    rolls = [[m.roll for m in of_type(h, "ATTITUDE")] for h in (plain, attitude.hear(4.0))]
+    rolls = [[m.roll for m in of_type(h, "ATTITUDE")] for h in (plain, attitude.notice(4.0))]
     assert rolls[1][10:] == rolls[0][8:-2]
     assert px4("rotor-late=8").autopilot.rotor_delay == pytest.approx(0.008)
 
 
 @pytest.mark.slow
 def test_skipped_samples_leave_no_gap_in_the_sequence(px4: OpenDesk) -> None:
-    heard = px4("skips=0.02").hear(8.0)
+    heard = px4("skips=0.02").notice(8.0)
     stamps = np.array([m.time_usec for m in of_type(heard, "HIGHRES_IMU")])
     assert 1.0 - len(stamps) / 2000 == pytest.approx(0.02, abs=0.01)
     assert set(np.diff(stamps)) > {4000, 8000}
@@ -298,15 +298,15 @@ def test_skipped_samples_leave_no_gap_in_the_sequence(px4: OpenDesk) -> None:
 
 
 def test_sequence_numbers_out_of_order(px4: OpenDesk) -> None:
-    steps = Counter(np.diff([m.get_seq() for m in px4("disorder").hear(3.0)]).tolist())
+    steps = Counter(np.diff([m.get_seq() for m in px4("disorder").notice(3.0)]).tolist())
     assert steps[-1] > 20
     assert steps[1] > 20 * steps[-1] / 2
-    assert len(of_type(px4("disorder").hear(1.0), "HIGHRES_IMU")) == 250
+    assert len(of_type(px4("disorder").notice(1.0), "HIGHRES_IMU")) == 250
 
 
 def test_32_bit_stamps_in_us_wrap(px4: OpenDesk, copter: OpenDesk) -> None:
     for make in (px4, copter):
-        heard = make("wrap-us=1").hear(2.0)
+        heard = make("wrap-us=1").notice(2.0)
         stamps = [m.time_usec for m in of_type(heard, "SERVO_OUTPUT_RAW")]
         assert 2**32 - 1_000_000 <= stamps[0] < 2**32
         assert 990_000 <= stamps[-1] <= 1_000_000
@@ -318,7 +318,7 @@ def test_32_bit_stamps_in_us_wrap(px4: OpenDesk, copter: OpenDesk) -> None:
 
 
 def test_32_bit_stamps_in_ms_wrap_and_those_in_us_with_them(px4: OpenDesk) -> None:
-    heard = px4("wrap-ms=1").hear(2.0)
+    heard = px4("wrap-ms=1").notice(2.0)
     for name, field in (("ATTITUDE", "time_boot_ms"), ("SERVO_OUTPUT_RAW", "time_usec")):
         stamps = [getattr(m, field) for m in of_type(heard, name)]
         assert sum(b < a for a, b in pairwise(stamps)) == 1
@@ -328,17 +328,17 @@ def test_32_bit_stamps_in_ms_wrap_and_those_in_us_with_them(px4: OpenDesk) -> No
 
 
 def test_a_clock_that_runs_fast(px4: OpenDesk) -> None:
-    stamps = [m.time_usec for m in of_type(px4("clock-drift=20000").hear(4.0), "HIGHRES_IMU")]
+    stamps = [m.time_usec for m in of_type(px4("clock-drift=20000").notice(4.0), "HIGHRES_IMU")]
     assert stamps[-1] - stamps[0] == pytest.approx(3_996_000 * 1.02, abs=2)
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "copter"])
 def test_a_reboot(autopilot: str, request: pytest.FixtureRequest) -> None:
     desk = request.getfixturevalue(autopilot)("reboot=2")
-    before = of_type(desk.hear(2.0 - desk.simulation.step_size), "HIGHRES_IMU")
+    before = of_type(desk.notice(2.0 - desk.simulation.step_size), "HIGHRES_IMU")
     assert desk.counts(1.0) == {}
     assert desk.command(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, 105) == []
-    after = desk.hear(1.0)
+    after = desk.notice(1.0)
     imu = of_type(after, "HIGHRES_IMU")
     assert before[-1].time_usec > 20_000_000
     assert 3_000_000 <= imu[0].time_usec < 3_100_000
@@ -376,7 +376,7 @@ def test_a_stream_that_is_acknowledged_and_never_comes(px4: OpenDesk) -> None:
 
 
 def test_outputs_are_counted_with_those_that_drive_nothing(px4: OpenDesk) -> None:
-    heard = px4("active-count").hear(0.1)
+    heard = px4("active-count").notice(0.1)
     outputs = of_type(heard, "ACTUATOR_OUTPUT_STATUS")[-1]
     assert outputs.active == 16
     assert min(outputs.actuator[:4]) > 1000.0
@@ -387,7 +387,7 @@ def test_outputs_are_counted_with_those_that_drive_nothing(px4: OpenDesk) -> Non
 
 @pytest.mark.slow
 def test_others_on_the_link(px4: OpenDesk) -> None:
-    heard = px4("forwarded", "radio").hear(3.0)
+    heard = px4("forwarded", "radio").notice(3.0)
     by_source: dict[tuple[int, int], Counter[str]] = {}
     for m in heard:
         source = (m.get_srcSystem(), m.get_srcComponent())
@@ -402,7 +402,7 @@ def test_others_on_the_link(px4: OpenDesk) -> None:
     }
     ours = [m for m in heard if m.get_srcSystem() == 1]
     assert set(np.diff([m.get_seq() for m in ours])) == {1, -255}
-    np.testing.assert_array_equal(rpm_of(ours), rpm_of(px4().hear(3.0)))
+    np.testing.assert_array_equal(rpm_of(ours), rpm_of(px4().notice(3.0)))
 
 
 @pytest.mark.parametrize(

@@ -417,7 +417,7 @@ class ScalarIntake:
             *(np.array([n], np.uint8) for n in (frame.system, frame.component))
         )
         if frame.message_id == 0:
-            self.selector.hear(frame)
+            self.selector.notice(frame)
         known, is_chosen = first is not None, self.selector.is_chosen(frame)
         if first is not None and not is_chosen and self.decoder.clock.now is None:
             is_chosen = self.selector.go_over(frame)

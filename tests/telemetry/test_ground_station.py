@@ -57,7 +57,7 @@ class Talk:
         self.now = 0.0
         self.said = []
 
-    def hear(self, *frames, source=("vehicle", 1)):
+    def notice(self, *frames, source=("vehicle", 1)):
         self.link.arriving += [ReceivedBytes(frame.raw, source) for frame in frames]
         self.turn(0.0)
 
@@ -108,7 +108,7 @@ def signing(make_sender):
 
 def test_a_vehicle_that_is_heard_is_asked_for_streams_and_parameters(sender):
     talk = Talk()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.turn(5.0)
     asked = talk.requested()
     assert {"HIGHRES_IMU", "ESC_STATUS", "CA_ROTOR_COUNT", "THR_MDL_FAC"} <= set(asked)
@@ -116,23 +116,23 @@ def test_a_vehicle_that_is_heard_is_asked_for_streams_and_parameters(sender):
 
 def test_listening_only_sends_nothing_ever(sender):
     talk = Talk(listen_only=True)
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.turn(20.0)
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.station.close()
     assert talk.link.sent == []
 
 
 def test_silence_is_told_and_so_is_the_return(sender):
     talk = Talk()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.turn(GroundStation.LOST_AFTER - 0.5)
     assert not talk.station.lost
     talk.turn(5.0)
     assert talk.station.lost
     assert sum("link lost: no data from PX4 quadrotor 1:1" in text for text in talk.said) == 1
     talk.requested()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     assert not talk.station.lost
     assert any(text.startswith("link back after") for text in talk.said)
     assert "HIGHRES_IMU" in talk.requested()  # it may have forgotten
@@ -142,32 +142,32 @@ def test_a_vehicle_that_does_not_number_its_messages_is_not_lost(sender):
     talk = Talk()
     beat = sender.heartbeat()
     for _ in range(10):
-        talk.hear(beat)
+        talk.notice(beat)
         talk.turn(1.0)
     assert not talk.station.lost
 
 
 def test_others_speaking_are_no_sign_of_the_vehicle(sender, make_sender):
     talk = Talk()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     other = make_sender(7, 1)
     for _ in range(10):
         talk.turn(1.0)
-        talk.hear(other.heartbeat())
+        talk.notice(other.heartbeat())
     assert talk.station.lost
 
 
 def test_a_vehicle_that_never_spoke_is_not_lost(make_sender):
     talk = Talk()
-    talk.hear(make_sender(255, 190).heartbeat(type=6, autopilot=8))
+    talk.notice(make_sender(255, 190).heartbeat(type=6, autopilot=8))
     talk.turn(20.0)
     assert not talk.station.lost
-    assert talk.station.heard_at is None
+    assert talk.station.received_at is None
 
 
 def test_a_pulled_plug_is_told_at_once(sender):
     talk = Talk()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.link.breaks += 1
     talk.turn(0.2)
     assert talk.station.lost
@@ -176,7 +176,7 @@ def test_a_pulled_plug_is_told_at_once(sender):
 
 def test_a_sender_that_connects_once_has_finished_when_it_hangs_up(sender):
     talk = Talk(connects_once=True)
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.link.breaks += 1
     talk.turn(0.2)
     assert not talk.station.lost
@@ -185,10 +185,10 @@ def test_a_sender_that_connects_once_has_finished_when_it_hangs_up(sender):
 
 def test_rates_are_given_back_at_the_end_and_the_port_too(sender):
     talk = Talk()
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     own = {"HIGHRES_IMU": 0, "ATTITUDE": 20408, "LOCAL_POSITION_NED": -1}
     for name, interval in own.items():
-        talk.hear(sender.message_interval(MESSAGE_IDS[name], interval))
+        talk.notice(sender.message_interval(MESSAGE_IDS[name], interval))
     talk.turn(5.0)
     asked = set(talk.station.asked)
     assert len(asked) == 6
@@ -204,7 +204,7 @@ def test_rates_are_given_back_at_the_end_and_the_port_too(sender):
 def test_a_slow_radio_is_a_problem_told_in_words(sender):
     url = LinkUrl("serial", "/dev/ttyUSB0", device="/dev/ttyUSB0", baud=57600)
     talk = Talk(Ether(url))
-    talk.hear(sender.heartbeat())
+    talk.notice(sender.heartbeat())
     talk.turn(StreamRestoration.OBSERVED_FOR + 0.2)
     (problem,) = talk.station.problems
     assert problem.startswith("57600 baud carries about")
@@ -214,7 +214,7 @@ def test_a_slow_radio_is_a_problem_told_in_words(sender):
 
 def test_a_signed_vehicle_is_believed_and_asked_with_signatures(signing, key_file):
     talk = Talk(signing_key=key_file)
-    talk.hear(signing().heartbeat())
+    talk.notice(signing().heartbeat())
     talk.turn(2.0)
     assert str(talk.intake.vehicle) == "PX4 quadrotor 1:1"
     assert talk.link.sent
@@ -227,7 +227,7 @@ def test_a_signed_vehicle_is_believed_and_asked_with_signatures(signing, key_fil
 def test_with_a_wrong_key_nothing_is_believed_and_that_is_said(signing, key_file):
     talk = Talk(signing_key=key_file)
     attacker = signing(key=bytes(32))
-    talk.hear(attacker.heartbeat(), attacker.imu(1.0))
+    talk.notice(attacker.heartbeat(), attacker.imu(1.0))
     assert talk.intake.vehicle is None
     assert talk.intake.monitor.received == 0
     assert talk.station.as_dict() == {
@@ -244,11 +244,11 @@ def test_with_a_wrong_key_nothing_is_believed_and_that_is_said(signing, key_file
 def test_who_has_no_key_gets_no_answers(signing, make_sender, key_file):
     talk = Talk(signing_key=key_file)
     vehicle = signing()
-    talk.hear(vehicle.heartbeat(), source=("vehicle", 1))
+    talk.notice(vehicle.heartbeat(), source=("vehicle", 1))
     status = mavlink.MAVLink_radio_status_message(200, 190, 100, 30, 20, 0, 0)
     for raw in (make_sender().heartbeat(), signing(key=bytes(32)).heartbeat()):
-        talk.hear(raw, source=("stranger", 2))
-    talk.hear(make_sender().frame(status), source=("stranger", 2))
+        talk.notice(raw, source=("stranger", 2))
+    talk.notice(make_sender().frame(status), source=("stranger", 2))
     assert talk.link.to == ("vehicle", 1)
 
 
@@ -256,14 +256,14 @@ def test_a_vehicle_without_a_clock_learns_the_time_from_our_heartbeats(signing, 
     """It cannot be believed before, and is not answered if that were needed first."""
     talk = Talk(signing_key=key_file)
     vehicle = signing(late=1)
-    talk.hear(vehicle.heartbeat(), vehicle.imu(1.0))
+    talk.notice(vehicle.heartbeat(), vehicle.imu(1.0))
     assert talk.intake.vehicle is None
     talk.turn(2.0)
     to, beat = talk.link.sent[-1]
     assert to == ("vehicle", 1)
     # As pymavlink and the C library do with a frame that they believe.
     vehicle.packer.signing.timestamp = int.from_bytes(beat.raw[-12:-6], "little") + 1
-    talk.hear(vehicle.heartbeat())
+    talk.notice(vehicle.heartbeat())
     assert str(talk.intake.vehicle) == "PX4 quadrotor 1:1"
 
 

@@ -35,9 +35,9 @@ class OldArduPilot:
         self.intervals = 0
         self.now = 0.0
         self.vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3, version)
-        self.requests = StreamRequests(Gate(self.hear), rate, baud=baud)
+        self.requests = StreamRequests(Gate(self.notice), rate, baud=baud)
 
-    def hear(self, raw):
+    def notice(self, raw):
         frame = read_frame(raw)
         fields = unpack(frame.message_id, frame.payload)
         if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:

@@ -25,7 +25,7 @@ def ground_station(make_sender):
 def heard(selector, frame):
     selector.note_senders(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
     if frame.message_id == 0:
-        selector.hear(frame)
+        selector.notice(frame)
     return selector.is_chosen(frame)
 
 

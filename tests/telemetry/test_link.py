@@ -163,7 +163,7 @@ def test_udpout_speaks_first_and_hears_the_answer(sender):
         vehicle.bind(("127.0.0.1", 0))
         vehicle.settimeout(WAIT)
         url = parse_url(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}")
-        assert url.speaks_first
+        assert url.sends_first
         with open_link(url) as link:
             Gate(link.send).heartbeat()
             _, address = vehicle.recvfrom(100)

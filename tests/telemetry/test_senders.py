@@ -48,7 +48,7 @@ class Field:
         self.receiver = Receiver(self.link, clock=lambda: self.now)
         self.receiver.follow((1, 1))
 
-    def hear(self, source, *frames):
+    def notice(self, source, *frames):
         """Frames of one datagram; those that were believed."""
         self.link.arriving = [ReceivedBytes(b"".join(frame.raw for frame in frames), source)]
         return self.receiver.poll(0.0)
@@ -69,50 +69,50 @@ def forged(make_sender):
 
 def test_state_is_believed_from_where_the_imu_data_come(field, sender, forged):
     flying = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR)
-    field.hear(HOME, sender.heartbeat(**ARMED))
-    assert field.hear(FORGER, *forged) == forged  # nobody knows yet
-    field.hear(HOME, sender.imu(1.0))
-    assert field.hear(FORGER, *forged) == forged[1:]  # the vehicle has said nothing of that
-    field.hear(HOME, sender.frame(flying))
+    field.notice(HOME, sender.heartbeat(**ARMED))
+    assert field.notice(FORGER, *forged) == forged  # nobody knows yet
+    field.notice(HOME, sender.imu(1.0))
+    assert field.notice(FORGER, *forged) == forged[1:]  # the vehicle has said nothing of that
+    field.notice(HOME, sender.frame(flying))
     others = [sender.imu(2.0), sender.attitude(2.0)]
-    assert field.hear(FORGER, forged[0], *others, forged[1]) == others
+    assert field.notice(FORGER, forged[0], *others, forged[1]) == others
     assert field.receiver.whereabouts.passed_over == 3
-    assert len(field.hear(HOME, sender.heartbeat(**ARMED), sender.imu(3.0))) == 2
+    assert len(field.notice(HOME, sender.heartbeat(**ARMED), sender.imu(3.0))) == 2
 
 
 def test_other_systems_on_other_addresses_are_heard(field, sender, make_sender):
-    field.hear(HOME, sender.heartbeat(), sender.imu(1.0))
+    field.notice(HOME, sender.heartbeat(), sender.imu(1.0))
     camera = [make_sender(1, 100).heartbeat(), make_sender(2, 1).heartbeat()]
-    assert field.hear(FORGER, *camera) == camera
+    assert field.notice(FORGER, *camera) == camera
     assert field.receiver.whereabouts.rival is None
 
 
 def test_who_forges_much_gets_no_answers_while_the_imu_data_come(field, sender, forged):
-    field.hear(HOME, sender.heartbeat(**ARMED), sender.imu(1.0))
+    field.notice(HOME, sender.heartbeat(**ARMED), sender.imu(1.0))
     for n in range(300):
         field.now += 0.01
-        assert field.hear(FORGER, *forged) == forged[1:]
+        assert field.notice(FORGER, *forged) == forged[1:]
         if n % 100 == 0:
-            field.hear(HOME, sender.imu(1.0 + field.now))
+            field.notice(HOME, sender.imu(1.0 + field.now))
         assert field.link.to == HOME
 
 
 def test_a_vehicle_that_begins_anew_elsewhere_is_believed_there(field, sender):
-    field.hear(HOME, sender.heartbeat(), sender.imu(1.0))
+    field.notice(HOME, sender.heartbeat(), sender.imu(1.0))
     moved = ("10.0.0.1", 14999)
     field.now += Whereabouts.SILENT_FOR + 0.1
-    beats = [len(field.hear(moved, sender.heartbeat())) for _ in range(4)]
+    beats = [len(field.notice(moved, sender.heartbeat())) for _ in range(4)]
     assert beats == [0, 0, 1, 1]
     assert field.link.to == moved
     assert field.receiver.whereabouts.rival is None
 
 
 def test_another_vehicle_to_follow_may_be_elsewhere(field, sender, make_sender):
-    field.hear(HOME, sender.heartbeat(), sender.imu(1.0))
+    field.notice(HOME, sender.heartbeat(), sender.imu(1.0))
     field.receiver.follow((2, 1))
     other = make_sender(2, 1)
     for _ in range(3):
-        assert len(field.hear(FORGER, other.heartbeat())) == 1
+        assert len(field.notice(FORGER, other.heartbeat())) == 1
     assert field.link.to == FORGER
 
 

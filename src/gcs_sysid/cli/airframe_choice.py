@@ -161,7 +161,12 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     intake = Intake(options.vehicle)
     requests = ParameterRequests(receiver.gate, usual_rotors)
     taken: list[Item] = []
-    began, heard, beat_at, reported = time.monotonic(), None, -StreamRequests.HEARTBEAT_EVERY, None
+    began, received, beat_at, reported = (
+        time.monotonic(),
+        None,
+        -StreamRequests.HEARTBEAT_EVERY,
+        None,
+    )
     while reported is None:
         items = receiver.next_items(wait)
         taken += items
@@ -173,18 +178,18 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
             receiver.gate.heartbeat()
             beat_at = now
         if vehicle is not None:
-            if heard is None:
-                heard = now
+            if received is None:
+                received = now
                 receiver.follow(vehicle.address)
             requests.tick(now, vehicle, intake.parameters)
             found = reported_layout(vehicle.key, intake.parameters)
             # Its outputs are reported too, or overdue.
             if found is not None and (
-                len(found.outputs) >= len(found.rotors) or now - heard >= 0.5 * reply_within
+                len(found.outputs) >= len(found.rotors) or now - received >= 0.5 * reply_within
             ):
                 reported = found
-        waited = now - (began if heard is None else heard)
-        limit = options.duration if heard is None else reply_within
+        waited = now - (began if received is None else received)
+        limit = options.duration if received is None else reply_within
         if receiver.link_report.ended or (limit is not None and waited >= limit):
             break
     receiver.put_back(taken)

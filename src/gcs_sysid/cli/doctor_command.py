@@ -56,7 +56,7 @@ def _links(options: argparse.Namespace) -> list[Finding]:
 
     asked = [parse_url(text, options.baud) for text in options.urls]
     for url in asked:
-        if url.speaks_first:
+        if url.sends_first:
             raise InputError(
                 f"{url}: a vehicle there answers only to messages, and doctor only listens"
             )
@@ -68,5 +68,5 @@ def _links(options: argparse.Namespace) -> list[Finding]:
     if sys.stderr.isatty():
         print(f"listening for {options.duration:g} s ...", file=sys.stderr, flush=True)
     listening.listen(ears, options.duration)
-    findings += listening.heard(ears, options.duration)
+    findings += listening.received(ears, options.duration)
     return findings

@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         deliveries.give(lambda: output.show(report(found, width)))
     deliveries.give(lambda: output.write_json(options.json, found.as_json(), force=options.force))
     deliveries.check()
-    return 0 if found.heard else 1
+    return 0 if found.is_received else 1
 
 
 def _is_log(target: str) -> bool:

@@ -38,7 +38,7 @@ _FOOT = (
     "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
     "250 Hz). In flight the coach uses the measured data."
 )
-_COLOURS = ("#1f6fb4", "#c2571a", "#2b8a3e", "#7048a8")
+_COLORS = ("#1f6fb4", "#c2571a", "#2b8a3e", "#7048a8")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -174,7 +174,7 @@ def plan_svg(plan: Plan) -> str:
             for t, value in _history(plan, i)
         )
         out.append(
-            f'<polyline points="{points}" fill="none" stroke="{_COLOURS[i]}" stroke-width="1.2"/>'
+            f'<polyline points="{points}" fill="none" stroke="{_COLORS[i]}" stroke-width="1.2"/>'
         )
     under = top + lane * len(used)
     for number, step in enumerate(plan.steps, 1):

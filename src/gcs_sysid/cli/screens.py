@@ -114,8 +114,8 @@ def report_session(
         raise InputError("no recording to report on: o starts one")
     target = unused_path(recording.with_suffix(".html"))
     snapshot = session.latest()
-    heard = () if snapshot is None else snapshot.link.vehicles
-    vehicle = next((v.address for v in heard if v.chosen), None)
+    received = () if snapshot is None else snapshot.link.vehicles
+    vehicle = next((v.address for v in received if v.chosen), None)
     command = _command(recording, target, session.airframe, vehicle, options)
     job = ReportJob(recording, target, session.airframe, vehicle, truth, command)
     have_written(job)

@@ -95,8 +95,8 @@ def _vehicle(options: argparse.Namespace) -> Vehicle:
 
 
 def _gains(options: argparse.Namespace, vehicle: Vehicle) -> int:
-    parameters, heard = _parameters(options)
-    autopilot = _autopilot(options, vehicle, heard, parameters)
+    parameters, received = _parameters(options)
+    autopilot = _autopilot(options, vehicle, received, parameters)
     try:
         tuning = study(
             vehicle,
@@ -154,10 +154,10 @@ def _parameters(options: argparse.Namespace) -> tuple[Mapping[str, float], str]:
 
 
 def _autopilot(
-    options: argparse.Namespace, vehicle: Vehicle, heard: str, parameters: Mapping[str, Any]
+    options: argparse.Namespace, vehicle: Vehicle, received: str, parameters: Mapping[str, Any]
 ) -> Autopilot:
     wanted = _OF_TARGET.get(options.to)
-    named = options.autopilot or wanted or heard or vehicle.result.vehicle.get("autopilot")
+    named = options.autopilot or wanted or received or vehicle.result.vehicle.get("autopilot")
     if options.autopilot and wanted and options.autopilot != wanted:
         raise InputError(f"--to {options.to} is not for --autopilot {options.autopilot}")
     if named not in AUTOPILOTS:

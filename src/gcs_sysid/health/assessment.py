@@ -122,8 +122,8 @@ class HoverRecords:
         if log is None:
             return Health(source, reasons=("nothing was read",))
         if log.vehicle is None:
-            heard = ", ".join(map(str, log.systems))
-            text = "no heartbeat of an autopilot was found" + (f"; found: {heard}" if heard else "")
+            found = ", ".join(map(str, log.systems))
+            text = "no heartbeat of an autopilot was found" + (f"; found: {found}" if found else "")
             return Health(source, reasons=(text,))
         autopilot = log.vehicle.key
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)

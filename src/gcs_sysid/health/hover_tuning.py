@@ -69,7 +69,7 @@ class Tuning:
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
         same_vehicle: factor of all loads within which two flights may be of one vehicle: payload,
             other propellers.
-        learnt_from: s of hover at the start of a flight that later ones in it are compared with.
+        learned_from: s of hover at the start of a flight that later ones in it are compared with.
         judged_by: s of hover in a stretch that is.
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
             5 % less of one rotor of eight makes 2.5 %.
@@ -167,7 +167,7 @@ class Tuning:
     parameter_penalty: float = 2.0
     cg_fixed: float = 30.0
     same_vehicle: float = 2.0
-    learnt_from: float = 30.0
+    learned_from: float = 30.0
     judged_by: float = 10.0
     least_change: float = 0.01
     named_margin: float = 10.0

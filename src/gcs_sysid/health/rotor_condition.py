@@ -346,7 +346,7 @@ def watch_rotors(
     Returns:
         The first rotor named in two stretches that follow each other, and how many were judged.
     """
-    first, count = (round(s / hover.half) for s in (TUNING.learnt_from, TUNING.judged_by))
+    first, count = (round(s / hover.half) for s in (TUNING.learned_from, TUNING.judged_by))
     if len(hover.t) < first + count:
         return None, 0
     base = load_of(hover.part(slice(0, first)), thrust[:first], c)

@@ -164,7 +164,7 @@ class Inspection:
         return sum(end - start for start, end in self.flights)
 
     @property
-    def heard(self) -> bool:
+    def is_received(self) -> bool:
         """Whether anything at all came."""
         return bool(self.systems)
 

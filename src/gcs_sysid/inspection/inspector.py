@@ -388,7 +388,7 @@ def inspect_link(
     station = GroundStation(transceiver, rotors, rate)
     settling = 0.0 if listen_only else min(SETTLING, 0.5 * duration)
     began = asked = clock()
-    heard: float | None = None
+    received: float | None = None
     try:
         station.tick(began, intake)
         while not (stop() or link.ended):
@@ -396,17 +396,17 @@ def inspect_link(
             now = clock()
             frames = [frame for batch in batches for frame in batch.frames]
             intake.garbage_bytes = transceiver.link_report.garbage_bytes
-            if heard is None and intake.vehicle is not None:
-                heard = now
-            count = heard is not None and now - heard >= settling
+            if received is None and intake.vehicle is not None:
+                received = now
+            count = received is not None and now - received >= settling
             inspector.take(intake.block(FrameBlock.of(frames, now)), count=count)
             station.follow(now, intake)
-            passed = now - (began if heard is None else heard)
+            passed = now - (began if received is None else received)
             if now - asked >= _ASK_EVERY:
                 asked = now
                 station.tick(now, intake)
                 if progress:
-                    progress(0.0 if heard is None else min(passed / duration, 0.99))
+                    progress(0.0 if received is None else min(passed / duration, 0.99))
             if passed >= duration:
                 break
     finally:

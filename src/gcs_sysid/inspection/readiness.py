@@ -56,7 +56,7 @@ def _findings(found: Inspection) -> Iterator[Finding]:
 
 
 def _no_vehicle(found: Inspection) -> Finding:
-    if not found.heard:
+    if not found.is_received:
         return Finding(
             "blocks", "no MAVLink message received", "check the link, its port and its baud rate"
         )

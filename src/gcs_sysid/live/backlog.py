@@ -26,7 +26,7 @@ class Backlog:
         self._seconds = 0.0  # of all times that it was too slow
         self._since = 0.0
         self._longest_now = 0.0
-        self._unlearnt = False
+        self._withheld = False
 
     @property
     def is_idle(self) -> bool:
@@ -57,8 +57,8 @@ class Backlog:
             )
         if not self.too_slow:
             self._longest_now = 0.0
-        if self._source.unlearnt and not self._unlearnt:
-            self._unlearnt = True
+        if self._source.withheld and not self._withheld:
+            self._withheld = True
             notes.append("the backlog is too large: some data are not used for the estimate")
         return notes
 
@@ -76,16 +76,16 @@ class Backlog:
             "kernel_drops": self._source.link_report.dropped,
             "longest_wait": self.longest,
             "too_slow_seconds": slow,
-            "not_learnt": self._source.unlearnt,
+            "not_learnt": self._source.withheld,
         }
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """What a result misses for want of speed, one line each."""
         lines = []
-        if self._source.unlearnt:
+        if self._source.withheld:
             lines.append(
-                f"{self._source.unlearnt} messages were not used, because the computer was "
+                f"{self._source.withheld} messages were not used, because the computer was "
                 f"too slow: "
                 "analyze the recording"
             )

@@ -21,7 +21,7 @@ _EVERY = 10.0
 """s of the vehicle's clock between looks: at 250 Hz each takes 0.2 s of a processor."""
 _MOST_WAITING = 2000
 """Tracks that may wait to be joined, while not viewed."""
-_ANEW = ("reboot", "reset", "vehicle")
+_NEW_FLIGHT = ("reboot", "reset", "vehicle")
 """Events after which what was flown before is another flight's."""
 
 
@@ -57,7 +57,7 @@ class HoverWatch:
 
     def add_records(self, block: RecordBlock) -> None:
         """The next records."""
-        if any(event.kind in _ANEW for _, event in block.events):
+        if any(event.kind in _NEW_FLIGHT for _, event in block.events):
             self._kept, self._fresh = [], []
             self._looked = self._now = -np.inf
             self._named = None

@@ -33,7 +33,7 @@ from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import HeardVehicle, LinkState, Snapshot
+from gcs_sysid.results.snapshot import FoundVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.receiver import ReceivedFrames
@@ -159,7 +159,7 @@ class LiveSession:
         self._on_result = on_result
         self._commands = CommandQueue()
         self._toggling = self._postponed = False
-        self._choice: HeardVehicle | None = None
+        self._choice: FoundVehicle | None = None
         self._stop = threading.Event()
         self._all_taken = False
         self._latest: Snapshot | None = None
@@ -256,10 +256,10 @@ class LiveSession:
         Raises:
             InputError: none of that system and component was received.
         """
-        heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
-        if address not in heard:
+        received = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
+        if address not in received:
             raise InputError("no vehicle {}:{} was found".format(*address))
-        vehicle, path = heard[address], unused_path(self._stem)
+        vehicle, path = received[address], unused_path(self._stem)
         self._commands.ask(lambda: self._choose(vehicle, path))
         return f"restarting on {vehicle.name}"
 
@@ -392,11 +392,11 @@ class LiveSession:
         if self._source.link_report.ended:
             return True
         if self._sender_gone is not None and self._sender_gone():
-            return now - (self._station.heard_at or began) >= _DRAINED_AFTER
+            return now - (self._station.received_at or began) >= _DRAINED_AFTER
         return False
 
     def _state(self) -> LinkState:
-        if self._station.heard_at is None:
+        if self._station.received_at is None:
             return LinkState.WAITING
         return LinkState.LOST if self._station.lost else LinkState.CONNECTED
 
@@ -435,7 +435,7 @@ class LiveSession:
         else:
             self._airframe = airframe
 
-    def _choose(self, vehicle: HeardVehicle, path: Path) -> None:
+    def _choose(self, vehicle: FoundVehicle, path: Path) -> None:
         self._estimate.need()
         self._station.leave()
         self._choice = vehicle

@@ -10,7 +10,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Acceleration,
     Advice,
-    HeardVehicle,
+    FoundVehicle,
     LinkState,
     LinkStatus,
     Snapshot,
@@ -49,7 +49,7 @@ def link_status(
         last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
         clock_ppm=intake.drift.ppm,
         vehicles=tuple(
-            HeardVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
+            FoundVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
         ),
         recording=source.recording_report.path,
         bytes_per_second=health.bytes_per_second,

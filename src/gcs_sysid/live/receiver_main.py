@@ -50,11 +50,11 @@ class Outbox:
     """Hands messages to the session, whenever it takes them; only `close` waits for that.
 
     Attributes:
-        unlearnt: frames for which there was no room.
+        withheld: frames for which there was no room.
     """
 
     def __init__(self, pipe: BinaryIO) -> None:
-        self.unlearnt = 0
+        self.withheld = 0
         self._pipe = pipe
         self._wake = threading.Condition()
         self._waiting: deque[bytes] = deque()
@@ -76,7 +76,7 @@ class Outbox:
         for item in items:
             data = wire.item_message(item)
             if isinstance(item, ReceivedFrames) and self._size + len(data) > MOST_WAITING:
-                self.unlearnt += len(item.frames)
+                self.withheld += len(item.frames)
             else:
                 self.put(data)
 
@@ -253,7 +253,7 @@ class ReceiverMain:
         reception = self._reception
         events = tuple(reception.take_events())
         report = wire.Report(
-            reception.link_report, reception.recording_report, self._outbox.unlearnt, events
+            reception.link_report, reception.recording_report, self._outbox.withheld, events
         )
         if report != self._report:
             self._report = report

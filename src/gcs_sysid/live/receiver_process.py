@@ -167,9 +167,9 @@ class ReceiverProcess:
         return self._report.recording
 
     @property
-    def unlearnt(self) -> int:
+    def withheld(self) -> int:
         """Frames that are recorded and were not handed over, because too many waited."""
-        return self._report.unlearnt
+        return self._report.withheld
 
     @property
     def waiting(self) -> float:

@@ -40,13 +40,13 @@ class Report:
     Attributes:
         link: of the link.
         recording: of the recording.
-        unlearnt: frames that were recorded and not handed over.
+        withheld: frames that were recorded and not handed over.
         events: what happened to the recording since the last report.
     """
 
     link: LinkReport = field(default_factory=LinkReport)
     recording: RecordingReport = field(default_factory=RecordingReport)
-    unlearnt: int = 0
+    withheld: int = 0
     events: tuple[str, ...] = ()
 
 
@@ -118,5 +118,5 @@ def read_report(body: bytes) -> Report:
         link["refused"] = {Refusal(reason): n for reason, n in link["refused"].items()}
     recording["lines"] = tuple(recording["lines"])
     return Report(
-        LinkReport(**link), RecordingReport(**recording), table["unlearnt"], tuple(table["events"])
+        LinkReport(**link), RecordingReport(**recording), table["withheld"], tuple(table["events"])
     )

@@ -76,7 +76,7 @@ class Source(Port, Protocol):
         """Arrived data that were not taken yet, s."""
 
     @property
-    def unlearnt(self) -> int:
+    def withheld(self) -> int:
         """Frames that are recorded and were not handed over, because too many waited."""
 
     def next_items(self, timeout: float) -> Sequence[Item]:
@@ -112,7 +112,7 @@ class Reception:
         recording: of what is received.
     """
 
-    unlearnt = 0
+    withheld = 0
     waiting = 0.0
     """Taking never waits; the rest is in the system's buffer."""
 

@@ -18,7 +18,7 @@ from gcs_sysid.live.live_view import picture
 from gcs_sysid.live.log_playback import LogPlayback, LogSegments, Recorded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
-    HeardVehicle,
+    FoundVehicle,
     LinkState,
     LinkStatus,
     Playback,
@@ -316,7 +316,7 @@ class ReplaySession:
         gaps = whole.get("imu_gaps", {})
         log_segments = self._playback.log_segments
         vehicle = log_segments.telemetry.vehicle
-        heard = () if vehicle is None else (HeardVehicle(vehicle.address, str(vehicle), True),)
+        received = () if vehicle is None else (FoundVehicle(vehicle.address, str(vehicle), True),)
         return LinkStatus(
             state=LinkState.ENDED if self._ended else LinkState.REPLAY,
             url=str(self._recorded.path),
@@ -330,5 +330,5 @@ class ReplaySession:
             gaps=gaps.get("count", 0),
             last_gap=gaps["last"][-1]["length"] if gaps.get("last") else None,
             clock_ppm=whole.get("clock_drift_ppm"),
-            vehicles=heard,
+            vehicles=received,
         )

@@ -35,7 +35,7 @@ class LinkState(StrEnum):
 
 
 @dataclass(frozen=True)
-class HeardVehicle:
+class FoundVehicle:
     """A vehicle that one could choose."""
 
     address: tuple[int, int]
@@ -72,7 +72,7 @@ class LinkStatus:
     """s, how long the latest of them was."""
     clock_ppm: float | None = None
     """Parts per million by which the vehicle's clock is fast; None until it is known."""
-    vehicles: tuple[HeardVehicle, ...] = ()
+    vehicles: tuple[FoundVehicle, ...] = ()
     """All that one could choose, in the order found."""
     recording: str = ""
     """Path of the recording, empty when none is made."""

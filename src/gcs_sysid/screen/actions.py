@@ -205,11 +205,11 @@ class ActingApp(App[None]):
         if self._lacks("Vehicle", act):
             return
         assert act is not None
-        heard = () if self.snapshot is None else self.snapshot.link.vehicles
-        if len(heard) < 2:
-            self.say("Only one vehicle on the link." if heard else "No vehicle yet.")
+        received = () if self.snapshot is None else self.snapshot.link.vehicles
+        if len(received) < 2:
+            self.say("Only one vehicle on the link." if received else "No vehicle yet.")
             return
-        by_name = {vehicle.name: vehicle for vehicle in heard}
+        by_name = {vehicle.name: vehicle for vehicle in received}
 
         def choose(name: str | None) -> None:
             if name is None or by_name[name].chosen:
@@ -217,7 +217,7 @@ class ActingApp(App[None]):
                 return
             self._ask(lambda: act(by_name[name].address))
 
-        listed = [(v.name, f"{'●' if v.chosen else '○'} {v.name}") for v in heard]
+        listed = [(v.name, f"{'●' if v.chosen else '○'} {v.name}") for v in received]
         hint = "Another vehicle restarts the session in a new recording."
         self.push_screen(Choose("Which vehicle?", listed, hint), choose)
 

@@ -100,7 +100,7 @@ class SysidApp(ActingApp):
         self._time = time_source
         self._snapshot: Snapshot | None = None
         self._exponents: dict[str, int] = {}
-        self._heard = (-1, time_source())
+        self._received = (-1, time_source())
         self._last_event: Event | None = None
         self._compared: Comparison | None = None
         self.announcer = Announcer(now=time_source)
@@ -166,8 +166,8 @@ class SysidApp(ActingApp):
         if not self._main.ready:  # a tick can come while the screen is built up or torn down
             return
         snapshot = self.source.latest()
-        if snapshot is not None and snapshot.link.received != self._heard[0]:
-            self._heard = (snapshot.link.received, self._time())
+        if snapshot is not None and snapshot.link.received != self._received[0]:
+            self._received = (snapshot.link.received, self._time())
         self.announcer.see(snapshot)
         if self.paused and not force:
             return
@@ -197,7 +197,7 @@ class SysidApp(ActingApp):
             truth=self.truth,
             selected=self.selected,
             exponents=self._exponents,
-            silence=self._time() - self._heard[1],
+            silence=self._time() - self._received[1],
             paused=self.paused,
             shares={} if self._snapshot is None else shares(self._snapshot.result),
             baseline="" if self.baseline is None else self.baseline.name,

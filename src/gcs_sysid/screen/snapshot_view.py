@@ -263,15 +263,15 @@ def playback_text(playback: Playback) -> str:
 
 LAST_SECONDS = 5
 """s left of a maneuver when that is said."""
-_SPOKEN = (
+_PRONOUNCED = (
     (r"±\s*", "plus or minus "), (r"°", " degrees"), (r"\bHz\b", "hertz"), (r"\s*%", " percent"),
     (r"\bI([xyz])([xyz])\b", r"I \1 \2"), (r"_", " "), (r"(\d) m\b", r"\1 meters"),
 )  # fmt: skip
 
 
-def spoken(text: str) -> str:
+def pronounced(text: str) -> str:
     """A text as a speech program says it right: symbols and names of parameters as words."""
-    for written, said in _SPOKEN:
+    for written, said in _PRONOUNCED:
         text = re.sub(written, said, text)
     return text
 
@@ -291,7 +291,7 @@ def call_outs(snapshot: Snapshot) -> dict[str, str]:
     )
     return {
         "link": link.get(snapshot.link.state, ""),
-        "coach": "" if snapshot.advice is None else spoken(_order(snapshot.advice)),
+        "coach": "" if snapshot.advice is None else pronounced(_order(snapshot.advice)),
         "time": "" if snapshot.advice is None else _time_left(snapshot.advice),
         "verdict": f"{headline(snapshot).capitalize()}, {standing.reached} of {standing.total}."
         if counted

@@ -52,9 +52,9 @@ class Origin:
         no_vehicle = ""
         if telemetry.vehicle is None:
             others = ", ".join(map(str, telemetry.systems))
-            heard = f"; found: {others}" if others else ""
+            received = f"; found: {others}" if others else ""
             which = " the requested" if self.wanted else " any"
-            no_vehicle = f"no heartbeat of{which} autopilot received{heard}"
+            no_vehicle = f"no heartbeat of{which} autopilot received{received}"
         return replace(
             evidence,
             clock=self.clock_doubt,

@@ -107,7 +107,7 @@ def listen(
             ear.link.close()
 
 
-def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
+def received(ears: Sequence[Ear], seconds: float) -> list[Finding]:
     """A finding for every vehicle found, with the command to start; or one that there is none."""
     findings = []
     for ear in ears:

@@ -46,7 +46,7 @@ _SMOOTH = 0.1
 """s."""
 _PLACED_FOR = 2.0
 """s for which the last height reported holds."""
-_UNHEARD = 1.0
+_SILENT_FOR = 1.0
 """s without any rotor after which nothing shows that it flies."""
 
 
@@ -135,8 +135,8 @@ class FlightDetector:
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
         # Where height or ground is not known, turning rotors must do.
         low = ground - down < _HEIGHT
-        heard: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
-        silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
+        received: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
+        silent = self._since(t, received, "_rotors_at") >= _SILENT_FOR
         reported = np.isfinite(in_air)
         change = np.select(
             [stands, reported, falls, low | silent, turn],

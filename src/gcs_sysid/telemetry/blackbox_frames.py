@@ -96,7 +96,7 @@ def read_frames(
     orders = {k: [np.empty(0, np.int64)] for k in layouts}
     breaks, events = [np.empty(0, np.int64)], [np.empty((0, 4), np.int64)]
     counts = dict.fromkeys(MARKERS, 0)
-    passed = damaged = told = 0
+    passed = damaged = framed = 0
     end = stop
     for window, start, frames in _windows(data, header.data, stop, layouts):
         for letter, layout in layouts.items():
@@ -114,7 +114,7 @@ def read_frames(
         breaks.append(passed + np.flatnonzero(frames.gap | ~frames.whole))
         passed += len(frames.at)
         damaged += int(np.count_nonzero(~frames.whole))
-        told += int((frames.ends - frames.at)[frames.whole].sum())
+        framed += int((frames.ends - frames.at)[frames.whole].sum())
         if frames.over[-1:].any():
             end = int(frames.ends[-1])
     written = {
@@ -138,7 +138,7 @@ def read_frames(
         counts={chr(k): count for k, count in counts.items()},
         damaged=damaged,
         lost=counts[I] + counts[P] - len(time_us),
-        garbage_bytes=end - header.data - told,
+        garbage_bytes=end - header.data - framed,
     )  # fmt: skip
 
 

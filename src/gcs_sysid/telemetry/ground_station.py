@@ -37,7 +37,7 @@ class GroundStation:
 
     Attributes:
         lost: whether a vehicle received before is silent now, or the link is gone.
-        heard_at: when the vehicle last sent; None before.
+        received_at: when the vehicle last sent; None before.
     """
 
     LOST_AFTER = 3.0
@@ -55,7 +55,7 @@ class GroundStation:
         state_folder: Path | None = None,
     ) -> None:
         self.lost = False
-        self.heard_at: float | None = None
+        self.received_at: float | None = None
         self._port = port
         self._connects_once = connects_once
         restoration = StreamRestoration(port.gate, rotors, state_folder, str(port.url))
@@ -65,7 +65,7 @@ class GroundStation:
         self._reported: set[str] = set()
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
-        self._heard = 0
+        self._from_vehicle = 0
         self._breaks = 0
         self._floods = 0
 
@@ -102,16 +102,20 @@ class GroundStation:
         if report.floods != self._floods:
             self._floods = report.floods
             self._events.append(f"{url} is flooded by other senders: the vehicle is read first")
-        heard = intake.monitor.heard
-        if heard != self._heard:
-            self._heard = heard
-            if self.lost and self.heard_at is not None:
-                self._events.append(f"link back after {now - self.heard_at:.1f} s")
+        from_vehicle = intake.monitor.from_vehicle
+        if from_vehicle != self._from_vehicle:
+            self._from_vehicle = from_vehicle
+            if self.lost and self.received_at is not None:
+                self._events.append(f"link back after {now - self.received_at:.1f} s")
                 self._streams.reboot()
                 self._parameters.again()
             self.lost = False
-            self.heard_at = now
-        elif not self.lost and self.heard_at is not None and now - self.heard_at > self.LOST_AFTER:
+            self.received_at = now
+        elif (
+            not self.lost
+            and self.received_at is not None
+            and now - self.received_at > self.LOST_AFTER
+        ):
             self._events.append(f"link lost: no data from {vehicle} for {self.LOST_AFTER:.0f} s")
             self.lost = True
 

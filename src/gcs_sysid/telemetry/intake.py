@@ -178,7 +178,7 @@ class Intake:
         """Take a single frame by which the vehicle may change."""
         frame, before = one.frame(0), self.selector.chosen
         if before is None:
-            self.selector.hear(frame)
+            self.selector.notice(frame)
         if before is None and self.selector.is_chosen(frame):
             # A heartbeat makes no record before the first stamp, only itself known.
             self._take_chosen(one, out)
@@ -186,14 +186,14 @@ class Intake:
         else:
             self._count(one)
             if beat:
-                self.selector.hear(frame)
+                self.selector.notice(frame)
             if before is not None and self.selector.go_over(frame):
                 self._switch_vehicle(before)
                 self._take_chosen(one, out, counted=True)
             else:
                 self.fates["others"] += 1
                 if beat:
-                    self._hear(frame)
+                    self._notice(frame)
         self._add_events(one.number, out)
         return 1
 
@@ -273,8 +273,8 @@ class Intake:
     def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:
         """Take a state message, or any heartbeat."""
         if frame.message_id == _HEARTBEAT:
-            self.selector.hear(frame)
-            self._hear(frame)
+            self.selector.notice(frame)
+            self._notice(frame)
         if self.selector.is_chosen(frame):
             record = self.decoder.take_state(frame, now)
             if record is not None:
@@ -349,7 +349,7 @@ class Intake:
             "signing (--signing-key)",
         )
 
-    def _hear(self, heartbeat: Frame) -> None:
+    def _notice(self, heartbeat: Frame) -> None:
         """See whether a heartbeat is of another vehicle, or of a sender that poses as this one."""
         chosen, who = self.selector.chosen, (heartbeat.system, heartbeat.component)
         if chosen is None:

@@ -236,8 +236,8 @@ class UdpLink(Link):
         self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
         self._to: Address | None = None
         self._apart: socket.socket | None = None
-        self._apart_spoke = False
-        self._apart_heard = 0.0
+        self._apart_sent = False
+        self._apart_received = 0.0
         self._unreachable: Address | None = None
         self._strangers = 0
         self._strangers_since = 0.0
@@ -270,10 +270,10 @@ class UdpLink(Link):
                 chunks += self._set_apart()
             return chunks
         if chunks:
-            self._apart_spoke, self._apart_heard = True, self._clock()
-        elif self._clock() - self._apart_heard > self.SILENT_FOR:
+            self._apart_sent, self._apart_received = True, self._clock()
+        elif self._clock() - self._apart_received > self.SILENT_FOR:
             # It is gone, or sends from another address now: accept any sender again.
-            self._unreachable = None if self._apart_spoke else self._to
+            self._unreachable = None if self._apart_sent else self._to
             self._mix_again()
         return chunks + self._drain(self._socket, self.STRANGERS_AT_ONCE)
 
@@ -343,7 +343,7 @@ class UdpLink(Link):
             for each in both:
                 with contextlib.suppress(OSError):  # closed above
                     each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        self._apart, self._apart_spoke, self._apart_heard = apart, False, self._clock()
+        self._apart, self._apart_sent, self._apart_received = apart, False, self._clock()
         self.floods += 1
         # What came before is older than all that comes apart: the vehicle's share of it is kept.
         before = self._drain(self._socket, self.BACKLOG)

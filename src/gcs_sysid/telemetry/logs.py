@@ -194,8 +194,8 @@ class OnboardLog:
         self._given = 0
         self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
-        heard = IntakeEvent(start, "vehicle", f"{own} found")
-        self._notes = ((0, heard),) if fits else ()
+        received = IntakeEvent(start, "vehicle", f"{own} found")
+        self._notes = ((0, received),) if fits else ()
         self._events: list[IntakeEvent] = []
 
     def blocks(self) -> Iterator[RecordBlock]:

@@ -229,7 +229,7 @@ class Preference:
     """Lets messages of a stream through only while none that ranks better comes."""
 
     def __init__(self) -> None:
-        self._heard: dict[int, float] = {}
+        self._received: dict[int, float] = {}
 
     def allows(self, ranked: Sequence[tuple[int, Array, Array]]) -> list[Mask]:
         """Note messages, and return which of them to use.
@@ -241,25 +241,25 @@ class Preference:
         Returns:
             Of each kind (n,) whether to use the message.
         """
-        heard: list[tuple[int, Array, Array]] = []
+        received: list[tuple[int, Array, Array]] = []
         masks = []
         came = {rank for rank, _, _ in ranked}
-        silent = [(k, t) for k, t in self._heard.items() if k not in came]
+        silent = [(k, t) for k, t in self._received.items() if k not in came]
         for rank, order, t in ranked:
             allowed = np.ones(len(t), bool)
             for better, last in silent:
                 if better < rank:
                     allowed &= ~(np.abs(t - last) <= PREFERRED_FOR)
-            for better, better_order, better_t in heard:
+            for better, better_order, better_t in received:
                 if better < rank:
                     last_t = better_t[np.searchsorted(better_order, order)]
                     allowed &= ~(np.abs(t - last_t) <= PREFERRED_FOR)
             masks.append(allowed)
             timed = np.isfinite(t)
-            times = np.concatenate([[self._heard.get(rank, np.nan)], t[timed]])
-            heard.append((rank, order[timed], times))
+            times = np.concatenate([[self._received.get(rank, np.nan)], t[timed]])
+            received.append((rank, order[timed], times))
             if len(times) > 1:
-                self._heard[rank] = float(times[-1])
+                self._received[rank] = float(times[-1])
         return masks
 
 

@@ -112,7 +112,7 @@ class Monitor:
     Attributes:
         counts: message name -> messages of the vehicle.
         received: frames whose checksum is right, of all systems.
-        heard: frames of the chosen vehicle, repeated ones too.
+        from_vehicle: frames of the chosen vehicle, repeated ones too.
         bad_crc: frames whose checksum is wrong.
         unknown: frames of unknown types.
         gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
@@ -136,7 +136,7 @@ class Monitor:
 
     def __init__(self) -> None:
         self.received = 0
-        self.heard = 0
+        self.from_vehicle = 0
         self.bad_crc = 0
         self.unknown = 0
         self.gaps: deque[tuple[float, float]] = deque(maxlen=self.GAPS_KEPT)
@@ -165,7 +165,7 @@ class Monitor:
 
     def restart(self) -> None:
         """From now on another vehicle is the chosen one; totals over all senders continue."""
-        self.heard = 0
+        self.from_vehicle = 0
         self._counts.clear()
         self._sequence = SequenceCount()
 
@@ -190,7 +190,7 @@ class Monitor:
             self._sequence.count_block(sequence)
         if not len(now):
             return
-        self.heard += len(now)
+        self.from_vehicle += len(now)
         every = counts_of(message_id)
         if not self._known.issuperset(every):
             message_id = self._types(message_id)

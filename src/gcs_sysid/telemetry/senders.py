@@ -55,7 +55,7 @@ class Whereabouts:
         self.address: Address | None = None
         self.rival: Rival | None = None
         self.passed_over = 0
-        self._heard_at = 0.0
+        self._received_at = 0.0
         self._other: Address | None = None
         self._elsewhere = 0
         self._turns = 0
@@ -84,10 +84,10 @@ class Whereabouts:
         if not mine:
             return found
         if source == self.address:
-            self._hear(mine, now)
+            self._notice(mine, now)
         elif self._is_new_home(now):
             self.move(source)
-            self._hear(mine, now)
+            self._notice(mine, now)
         else:
             self._other = source
             if self._has_imu:
@@ -112,8 +112,8 @@ class Whereabouts:
         self._states.clear()
         self._has_imu = False
 
-    def _hear(self, mine: list[Frame], now: float) -> None:
-        self._heard_at = now
+    def _notice(self, mine: list[Frame], now: float) -> None:
+        self._received_at = now
         if self._elsewhere:
             self._elsewhere = 0
             self._take_turn()
@@ -134,7 +134,7 @@ class Whereabouts:
         self._elsewhere += 1
         if self.vehicle is None or self.address is None:
             return True
-        silent = not self._has_imu or now - self._heard_at > self.SILENT_FOR
+        silent = not self._has_imu or now - self._received_at > self.SILENT_FOR
         return silent and self._elsewhere >= self.MOVED_AFTER
 
     def _without_state(self, found: list[Frame]) -> list[Frame]:

@@ -105,7 +105,7 @@ class SigningClock:
         self._reserved = 0
         kept = _read_state(state)
         self.time = max(now(), kept)
-        self._heard = max(0, kept - self.RESERVED)
+        self._received = max(0, kept - self.RESERVED)
 
     def next_time(self) -> int:
         """The time for one more frame, later than any before."""
@@ -115,15 +115,15 @@ class SigningClock:
             self._write(self._reserved)
         return self.time
 
-    def heard(self, stamp: int) -> None:
+    def received(self, stamp: int) -> None:
         """Take the time of an accepted frame: never be behind it."""
-        self._heard = max(self._heard, stamp)
+        self._received = max(self._received, stamp)
         self.time = max(self.time, stamp)
 
     @property
     def oldest_start(self) -> int:
         """The earliest time accepted of a sender not received before."""
-        return max(self._now(), self._heard) - self.OLDEST_START
+        return max(self._now(), self._received) - self.OLDEST_START
 
     def close(self) -> None:
         """Write the exact time where one was written ahead."""
@@ -238,6 +238,6 @@ class SignatureCheck:
         if latest is not None and stamp <= latest:
             return Refusal.REPLAYED
         self._latest[stream] = stamp
-        self._clock.heard(stamp)
+        self._clock.received(stamp)
         self.accepted += 1
         return None

@@ -64,7 +64,7 @@ class StreamRestoration:
         self._vehicle: MavlinkSystem | None = None
         self._names: tuple[str, ...] = ()
         self._began: float | None = None
-        self._heard_before = 0
+        self._received_before = 0
         self._rounds = 0
         self._known = False
         self._own: dict[str, int] = {}
@@ -74,7 +74,7 @@ class StreamRestoration:
         self._answered: set[str] = set()
         self._became: dict[str, int] = {}
         self._check_at = 0.0
-        self._heard_at_check = 0
+        self._received_at_check = 0
         self._looking: dict[str, tuple[float, int]] = {}
         self._reported: set[str] = set()
 
@@ -118,11 +118,11 @@ class StreamRestoration:
         if self._began is None:
             self._began = now
             self._rounds = 0
-            self._heard_before = self._heard(intervals)
+            self._received_before = self._received(intervals)
         answers = {
             name: intervals[MESSAGE_IDS[name]][0]
             for name in self._names
-            if intervals.get(MESSAGE_IDS[name], (0, 0))[1] > self._heard_before
+            if intervals.get(MESSAGE_IDS[name], (0, 0))[1] > self._received_before
         }
         missing = [name for name in self._names if name not in answers]
         waited = now - self._began
@@ -135,11 +135,14 @@ class StreamRestoration:
             self._settle(name, answers.get(name), arriving.get(name, 0.0))
         self._answered |= answers.keys()
         self._known = True
-        self._check_at, self._heard_at_check = now + self.CHECKED_EVERY, self._heard(intervals)
+        self._check_at, self._received_at_check = (
+            now + self.CHECKED_EVERY,
+            self._received(intervals),
+        )
         return True
 
     @staticmethod
-    def _heard(intervals: Mapping[int, tuple[int, int]]) -> int:
+    def _received(intervals: Mapping[int, tuple[int, int]]) -> int:
         """How many MESSAGE_INTERVAL have come."""
         return max((count for _, count in intervals.values()), default=0)
 
@@ -157,14 +160,17 @@ class StreamRestoration:
         found = []
         for name in self._names:
             answer, count = intervals.get(MESSAGE_IDS[name], (0, 0))
-            if count <= self._heard_at_check or name not in self._answered:
+            if count <= self._received_at_check or name not in self._answered:
                 continue
             if self._is_others(name, answer):
                 if name in self._asked:
                     found.append(name)
                 self._take_over(name, answer, arriving.get(name, 0.0))
         if now >= self._check_at and self._vehicle is not None:
-            self._check_at, self._heard_at_check = now + self.CHECKED_EVERY, self._heard(intervals)
+            self._check_at, self._received_at_check = (
+                now + self.CHECKED_EVERY,
+                self._received(intervals),
+            )
             for name in self._names:
                 if name in self._answered:
                     self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])

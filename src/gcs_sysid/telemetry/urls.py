@@ -44,7 +44,7 @@ class LinkUrl:
         return self.baud
 
     @property
-    def speaks_first(self) -> bool:
+    def sends_first(self) -> bool:
         """Whether the vehicle is silent until it receives something, so that listening alone is in
         vain.
         """

@@ -83,13 +83,13 @@ class VehicleStates:
         self.parameters: dict[str, float] = {}
         self.intervals: dict[int, tuple[int, int]] = {}
         self.untimed = 0
-        self._intervals_heard = 0
+        self._intervals_received = 0
         self._armed: bool | None = None
-        self._landed_heard = -math.inf
+        self._landed_received = -math.inf
 
     def forget_times(self) -> None:
         """Stamps of another boot do not apply."""
-        self._landed_heard = -math.inf
+        self._landed_received = -math.inf
 
     def read(self, frame: Frame, now: float | None) -> Record | None:
         """Read one of the messages of `STATE_IDS`; the record that it makes, if any.
@@ -110,8 +110,8 @@ class VehicleStates:
     def _read_interval(self, payload: bytes) -> None:
         number, interval = _interval(payload)
         if number in KNOWN_IDS:
-            self._intervals_heard += 1
-            self.intervals[number] = interval, self._intervals_heard
+            self._intervals_received += 1
+            self.intervals[number] = interval, self._intervals_received
 
     def _read_landed(self, payload: bytes, now: float | None) -> Record | None:
         (state,) = _landed(payload)
@@ -120,7 +120,7 @@ class VehicleStates:
         if now is None:
             self.untimed += 1
             return None
-        self._landed_heard = now
+        self._landed_received = now
         # Taking off and landing count as not flying: near the ground the model does not hold.
         in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
         return Record(Stream.IN_AIR, now, (in_air,))
@@ -136,7 +136,7 @@ class VehicleStates:
             armed == self._armed
             and self.autopilot == _ARDUPILOT
             and status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
-            and not abs(now - self._landed_heard) <= LANDED_STATE_FOR
+            and not abs(now - self._landed_received) <= LANDED_STATE_FOR
         ):
             return Record(Stream.IN_AIR, now, (float(status == mavlink.MAV_STATE_ACTIVE),))
         self._armed = armed

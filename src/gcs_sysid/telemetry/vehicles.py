@@ -156,18 +156,18 @@ class VehicleSelector:
         good = frames.validity == OK
         self.note_senders(frames.system[good], frames.component[good])
         for row in np.flatnonzero(good & (frames.message_id == _HEARTBEAT)).tolist():
-            self.hear(frames.frame(row))
+            self.notice(frames.frame(row))
 
     def is_chosen(self, frame: Frame) -> bool:
         """Whether a frame is the chosen vehicle's."""
         chosen = self.chosen
         return chosen is not None and (frame.system, frame.component) == chosen.address
 
-    def hear(self, heartbeat: Frame) -> None:
+    def notice(self, heartbeat: Frame) -> None:
         """Note a heartbeat's data on its sender."""
         vehicle_type, autopilot = _heartbeat(heartbeat.payload)
         who = (heartbeat.system, heartbeat.component)
-        self._hear(MavlinkSystem(*who, vehicle_type, autopilot, heartbeat.version))
+        self._notice(MavlinkSystem(*who, vehicle_type, autopilot, heartbeat.version))
 
     def go_over(self, frame: Frame) -> bool:
         """Choose the sender of a frame instead of a vehicle without data.
@@ -196,7 +196,7 @@ class VehicleSelector:
         """All vehicles found that one could choose, in the order found."""
         return [vehicle for vehicle in self.systems.values() if vehicle.is_autopilot]
 
-    def _hear(self, vehicle: MavlinkSystem) -> None:
+    def _notice(self, vehicle: MavlinkSystem) -> None:
         if vehicle.address in self.systems:
             self.systems[vehicle.address] = vehicle
         if self.chosen is None and self._fits(vehicle):

@@ -37,7 +37,7 @@ _AT_ONCE = 256
 """Rows whitened at a time."""
 _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
-_LEARNT = 60.0
+_LEARNED = 60.0
 """s of flight, after which it is known what whiteners and delays are needed."""
 _DELAYS = 4
 """Delays kept then: the one found lies between them."""
@@ -117,8 +117,8 @@ class WhitenedRecord:
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
-                    learnt = self.rows * self.time >= _LEARNT and self._offline is None
-                    if self._narrows and self._columns is None and learnt:
+                    learned = self.rows * self.time >= _LEARNED and self._offline is None
+                    if self._narrows and self._columns is None and learned:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
