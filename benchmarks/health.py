@@ -31,7 +31,7 @@ from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams, streams_of
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
@@ -243,7 +243,9 @@ def _scores(
             fly(log, drawn, mission, number, traits, seconds)
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
-        told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
+        told = (
+            health_of_log(log, HealthOptions(airframe)) if speeds else _by_commands(log, airframe)
+        )
         if not told.available:
             print(f"vehicle {number}: {told.reasons}")
             continue
@@ -268,7 +270,7 @@ def _scores(
 def _by_commands(log: Path, airframe: Airframe) -> Health:
     """Health of a log as if it had no speeds at all."""
     streams = streams_in(log, airframe, speeds=False)
-    return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe), {})
+    return health_of(streams, GuessedAirframe(airframe, "given"), HealthOptions(airframe), {})
 
 
 def flown_alone(told: Estimate) -> Estimate:

@@ -30,7 +30,7 @@ from gcs_sysid.health.command_curve import curve_of, thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
 from sim_bridge.missions import HoverMission, Mission
@@ -174,7 +174,7 @@ def recorded(folders: Sequence[Path]) -> Iterator[str]:
             for airframe in (None, *sorted(file.parent.glob(f"{file.stem}.toml"))):
                 try:
                     given = None if airframe is None else load_airframe(str(airframe))
-                    health = health_of_log(file, Given(given))
+                    health = health_of_log(file, HealthOptions(given))
                 except InputError:
                     continue
                 if health.available:

@@ -24,7 +24,7 @@ from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
+from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
@@ -62,7 +62,7 @@ def thinned_logs(folder: Path) -> Iterator[str]:
             streams = streams_in(folder / name, airframe, speeds=speeds, thin=True)
             given = airframe.with_anchor("mass", mass)
             guess = GuessedAirframe(given, "known")
-            told = health_of(streams, guess, Given(given), {})
+            told = health_of(streams, guess, HealthOptions(given), {})
             assert told.cg is not None
             assert told.scale is not None
             off = [1e3 * (q.value or 0.0) - v for q, v in zip(told.cg, cg, strict=True)]
@@ -87,7 +87,7 @@ def repeated(folder: Path) -> Iterator[str]:
     t = hover_of(log, airframe, speeds=True).t
     ends = [t[0], *(t[len(t) * i // 3] for i in (1, 2)), t[-1] + 1.0]
     spans = [(0.0, np.inf), *((a, b - 1e-3) for a, b in pairwise(ends))]
-    told = [health_of_log(log, Given(airframe), span=span) for span in spans]
+    told = [health_of_log(log, HealthOptions(airframe), span=span) for span in spans]
     labels = ("all", "first", "second", "third")
     one_wind = [series.values for series in series_of(told[1:])[:2]]
     for i, (label, health) in enumerate(zip(labels, told, strict=True)):
@@ -113,7 +113,7 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
         name = file.relative_to(folder)
         count += 1
         try:
-            health = health_of_log(log, Given())
+            health = health_of_log(log, HealthOptions())
         except InputError as error:
             yield f"| {name} | | | | | | {error} |"
             continue
@@ -154,7 +154,7 @@ def formats(folder: Path) -> Iterator[str]:
         both = log, log.with_suffix(".tlog")
         if not both[1].exists():
             continue
-        one, other = (health_of_log(path, Given(airframe)) for path in both)
+        one, other = (health_of_log(path, HealthOptions(airframe)) for path in both)
         a, b = (analyze_log(path, airframe) for path in both)
         flights.append(one)
         if not (one.available and other.available and one.cg and other.cg):
@@ -181,7 +181,7 @@ def formats(folder: Path) -> Iterator[str]:
         )
     called = []
     for before, after in pairwise([flight for flight in flights if flight.available]):
-        given = Given(airframe, baseline=as_baseline(before))
+        given = HealthOptions(airframe, baseline=as_baseline(before))
         condition = health_of_log(Path(after.source), given).condition
         if condition is not None:
             called.append(condition.verdict)

@@ -29,7 +29,9 @@ def grid_of(
     base: TimeBase, records: Sequence[Record], at_once: int = 1, *, finish: bool = True
 ) -> Iterator[Block]:
     """The blocks that records make, one after the other."""
-    taken = joined.from_iterable(base.take(piece.tracks) for piece in pieces(records, at_once))
+    taken = joined.from_iterable(
+        base.feed_tracks(piece.tracks) for piece in pieces(records, at_once)
+    )
     yield from taken
     if finish:
         yield from base.finish()

@@ -7,9 +7,9 @@ from gcs_sysid.estimation.changes.change_hypotheses import judge
 from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
 from gcs_sysid.estimation.changes.change_window import (
     TUNING,
+    AlarmWindow,
     Frames,
-    History,
-    Window,
+    ResidualHistory,
     covariance,
     strengths,
 )
@@ -71,7 +71,7 @@ def quiet(force=0.01, moment=0.02, seconds=40.0, level=0.0, seed=2):
     rng = np.random.default_rng(seed)
     size = np.array([force, moment, moment, moment])
     left = size * rng.standard_normal((round(seconds / STEP), 4))
-    return History(np.array([level, 0.0, 0.0, 0.0]), left, STEP)
+    return ResidualHistory(np.array([level, 0.0, 0.0, 0.0]), left, STEP)
 
 
 def looked(samples, look=0, known=None, history=None, onset=AT, **others):
@@ -298,8 +298,8 @@ def test_the_noise_of_a_history_is_found_again():
     left = np.zeros((n, 4))
     left[:, 0] = wander + 0.1 * rng.standard_normal(n)
     samples = fly()
-    window = Window(TIME, samples, DT, reference(), AT, TUNING)
-    strength = strengths(window, History(np.zeros(4), left, h), 0)
+    window = AlarmWindow(TIME, samples, DT, reference(), AT, TUNING)
+    strength = strengths(window, ResidualHistory(np.zeros(4), left, h), 0)
     found = covariance(window, 0, strength, 0.0)
     known = size**2 * np.exp(-np.abs(window.index[:, None] - window.index) * window.step / tau)
     for seconds in (0.5, 1.0, 2.0):

@@ -232,10 +232,10 @@ def test_a_trial_keeps_what_it_is_told_until_there_is_enough():
     assert trial.room == ENOUGH / 0.5 == 20
     trial.restart()  # before any sample there is nothing to break off
     t = 100.0 + 0.5 * np.arange(16)
-    trial.take(t[:6], samples_of(6))
+    trial.add_samples(t[:6], samples_of(6))
     trial.restart()
     trial.restart()
-    trial.take(t[6:], samples_of(10))
+    trial.add_samples(t[6:], samples_of(10))
     assert trial.room == 4
     assert trial.end == 107.5
     assert [None if part is None else len(part[0]) for part in trial.parts] == [6, None, 10]
@@ -253,9 +253,9 @@ def test_only_a_battery_that_is_followed_may_have_changed_thrust(drift, doubt):
 def test_a_trial_without_its_landing():
     learner = Learner()
     trial = Trial(learner, 90.0, 100.0)
-    trial.take(100.0 + 0.5 * np.arange(6), samples_of(6))
+    trial.add_samples(100.0 + 0.5 * np.arange(6), samples_of(6))
     trial.restart()
-    trial.take(103.0 + 0.5 * np.arange(4), samples_of(4))
+    trial.add_samples(103.0 + 0.5 * np.arange(4), samples_of(4))
     trial.drop_last(1.0)
     # The last was at 104.5: what is later than 103.5 is gone, times and samples alike.
     (first, between, last) = trial.parts

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.changes.sequential_tests import Baseline, Cusum, Level
+from gcs_sysid.estimation.changes.sequential_tests import Cusum, Level, RecentMean
 
 
 def column(*values):
@@ -149,11 +149,11 @@ def test_a_baseline_is_the_mean_until_just_before():
     for value in np.clip(values[:, 0], -10.0, 10.0):
         expected.append(mean)
         mean = keep * mean + (1.0 - keep) * value
-    whole = Baseline(1, 5.0)
+    whole = RecentMean(1, 5.0)
     np.testing.assert_allclose(whole.update(values, LOW, HIGH)[:, 0], expected)
     assert whole.last[0] == pytest.approx(mean)
     # Grouped otherwise, and with what is missing passed over.
-    parts = Baseline(1, 5.0)
+    parts = RecentMean(1, 5.0)
     holed = np.insert(values, 2, np.nan, axis=0)
     found = [parts.update(part, LOW, HIGH) for part in (holed[:1], holed[1:4], holed[4:])]
     found = np.concatenate(found)[:, 0]
@@ -166,7 +166,7 @@ def test_a_baseline_is_the_mean_until_just_before():
 
 
 def test_a_channel_of_a_baseline_that_is_silent_stays_unknown():
-    baseline = Baseline(2, 5.0)
+    baseline = RecentMean(2, 5.0)
     values = np.column_stack([np.ones(3), np.full(3, np.nan)])
     found = baseline.update(values, np.full(2, -10.0), np.full(2, 10.0))
     np.testing.assert_allclose(found[:, 0], 1.0)
@@ -176,7 +176,7 @@ def test_a_channel_of_a_baseline_that_is_silent_stays_unknown():
 
 def test_a_baseline_looks_ahead_without_taking_what_it_sees():
     values = np.random.default_rng(2).normal(size=(6, 2))
-    seen, taken = Baseline(2, 5.0), Baseline(2, 5.0)
+    seen, taken = RecentMean(2, 5.0), RecentMean(2, 5.0)
     for baseline in (seen, taken):
         baseline.update(np.array([[3.0, -1.0], [2.0, 0.5]]), np.full(2, -10.0), np.full(2, 10.0))
     last = seen.last.copy()
@@ -190,7 +190,7 @@ def test_a_baseline_looks_ahead_without_taking_what_it_sees():
 
 def test_lengths_of_blocks_do_not_matter_to_a_baseline():
     values = np.random.default_rng(7).normal(size=(21, 1))
-    whole, parts = Baseline(1, 5.0), Baseline(1, 5.0)
+    whole, parts = RecentMean(1, 5.0), RecentMean(1, 5.0)
     expected = whole.update(values, LOW, HIGH)
     edges = np.cumsum([0, 1, 5, 4, 4, 5, 2])
     found = [parts.update(values[a:b], LOW, HIGH) for a, b in pairwise(edges)]

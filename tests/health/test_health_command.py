@@ -13,7 +13,7 @@ from gcs_sysid.health import assessment
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import read_baseline
 from gcs_sysid.health.health_trend import trend_text
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
 from tests.health.conftest import HOVER
@@ -106,7 +106,7 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
     assert "rotors do 3.0 times more for the same thrust" in capsys.readouterr().err
     # One that nobody named is left out, and so is the flight from the trend.
     own = replace(read_baseline(written), asked=False)
-    health = health_of_log(flight.tlog, Given(load_airframe("paper"), baseline=own))
+    health = health_of_log(flight.tlog, HealthOptions(load_airframe("paper"), baseline=own))
     assert health.available
     assert health.condition is None
     assert "another vehicle's" in health.apart
@@ -141,7 +141,7 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert (found.verdict, found.obtainable) == ("no", "health")
     assert found.hover > 20.0
     # Without an airframe PX4's own parameters or the vehicle's type tell it.
-    assert health_of_log(slow.tlog, Given(arm=0.25)).available
+    assert health_of_log(slow.tlog, HealthOptions(arm=0.25)).available
 
 
 @pytest.mark.slow
@@ -179,7 +179,7 @@ def test_swapped_rotors_are_refused(flight):
     airframe = load_airframe("paper")
     first, second, *rest = airframe.rotors
     swapped = replace(airframe, rotors=(second, rest[0], first, *rest[1:]))
-    health = health_of_log(flight.tlog, Given(swapped))
+    health = health_of_log(flight.tlog, HealthOptions(swapped))
     assert not health.available
     assert "motor order" in health.reasons[0]
 
@@ -187,8 +187,8 @@ def test_swapped_rotors_are_refused(flight):
 @pytest.mark.slow
 def test_a_span_of_the_log_is_kept_to(flight):
     airframe = load_airframe("paper")
-    whole = health_of_log(flight.tlog, Given(airframe))
-    part = health_of_log(flight.tlog, Given(airframe), span=(10.0, 25.0))
+    whole = health_of_log(flight.tlog, HealthOptions(airframe))
+    part = health_of_log(flight.tlog, HealthOptions(airframe), span=(10.0, 25.0))
     assert part.seconds < 16.0 < whole.seconds
 
 
@@ -196,7 +196,7 @@ def test_a_span_of_the_log_is_kept_to(flight):
 def test_of_a_log_of_many_hours_the_beginning_is_judged_and_said(flight, monkeypatch):
     airframe = load_airframe("paper")
     monkeypatch.setattr(assessment, "TUNING", replace(assessment.TUNING, most_samples=500))
-    part = health_of_log(flight.tlog, Given(airframe))
+    part = health_of_log(flight.tlog, HealthOptions(airframe))
     assert 10.0 < part.seconds < 20.0  # 500 samples at 25 Hz
     assert part.assumptions[-1] == "hover of the log's first 500 IMU samples"
 
@@ -232,7 +232,7 @@ def test_wrong_usage_is_one_line(tmp_path, monkeypatch, capsys, options, word):
 @pytest.mark.slow
 def test_the_real_quad_with_slow_logging(shared_logs):
     log = shared_logs / "real" / "quiver_00000087.bin"
-    health = health_of_log(log, Given(arm=0.75, mass=18.0))
+    health = health_of_log(log, HealthOptions(arm=0.75, mass=18.0))
     assert [r.thrust_share.value for r in health.rotors] == pytest.approx(
         [0.219, 0.232, 0.255, 0.294], abs=0.005
     )
@@ -245,7 +245,7 @@ def test_the_real_quad_with_slow_logging(shared_logs):
 def test_every_flight_of_the_real_quads_has_an_answer(shared_logs):
     airframe = load_airframe(str(shared_logs / "real" / "cinerat.toml"))
     places = [
-        health_of_log(shared_logs / "real" / f"LOG00{n}.BFL", Given(airframe)).cg
+        health_of_log(shared_logs / "real" / f"LOG00{n}.BFL", HealthOptions(airframe)).cg
         for n in (259, 264, 267, 269, 277, 281)
     ]
     for axis in (0, 1):

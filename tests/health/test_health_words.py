@@ -11,7 +11,7 @@ from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
@@ -30,22 +30,24 @@ def advice(given):
 
 
 def test_advice_on_the_cg_is_written_like_every_other_number():
-    assert any(text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advice(Given()))
+    assert any(
+        text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advice(HealthOptions())
+    )
 
 
 def test_battery_travel_is_computed_with_both_masses():
-    given = Given(battery_mass=HEALTH.known_mass / 2.0)
+    given = HealthOptions(battery_mass=HEALTH.known_mass / 2.0)
     assert "move the battery 200 ± 13 mm forward" in advice(given)
 
 
 @pytest.mark.parametrize(("share", "more"), [(-0.098, "clockwise"), (0.15, "counter-clockwise")])
 def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
     health = replace(HEALTH, yaw_imbalance=Estimate(share, 0.002, "1"))
-    told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+    told = advice_of(health, HealthOptions(), GuessedAirframe(HEALTH.airframe, "", 0.0))
     assert any(f"the {more} rotors carry {100.0 * abs(share):.0f} %" in text for text in told)
     for small, std in ((0.035, 0.002), (0.1, 0.03)):
         health = replace(HEALTH, yaw_imbalance=Estimate(small, std, "1"))
-        told = advice_of(health, Given(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+        told = advice_of(health, HealthOptions(), GuessedAirframe(HEALTH.airframe, "", 0.0))
         assert not any("hold the heading" in text for text in told)
 
 

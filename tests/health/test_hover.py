@@ -11,7 +11,7 @@ from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.hover import Averager, _rotor_means, windows_of
 from gcs_sysid.health.log_streams import RotorStream, streams_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Record, Stream
@@ -126,7 +126,9 @@ def airframe():
 
 def told(blocks, airframe, **given):
     streams = streams_of(blocks, airframe, "px4", {})
-    return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe, **given), {})
+    return health_of(
+        streams, GuessedAirframe(airframe, "given"), HealthOptions(airframe, **given), {}
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.airframe_guess import guess_airframe, layout_by_motion
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.judgement.judge import object_to
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe, Rotor
@@ -137,9 +137,9 @@ def health(rotors, **how):
     keeper = HoverRecords()
     keeper.begin(Told())
     for block in flight(BETAFLIGHT, **how):
-        keeper.take(block)
+        keeper.add_records(block)
     airframe = Airframe("mine", rotors).with_arm(0.2).with_anchor("mass", 1.0)
-    return keeper.health("a.tlog", Given(airframe))
+    return keeper.health("a.tlog", HealthOptions(airframe))
 
 
 OTHER_ORDERS = set(usual_layouts(4)) - {"quad bf-x", "quad bf-x-reversed"}

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.health_logs import rectangle
 from benchmarks.recorded import airframe_of
 from gcs_sysid.health.assessment import health_of_log
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log, judged
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
@@ -65,15 +65,15 @@ def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
     elif promised == "in part" and rotors is not None and rotors.kind == "command":
         assert told.verdict != "identified"
         assert told.parameters["T_max"].status == "weak"
-        assert health_of_log(log, Given(airframe)).available
+        assert health_of_log(log, HealthOptions(airframe)).available
     elif promised == "in part":
         assert told.verdict == "partial"
         assert scale & known
-        assert health_of_log(log, Given(airframe)).available
+        assert health_of_log(log, HealthOptions(airframe)).available
     else:
         assert told.verdict == "refused"
         assert promised == "health"
-        assert health_of_log(log, Given(airframe)).available
+        assert health_of_log(log, HealthOptions(airframe)).available
 
 
 @pytest.mark.slow

@@ -225,7 +225,7 @@ def test_changes_are_kept_up_to_a_number():
     tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.EstimatorTuning())
     for n in range(3 * tracking.TRACKING.most_passing):
         ended = n if n % 50 == 0 else None
-        tracker._add(tracking.Event(float(n), float(n), None, None, ended))
+        tracker._add(tracking.TrackingEvent(float(n), float(n), None, None, ended))
     passing = [event.onset for event in tracker.events if event.segment is None]
     assert len(passing) == tracking.TRACKING.most_passing
     assert passing[-1] == 3 * tracking.TRACKING.most_passing - 1

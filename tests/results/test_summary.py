@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.changes.tracking import Event
+from gcs_sysid.estimation.changes.tracking import TrackingEvent
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
@@ -64,9 +64,9 @@ def test_what_no_flight_determines_has_not_changed():
         "mass": Estimate(1.25, 0.01, status="identified"),
         "Iyy": Estimate(0.042, 1e-3, status="unobservable"),
     }
-    event = event_of(Event(43.0, 43.2, None, None, 0, decided=44.0), before, after)
+    event = event_of(TrackingEvent(43.0, 43.2, None, None, 0, decided=44.0), before, after)
     assert event["kind"] == "mass_change"
     assert set(event["parameters"]) == {"mass"}
     after["Iyy"] = replace(after["Iyy"], status="identified")
-    event = event_of(Event(43.0, 43.2, None, None, 0, decided=44.0), before, after)
+    event = event_of(TrackingEvent(43.0, 43.2, None, None, 0, decided=44.0), before, after)
     assert (event["kind"], set(event["parameters"])) == ("payload", {"mass", "Iyy"})

@@ -300,7 +300,7 @@ def of_log(path, airframe):
     blocks = []
     for block in open_log(path, None).blocks():
         for part in block.windows():
-            blocks += sampler.take(part.tracks)
+            blocks += sampler.feed_tracks(part.tracks)
     blocks += sampler.finish()
     t = np.concatenate([block.t for block in blocks])
     return t, np.concatenate([block.flying for block in blocks])

@@ -16,7 +16,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log, analyze_pair
@@ -25,7 +25,7 @@ from gcs_sysid.telemetry.logs import Log
 
 _LONG_LOG = 40_000_000
 """Bytes: 9 minutes at 250 Hz, whose hover takes longer to assess than a process to start."""
-_HoverTask = tuple[Path, Given, tuple[int, int | None] | None, tuple[float, float]]
+_HoverTask = tuple[Path, HealthOptions, tuple[int, int | None] | None, tuple[float, float]]
 
 
 def run(options: argparse.Namespace) -> int:
@@ -164,7 +164,7 @@ class _HoverBeside(_Hover):
 
 def _hover_of(log: str, options: argparse.Namespace, airframe: Airframe) -> _Hover:
     """Beside the analysis where the log is long and a processor free."""
-    task = Path(log), Given(airframe), options.vehicle, (options.start, options.end)
+    task = Path(log), HealthOptions(airframe), options.vehicle, (options.start, options.end)
     try:
         if _processors() > 1 and Path(log).stat().st_size >= _LONG_LOG:
             return _HoverBeside(log, task)

@@ -17,7 +17,7 @@ from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, sug
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
+from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.health_view import cg_facts, health_fact
 from gcs_sysid.results.number_format import PLAIN, significant
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     return 0 if all(health.available for health in found) else 1
 
 
-def _given(options: argparse.Namespace) -> Given:
+def _given(options: argparse.Namespace) -> HealthOptions:
     airframe = None
     if options.airframe is not None:
         airframe = airframe_choice.layout_of(options)
@@ -76,7 +76,7 @@ def _given(options: argparse.Namespace) -> Given:
         raise InputError(
             f"--battery-mass {battery:g} must be less than --mass {mass:g}, which includes it"
         )
-    return Given(
+    return HealthOptions(
         airframe, options.arm, options.mass, options.battery_mass, baseline, options.unchanged
     )
 

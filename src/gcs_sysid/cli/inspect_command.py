@@ -16,7 +16,7 @@ from gcs_sysid.inspection.facts import (
     GROUPS,
     Inspection,
     Obtainable,
-    RotorSource,
+    RotorMessage,
     StreamFacts,
     group_of,
     role,
@@ -312,7 +312,7 @@ def _rotors(found: Inspection, width: int) -> list[str]:
     return lines
 
 
-def _rotor_rows(source: RotorSource) -> Iterable[str]:
+def _rotor_rows(source: RotorMessage) -> Iterable[str]:
     scale = 1.0 if source.kind.motors else 1.0 / RPM
     digits = 3 if scale == 1.0 and max(rotor.high for rotor in source.rotors) < 10.0 else 0
     for motor, rotor in enumerate(source.rotors, 1):

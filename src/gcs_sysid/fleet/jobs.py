@@ -12,7 +12,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_mapping, split_session
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
@@ -105,7 +105,7 @@ def analyze(task: Task) -> Document:
         records = HoverRecords()
         result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
         made = result.as_json()
-        found = records.health(str(job.log), Given(job.airframe))
+        found = records.health(str(job.log), HealthOptions(job.airframe))
         health = beside_analysis(found, result)
         if health.reported:
             made["health"] = document_of(health)

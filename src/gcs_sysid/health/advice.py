@@ -4,14 +4,14 @@ import math
 
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN
 
 _AXES = (("forward", "aft"), ("right", "left"))
 
 
-def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str, ...]:
+def advice_of(health: Health, given: HealthOptions, guess: GuessedAirframe) -> tuple[str, ...]:
     """All that is worth doing, the most important first."""
     out: list[str] = []
     conditions = [health.condition, None if health.weakened is None else health.weakened.condition]
@@ -42,7 +42,7 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
     return tuple(out)
 
 
-def _cg(health: Health, given: Given) -> list[str]:
+def _cg(health: Health, given: HealthOptions) -> list[str]:
     if health.cg is None or health.airframe is None:
         return []
     moves = []

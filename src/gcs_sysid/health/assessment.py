@@ -24,7 +24,7 @@ from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
-from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
+from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
@@ -47,7 +47,7 @@ _WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, a
 
 def health_of_log(
     path: Path,
-    given: Given,
+    given: HealthOptions,
     wanted: tuple[int, int | None] | None = None,
     span: tuple[float, float] = (0.0, math.inf),
 ) -> Health:
@@ -66,7 +66,7 @@ def health_of_log(
     log = open_log(path, wanted)
     keeper.begin(log)
     for block in log.blocks():
-        keeper.take(block)
+        keeper.add_records(block)
     return keeper.health(str(path), given, span)
 
 
@@ -91,7 +91,7 @@ class HoverRecords:
         """Whether it keeps nothing of what follows."""
         return self._room < 0
 
-    def take(self, block: RecordBlock) -> None:
+    def add_records(self, block: RecordBlock) -> None:
         """The next block of records."""
         if self.full:
             return
@@ -105,7 +105,7 @@ class HoverRecords:
         self._blocks.append(RecordBlock(tracks, events=block.events))
 
     def health(
-        self, source: str, given: Given, span: tuple[float, float] = (0.0, math.inf)
+        self, source: str, given: HealthOptions, span: tuple[float, float] = (0.0, math.inf)
     ) -> Health:
         """What the hover in the log read shows; the records are given up.
 
@@ -152,7 +152,7 @@ class HoverRecords:
 def health_of(
     streams: Streams,
     guess: GuessedAirframe,
-    given: Given,
+    given: HealthOptions,
     parameters: Mapping[str, float],
     span: tuple[float, float] = (0.0, math.inf),
 ) -> Health:
@@ -389,7 +389,7 @@ def _scale(
 
 
 def _compared(
-    health: Health, given: Given, hover: Windows, thrust: Array, c: float | None
+    health: Health, given: HealthOptions, hover: Windows, thrust: Array, c: float | None
 ) -> Health:
     """With the rotors against a baseline, where there is one that fits."""
     base = given.baseline

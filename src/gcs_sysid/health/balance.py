@@ -29,7 +29,7 @@ _ROUNDS = 12
 
 
 @dataclass(frozen=True)
-class Fit:
+class BalanceFit:
     """A linear fit with standard deviations valid for correlated residuals.
 
     Attributes:
@@ -49,7 +49,7 @@ def robust_fit(
     ridge: Array | None = None,
     jitter: Array | None = None,
     projected: Array | None = None,
-) -> Fit:
+) -> BalanceFit:
     """Least squares with Huber's weights and Newey-West's covariance.
 
     The windows overlap by half, and gusts last for seconds: the score's autocovariance counts over
@@ -85,7 +85,7 @@ def robust_fit(
     stretch = float(stdtrit(free, 0.975)) / Z95
     # A prior's part of the knowledge is its own variance.
     covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread
-    return Fit(value, covariance * stretch**2, scale)
+    return BalanceFit(value, covariance * stretch**2, scale)
 
 
 def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:

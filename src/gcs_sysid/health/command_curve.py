@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
-from gcs_sysid.health.balance import Fit, robust_fit
+from gcs_sysid.health.balance import BalanceFit, robust_fit
 from gcs_sysid.health.hover import Windows, variations_of_lift
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.estimate import Estimate
@@ -63,7 +63,7 @@ def curve_of(
     return Curve(Estimate(clipped, whole, "1"), by if gain > 0.5 else origin)
 
 
-def _ratio(fit: Fit) -> tuple[float, float]:
+def _ratio(fit: BalanceFit) -> tuple[float, float]:
     """The curve c = b / (a + b) of coefficients a, b of u and u^2, and its standard deviation."""
     a, b = fit.value[:2]
     total = a + b
@@ -164,7 +164,7 @@ def _gentle(windows: Windows) -> Mask:
     return gentle
 
 
-def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
+def _with_gusts(fit: BalanceFit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
     """The curve of a fit, its deviation widened by the bias that gusts make.
 
     White noise of the accelerometer makes none: its correlation through overlapping windows is

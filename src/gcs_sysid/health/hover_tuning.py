@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Tuning:
+class HoverTuning:
     """Of the averages over hover and of what is concluded from them.
 
     Attributes:
@@ -207,4 +207,4 @@ class Tuning:
     position_std: float = 0.005
 
 
-TUNING = Tuning()
+TUNING = HoverTuning()

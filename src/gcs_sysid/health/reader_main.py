@@ -50,10 +50,10 @@ def _health(log: Log, sender: ObjectSender, hover: bytes) -> object:
     keeper = HoverRecords()
     keeper.begin(log)
     if first is not None:
-        keeper.take(first)
+        keeper.add_records(first)
         del first
     for block in blocks:
-        keeper.take(block)
+        keeper.add_records(block)
         if keeper.full:
             sender.wait(MOST_WAITING)
     return keeper.health(*pickle.loads(hover))

@@ -8,7 +8,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, cast
 
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.processes import apart, one_thread_environment
 from gcs_sysid.telemetry.log_relay import RelayedLog
 from gcs_sysid.telemetry.object_pipe import read_object
@@ -38,7 +38,7 @@ class ReaderProcess:
         self,
         path: Path,
         wanted: tuple[int, int | None] | None,
-        given: Given,
+        given: HealthOptions,
         span: tuple[float, float],
     ) -> None:
         self._process = subprocess.Popen(

@@ -13,7 +13,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 
 
 @dataclass(frozen=True)
-class Given:
+class HealthOptions:
     """What the user knows.
 
     Attributes:

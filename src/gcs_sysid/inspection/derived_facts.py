@@ -6,14 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.inspection.facts import ChosenSource, RotorSource
+from gcs_sysid.inspection.facts import ChosenSource, RotorMessage
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import WINDOW
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import RotorSource as BelievedSource
+from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
@@ -119,16 +119,16 @@ class RotorJudge:
         self._rotor_selector = RotorSourceSelector(airframe, ScaleReference(*own) if own else None)
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
-        self._believed: BelievedSource | None = None
+        self._believed: RotorSource | None = None
 
     def take(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
         for part in block.windows(WINDOW):
             for _, record_of in part.parameters:
                 self._rotor_selector.learn(record_of.source, record_of.values[0])
-            self._note(self._sampler.take(part.tracks))
+            self._note(self._sampler.feed_tracks(part.tracks))
 
-    def finish(self, sources: Sequence[RotorSource]) -> ChosenSource:
+    def finish(self, sources: Sequence[RotorMessage]) -> ChosenSource:
         """The source that identification uses at the end."""
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector

@@ -52,7 +52,7 @@ class RotorFacts:
 
 
 @dataclass(frozen=True)
-class RotorSource:
+class RotorMessage:
     """All rotors in one message."""
 
     message: str
@@ -77,7 +77,7 @@ class RotorSource:
 class ChosenSource:
     """The source that identification uses, as the chain's own selector decides."""
 
-    chosen: RotorSource | None
+    chosen: RotorMessage | None
     reasons: tuple[str, ...] = ()
     """Why not the others, and why this one where that is not plain."""
     judged: bool = False
@@ -131,7 +131,7 @@ class Inspection:
     flight_told_by: Literal["autopilot", "rotors", "arming", ""]
     """What says that it flies; "" when nothing does."""
     streams: tuple[StreamFacts, ...]
-    rotor_sources: tuple[RotorSource, ...]
+    rotor_sources: tuple[RotorMessage, ...]
     motion: Mapping[str, AxisMotion]
     """Axis -> motion; empty without flight."""
     clock: ClockFacts
@@ -236,7 +236,7 @@ def role(system: MavlinkSystem) -> str:
     return "gcs" if "ground station" in str(system) else "other"
 
 
-def unit(source: RotorSource) -> str:
+def unit(source: RotorMessage) -> str:
     """Unit of its rotors' values."""
     return "autopilot's output" if source.kind.motors else source.kind.unit
 

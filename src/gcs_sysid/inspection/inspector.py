@@ -10,7 +10,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import HoverRecords
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.derived_facts import (
     USUAL,
     FlightWatch,
@@ -25,7 +25,7 @@ from gcs_sysid.inspection.facts import (
     ClockFacts,
     Inspection,
     RotorFacts,
-    RotorSource,
+    RotorMessage,
     StreamFacts,
     that_matter,
 )
@@ -238,7 +238,7 @@ class Inspector:
         )
         return judged(inspection)
 
-    def _sources(self, rotors: int | None) -> tuple[RotorSource, ...]:
+    def _sources(self, rotors: int | None) -> tuple[RotorMessage, ...]:
         """The rotor streams, those of one message joined; of `rotors` where that is known."""
         joined: dict[tuple[Stream, str], dict[int, StreamWatch]] = {}
         for (stream, source, offset), watch in self._streams.items():
@@ -252,7 +252,7 @@ class Inspector:
                     facts |= {offset + i: rotor for i, rotor in enumerate(ranges.rotors())}
             rates = [watch.tally.rate for watch in watches.values() if watch.tally.rate]
             found.append(
-                RotorSource(
+                RotorMessage(
                     message=name,
                     kind=ROTOR_STREAMS[stream],
                     rate=min(rates, default=None),
@@ -321,12 +321,12 @@ def inspect_log(
     keeper.begin(log)
     for block in log.blocks():
         inspector.take(block)
-        keeper.take(block)
+        keeper.add_records(block)
         if progress:
             progress(log.share_read)
     found = inspector.finish(str(path), log.kind)
     try:
-        health = keeper.health(str(path), Given(airframe))
+        health = keeper.health(str(path), HealthOptions(airframe))
     except InputError:  # the rotors' positions are unknown
         pass
     else:

@@ -9,7 +9,7 @@ from gcs_sysid.inspection.facts import (
     Finding,
     Inspection,
     Obtainable,
-    RotorSource,
+    RotorMessage,
 )
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.signals.records import Stream
@@ -155,7 +155,7 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         yield Finding("limits", text, _faster(found))
 
 
-def _is_quick(source: RotorSource) -> bool:
+def _is_quick(source: RotorMessage) -> bool:
     return source.rate is not None and source.rate >= MIN_RATE
 
 

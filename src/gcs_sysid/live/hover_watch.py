@@ -8,7 +8,7 @@ import numpy as np
 
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
@@ -83,8 +83,8 @@ class HoverWatch:
         self._join()
         records = HoverRecords()
         records.begin(self._telemetry)
-        records.take(RecordBlock(tuple(self._kept)))
-        health = records.health(self._source, Given(airframe))
+        records.add_records(RecordBlock(tuple(self._kept)))
+        health = records.health(self._source, HealthOptions(airframe))
         if result is not None:
             latest = result()
             health = beside_analysis(health, latest)

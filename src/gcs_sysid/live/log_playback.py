@@ -8,7 +8,7 @@ from typing import Any
 
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
@@ -210,7 +210,7 @@ def survey(
     """
     seen, hover = _Survey(), HoverRecords()
     result = analyze_log(path, airframe, wanted, progress=progress, observer=seen, keeper=hover)
-    found = hover.health(str(path), Given(airframe))
+    found = hover.health(str(path), HealthOptions(airframe))
     health = document_of(beside_analysis(found, result))
     return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_kinds import describe
-from gcs_sysid.estimation.changes.tracking import Event
+from gcs_sysid.estimation.changes.tracking import TrackingEvent
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
@@ -201,7 +201,7 @@ def validation_of(fit: Fit) -> dict[str, Any]:
 
 
 def event_of(
-    event: Event, before: Mapping[str, Estimate], after: Mapping[str, Estimate] | None
+    event: TrackingEvent, before: Mapping[str, Estimate], after: Mapping[str, Estimate] | None
 ) -> dict[str, Any]:
     """A change as a result reports it.
 
@@ -242,7 +242,7 @@ def event_of(
     return out
 
 
-def note_of(event: Event, rotor_input: RotorInput = RotorInput.SPEED) -> str:
+def note_of(event: TrackingEvent, rotor_input: RotorInput = RotorInput.SPEED) -> str:
     """A line for the event log."""
     thrust = rotor_input.thrust
     if event.change is None:

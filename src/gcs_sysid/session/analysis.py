@@ -41,7 +41,7 @@ class RecordKeeper(Protocol):
         """A reading of the log begins; one before it does not count."""
         ...
 
-    def take(self, block: RecordBlock) -> None:
+    def add_records(self, block: RecordBlock) -> None:
         """The next block of records."""
         ...
 
@@ -113,7 +113,7 @@ def take_log(
     done = 0.0
     for block in log.blocks():
         if keeper is not None:
-            keeper.take(block)
+            keeper.add_records(block)
         for window in block.windows(WINDOW):
             if progress and log.share_read > done:
                 done = log.share_read

@@ -130,7 +130,7 @@ class Chain:
                 self._take_event(event)
             for _, parameter in part.parameters:
                 self.rotor_selector.learn(parameter.source, parameter.values[0])
-            for samples in self.sampler.take(part.tracks):
+            for samples in self.sampler.feed_tracks(part.tracks):
                 self.learn(samples)
         return self.renewals > before
 

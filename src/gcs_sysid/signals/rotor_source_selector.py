@@ -62,7 +62,7 @@ def family(source: str) -> str:
 
 
 @dataclass
-class _Group:
+class _RotorGroup:
     """What came for some neighboring rotors."""
 
     count: int = 0
@@ -85,11 +85,11 @@ class Stretch:
     """
 
     stream: Stream
-    groups: dict[int, _Group] = field(default_factory=dict)
+    groups: dict[int, _RotorGroup] = field(default_factory=dict)
 
     def extend(self, track: Track) -> None:
         """Keep the samples of a track, while there is room."""
-        group = self.groups.setdefault(track.offset, _Group())
+        group = self.groups.setdefault(track.offset, _RotorGroup())
         room = max(_MOST - group.count, 0)
         if room:
             group.pieces.append((track.t[:room], track.values[:room]))

@@ -42,7 +42,7 @@ class _Stillness:
         self._share = 1.0
         """Of repeats, up to `since`; all, until the stream has shown that they are rare in it."""
 
-    def take(self, t: float, values: Array) -> bool:
+    def is_still(self, t: float, values: Array) -> bool:
         """Take a message; whether its values are old."""
         if not np.array_equal(values, self._last):
             if not self.stands:
@@ -140,7 +140,9 @@ class RotorBuffer(StreamBuffer):
     def _extend_by_one(self, t: Array, values: Array) -> None:
         for row in range(len(t)):
             some = slice(row, row + 1)
-            if t[row] > self._newest and self._stillness.take(float(t[row]), values[row].copy()):
+            if t[row] > self._newest and self._stillness.is_still(
+                float(t[row]), values[row].copy()
+            ):
                 self.still += 1 + self._drop_after(self._stillness.since)
             else:
                 super().extend(t[some], values[some])

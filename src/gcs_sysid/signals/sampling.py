@@ -151,7 +151,7 @@ class Sampler:
         """Seconds of vehicle clock from the first record to the newest; None without any."""
         return None if self._first is None else self._newest - self._began
 
-    def take(self, tracks: Sequence[Track]) -> Iterator[SampleBlock]:
+    def feed_tracks(self, tracks: Sequence[Track]) -> Iterator[SampleBlock]:
         """Take samples that follow each other, with their orders; the next blocks, one by one.
 
         How samples are grouped changes no number: what is decided (a rotor stream, flight, what
@@ -163,7 +163,7 @@ class Sampler:
                 continue
             self.seen |= {track.stream for track in inside}
             unseen = _Unseen(inside, self.rotor_selector)
-            for block in self.time_base.take(inside):
+            for block in self.time_base.feed_tracks(inside):
                 yield from self._take(block, unseen)
             unseen.show(None, flying=self.flying)
 

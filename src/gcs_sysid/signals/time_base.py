@@ -86,7 +86,7 @@ class _Arrivals:
             elif rows.stop > rows.start:
                 yield key, track.part(rows)
 
-    def take(self, stop: int | None) -> Iterator[tuple[Key, Track]]:
+    def take_before(self, stop: int | None) -> Iterator[tuple[Key, Track]]:
         """The same, taken off."""
         for key, part in self.ahead(stop):
             self._taken[key] += len(part.t)
@@ -163,7 +163,7 @@ class TimeBase:
         """Messages of rotor speeds that stood still, taken for lost."""
         return self._still_before + sum(b.still for b in self._rotor_buffers())
 
-    def take(self, tracks: Sequence[Track]) -> Iterator[Block]:
+    def feed_tracks(self, tracks: Sequence[Track]) -> Iterator[Block]:
         """Take samples, with their orders; gives the blocks that they complete, one by one.
 
         Each block is made before samples after it are looked at: what its receiver sets (`flown`)
@@ -285,7 +285,7 @@ class TimeBase:
         """
         arrived, seen = [], set()
         none = np.zeros(0, np.int64)
-        for key, track in arrivals.take(stop):
+        for key, track in arrivals.take_before(stop):
             buffer = self._buffer(key, track.values.shape[1])
             marks = none if ticks is None else np.searchsorted(track.order, ticks, side="right")
             buffer.extend(track.t, track.values, marks)

@@ -12,7 +12,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.limits import MEGABYTE, Limits, OverTime, within
 from gcs_sysid.health.assessment import beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
 from gcs_sysid.report.data import Recorder, gather, provenance_of
@@ -124,7 +124,7 @@ def health(
 
 
 def _health(log: Path, name: str, airframe: Airframe) -> Health:
-    return replace(health_of_log(log, Given(airframe)), source=name)
+    return replace(health_of_log(log, HealthOptions(airframe)), source=name)
 
 
 def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:

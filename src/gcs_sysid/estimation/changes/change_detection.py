@@ -30,7 +30,7 @@ from gcs_sysid.estimation.changes.change_reference import (
     form_rows,
     reference_of,
 )
-from gcs_sysid.estimation.changes.sequential_tests import CLIPPED, Baseline, Cusum, Level
+from gcs_sysid.estimation.changes.sequential_tests import CLIPPED, Cusum, Level, RecentMean
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.signals.samples import Samples
 
@@ -67,7 +67,7 @@ class ChangeTuning:
 
 
 @dataclass(frozen=True)
-class Change:
+class Detection:
     """A detected change. Times are s of samples fed, see `ChangeDetector.seconds`.
 
     Attributes:
@@ -198,7 +198,7 @@ class ChangeDetector:
         self._use(replace(kept if keep.all() else found, matrix=matrix))
         return self.armed
 
-    def update(self, samples: Samples) -> list[Change]:
+    def update(self, samples: Samples) -> list[Detection]:
         """Take a block of samples; the alarms in it."""
         speeds = self._rotors.update(samples.speeds)
         rows = np.column_stack(
@@ -206,7 +206,7 @@ class ChangeDetector:
         )
         self._count += len(rows)
         self._table = np.concatenate([self._table, rows])
-        found: list[Change] = []
+        found: list[Detection] = []
         shift = self.reference.shift
         late = max(int(np.ceil(shift)), 0)
         stop = max(self._count - late, self._next)
@@ -229,7 +229,7 @@ class ChangeDetector:
         """Of the residuals, then of their jumps."""
         self._level_of_means = Level(4, gain)
         seconds, samples = self.tuning.baseline
-        self._baseline = Baseline(4, max(seconds / self.dt, samples))
+        self._baseline = RecentMean(4, max(seconds / self.dt, samples))
         self._mean_x = np.zeros(N_X)
         self._filled = 0
         self._both = np.full((self._frame, 8), np.nan)
@@ -242,7 +242,7 @@ class ChangeDetector:
         self._fast.clear()
         self._slow.clear()
 
-    def _test(self, y: Array, x: Array, air: Array) -> list[Change]:
+    def _test(self, y: Array, x: Array, air: Array) -> list[Detection]:
         e = y - x @ np.nan_to_num(self.reference.matrix).T
         e[:, ~self.reference.watched] = np.nan
         found = []
@@ -356,7 +356,7 @@ class ChangeDetector:
     def _tested(self, level: Level) -> Mask:
         return np.asarray(level.frames >= self._frames_needed)
 
-    def _test_samples(self, e: Array) -> Change | None:
+    def _test_samples(self, e: Array) -> Detection | None:
         stds, levels = self._levels.std(self._floors), self._levels
         limit = self.tuning.fast[1] * stds[:4]
         limit[levels.frames[:4] == 0] = np.inf
@@ -380,7 +380,7 @@ class ChangeDetector:
         # It may have begun in samples taken before; then those of this frame alone count.
         begin = max(self._filled + first, 0)
         sigmas = float(np.nanmedian(self._jumps[begin : self._filled + row + 1, c]) / std[c])
-        return Change(
+        return Detection(
             detected=(self._next + row) * self.dt,
             onset=began * self.dt,
             channel=CHANNELS[c],
@@ -389,7 +389,7 @@ class ChangeDetector:
             scale="fast",
         )
 
-    def _close_frame(self) -> Change | None:
+    def _close_frame(self) -> Detection | None:
         """Test the frame's mean, then let mean and levels move."""
         total = self._e.sum(axis=0)
         if np.isfinite(total.sum()):
@@ -411,7 +411,7 @@ class ChangeDetector:
         alarm = self._slow.update(z[None], self._next)
         if alarm is not None:
             _, c, began = alarm
-            return Change(
+            return Detection(
                 detected=(self._next - 1) * self.dt,
                 onset=(began - self._frame) * self.dt,
                 channel=CHANNELS[c],

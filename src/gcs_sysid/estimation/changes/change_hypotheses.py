@@ -29,9 +29,9 @@ from gcs_sysid.estimation.changes.change_kinds import Cause, Disturbance, kind_o
 from gcs_sysid.estimation.changes.change_reference import TOTAL, Reference
 from gcs_sysid.estimation.changes.change_window import (
     TUNING,
-    History,
+    AlarmWindow,
     HypothesisTuning,
-    Window,
+    ResidualHistory,
     covariance,
     covariates,
     strengths,
@@ -44,7 +44,7 @@ Verdict = Literal["changed", "disturbance", "undecided"]
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Classification:
     """Classification of one alarm at one time.
 
     Attributes:
@@ -67,14 +67,14 @@ def judge(
     samples: Samples,
     dt: float,
     reference: Reference,
-    history: History,
+    history: ResidualHistory,
     onset: float,
     age_index: int,
     *,
     force: bool = True,
     decide: bool = True,
     tuning: HypothesisTuning = TUNING,
-) -> Judgement:
+) -> Classification:
     """Explain what an alarm was raised for.
 
     Args:
@@ -89,32 +89,34 @@ def judge(
         decide: whether a change may be called; else nothing is known but whether it is doubtful.
         tuning: settings.
     """
-    window = Window(t, samples, dt, reference, onset, tuning)
+    window = AlarmWindow(t, samples, dt, reference, onset, tuning)
     last = age_index == len(tuning.ages) - 1
     nothing = Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0)
     if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
-        return Judgement("disturbance" if last else "undecided", onset, nothing)
-    trial = _Trial(window, reference, history, tuning)
+        return Classification("disturbance" if last else "undecided", onset, nothing)
+    trial = _StepTrial(window, reference, history, tuning)
     cause, sure = trial.best(tuning.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
-        return Judgement("changed", onset, cause)
+        return Classification("changed", onset, cause)
     if decide and trial.may_be_mass() and (calm := window.calm(tuning)) is not None:
         # A payload dropped in a punch-out shows in the calm flight before and since.
-        later = _Trial(calm, reference, history, tuning)
+        later = _StepTrial(calm, reference, history, tuning)
         cause_since, holds = later.best(tuning.sure[age_index], last=last)
         if holds and cause_since.kind != "rotor_failure":
             settled = calm.time_of(later.at)
-            return Judgement("changed", onset, cause_since, settled=settled)
+            return Classification("changed", onset, cause_since, settled=settled)
     over = trial.is_over() and not sure and not (decide and trial.may_be_rotor(cause))
     probability = trial.disturbance(cause, force=force)
-    return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
+    return Classification(
+        "disturbance" if over or last else "undecided", onset, probability, not over
+    )
 
 
 def likeliest_step(
-    window: Window,
+    window: AlarmWindow,
     reference: Reference,
-    history: History,
+    history: ResidualHistory,
     places: Sequence[int],
     tuning: HypothesisTuning,
 ) -> tuple[int, float, float]:
@@ -128,12 +130,12 @@ def likeliest_step(
         places: indices of means with which it may begin.
         tuning: settings.
     """
-    trial = _Trial(window, reference, history, tuning, places)
+    trial = _StepTrial(window, reference, history, tuning, places)
     fit = trial.mass()
     return trial.at, float(fit.value[0]), float(fit.value[0] / max(fit.std[0], 1e-12))
 
 
-class _Trial:
+class _StepTrial:
     """The hypotheses on one window.
 
     Attributes:
@@ -142,9 +144,9 @@ class _Trial:
 
     def __init__(
         self,
-        window: Window,
+        window: AlarmWindow,
         reference: Reference,
-        history: History,
+        history: ResidualHistory,
         tuning: HypothesisTuning,
         places: Sequence[int] = (),
     ) -> None:
@@ -231,7 +233,7 @@ class _Trial:
             and cause.explained > self._tuning.explained
         )
 
-    def mass(self) -> "_Fit":
+    def mass(self) -> "_StepFit":
         """Of the share of thrust over mass that is gone since the step."""
         return self._fit({0: self._mass(self._since(self.at))}) if self._watched[0] else _NOTHING
 
@@ -375,7 +377,7 @@ class _Trial:
             columns[c][:, i] = self._thrust * since if c == 0 else since
         return columns
 
-    def _fit(self, columns: dict[int, Array]) -> "_Fit":
+    def _fit(self, columns: dict[int, Array]) -> "_StepFit":
         """Unknowns shared by channels, by generalized least squares."""
         normal = right = None
         for c, column in columns.items():
@@ -395,7 +397,7 @@ class _Trial:
         inverse = np.linalg.inv(normal / np.outer(d, d) + 1e-9 * np.eye(len(d)))
         covariance = inverse / np.outer(d, d)
         value = covariance @ right
-        return _Fit(value, covariance, 0.5 * float(right @ value))
+        return _StepFit(value, covariance, 0.5 * float(right @ value))
 
     def _likeliest(self, places: Sequence[int]) -> int:
         """Where a free step is likeliest to begin; without places, near the alarm."""
@@ -427,7 +429,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _StepFit:
     """Generalized least squares.
 
     Attributes:
@@ -448,7 +450,7 @@ class _Fit:
 
 
 Columns = Callable[[Mask], dict[int, Array]]
-_NOTHING = _Fit(np.zeros(1), np.zeros((1, 1)), 0.0)
+_NOTHING = _StepFit(np.zeros(1), np.zeros((1, 1)), 0.0)
 _SURE = 3.0
 """Standard deviations that name a cause."""
 _AGREES = 2.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.changes.change_detection import Change, ChangeDetector, ChangeTuning
-from gcs_sysid.estimation.changes.change_hypotheses import Judgement, judge
+from gcs_sysid.estimation.changes.change_detection import ChangeDetector, ChangeTuning, Detection
+from gcs_sysid.estimation.changes.change_hypotheses import Classification, judge
 from gcs_sysid.estimation.changes.change_reference import Reference
 from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.changes.early_change import actuator_of, early_change
@@ -40,13 +40,13 @@ class Alarm:
         looks: how often it was looked at.
     """
 
-    change: Change
+    change: Detection
     onset: float
     detected: float
     reference: Reference
     looks: int = 0
 
-    def step_of(self, found: Judgement) -> tuple[float, float]:
+    def step_of(self, found: Classification) -> tuple[float, float]:
         """When the vehicle changed, and from when on samples are of the vehicle it is now."""
         if found.settled is not None:
             return found.onset, found.settled
@@ -106,7 +106,7 @@ class ChangeWatch:
         self.arm_at = 0.0
         self._early_at, self._watched = _EARLY, None
 
-    def take(self, t: Array, samples: Samples, *, tentative: bool = False) -> bool:
+    def watch(self, t: Array, samples: Samples, *, tentative: bool = False) -> bool:
         """Take n samples at (n,) session times.
 
         Args:
@@ -133,7 +133,7 @@ class ChangeWatch:
             self._suspect(change, float(t[-1]))
         return True
 
-    def _suspect(self, change: Change, now: float) -> None:
+    def _suspect(self, change: Detection, now: float) -> None:
         """Record an alarm; it is classified later."""
         start = now - self._detector.seconds
         onset, detected = start + change.onset, start + change.detected
@@ -155,7 +155,7 @@ class ChangeWatch:
         """Whether the beginning of the flight is still to be looked at."""
         return self._early_at < _EARLY_END
 
-    def early(self, fit: Fit) -> tuple[Alarm, Judgement] | None:
+    def early(self, fit: Fit) -> tuple[Alarm, Classification] | None:
         """A change before the detector could see it, looked for now and then in the beginning.
 
         Args:
@@ -182,7 +182,7 @@ class ChangeWatch:
         )
         return Alarm(change, change.onset, change.detected, self._detector.reference), judgement
 
-    def decided(self, now: float) -> Iterator[tuple[Alarm, Judgement]]:
+    def decided(self, now: float) -> Iterator[tuple[Alarm, Classification]]:
         """The alarms on which it is decided by now."""
         for alarm in list(self._alarms):
             if now - alarm.onset >= TUNING.ages[alarm.looks] - 0.5 * self._dt:
@@ -192,7 +192,7 @@ class ChangeWatch:
                     self._alarms.remove(alarm)
                     yield alarm, found
 
-    def undecided(self) -> tuple[Alarm, Judgement] | None:
+    def undecided(self) -> tuple[Alarm, Classification] | None:
         """The first alarm that may have been a change of mass, when nothing more will come."""
         alarms, self._alarms = self._alarms, []
         if self._recent:
@@ -212,7 +212,9 @@ class ChangeWatch:
         parts = self._recent
         return np.concatenate([t for t, _ in parts]), _joined([samples for _, samples in parts])
 
-    def _judged(self, alarm: Alarm, look: int, now: float, *, decide: bool = True) -> Judgement:
+    def _judged(
+        self, alarm: Alarm, look: int, now: float, *, decide: bool = True
+    ) -> Classification:
         history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
         t, samples = self._remembered()
         first = alarm.onset - TUNING.before - 2.0 * TUNING.frame - 0.5 * self._dt

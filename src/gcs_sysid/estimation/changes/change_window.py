@@ -21,7 +21,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.samples import Samples
 
 _REGRESSED = 40
-"""Window means from which the effect of the air on the residuals is estimated."""
+"""AlarmWindow means from which the effect of the air on the residuals is estimated."""
 _OU_TIMES = (0.15, 0.5, 1.5, 5.0)
 """s, correlation times of disturbances."""
 _FLOOR_TIME = 1.5
@@ -87,7 +87,7 @@ class HypothesisTuning:
 TUNING = HypothesisTuning()
 
 
-class Window:
+class AlarmWindow:
     """Means around an alarm, and what may have moved them.
 
     Attributes:
@@ -138,7 +138,7 @@ class Window:
         """(4,) as of `Reference.floors`, at the thrust before the alarm."""
         return reference.floors(float(np.mean(self.x[: max(self.at, 1), TOTAL])))
 
-    def calm(self, tuning: HypothesisTuning) -> "Window | None":
+    def calm(self, tuning: HypothesisTuning) -> "AlarmWindow | None":
         """Without the means of full throttle or fast climbs from a second before the alarm on.
 
         Those say little of a mass: inflow and an error of the thrust curve move thrust as much.
@@ -173,7 +173,9 @@ class Window:
         return self._onset + float(self.index[at]) * self.step
 
 
-def covariates(window: Window, reference: Reference, tuning: HypothesisTuning) -> dict[int, Array]:
+def covariates(
+    window: AlarmWindow, reference: Reference, tuning: HypothesisTuning
+) -> dict[int, Array]:
     """Of each channel, (n, k) columns scaled by the standard deviations of their priors."""
     air, thrust = window.air, reference.kappa * window.x[:, TOTAL]
     watched = reference.watched
@@ -203,7 +205,7 @@ def covariates(window: Window, reference: Reference, tuning: HypothesisTuning) -
     return columns
 
 
-def _by_curve(window: Window, reference: Reference, c: float) -> Array:
+def _by_curve(window: AlarmWindow, reference: Reference, c: float) -> Array:
     """(n,) change of thrust with the curve, kappa such that mean thrust stays."""
     share = window.squares
     w = _command_of(share, c)
@@ -215,14 +217,14 @@ def _by_curve(window: Window, reference: Reference, c: float) -> Array:
     return changed
 
 
-def covariance(window: Window, c: int, strength: Array, floor: float) -> Array:
+def covariance(window: AlarmWindow, c: int, strength: Array, floor: float) -> Array:
     """(n, n) of a channel's means, without what the covariates move.
 
     Args:
         window: of the means.
         c: the channel.
         strength: as of `strengths`.
-        floor: of the channel, see `Window.floors`.
+        floor: of the channel, see `AlarmWindow.floors`.
     """
     h = window.step
     lags = np.abs(window.index[:, None] - window.index)
@@ -237,7 +239,7 @@ def covariance(window: Window, c: int, strength: Array, floor: float) -> Array:
 
 
 @dataclass(frozen=True)
-class History:
+class ResidualHistory:
     """How residuals wandered before an alarm.
 
     Attributes:
@@ -268,7 +270,7 @@ class Frames:
         if len(self._rows) > self.MOST:
             del self._rows[: self.MOST // 2]
 
-    def before(self, seconds: float, step: float, reference: Reference) -> History:
+    def before(self, seconds: float, step: float, reference: Reference) -> ResidualHistory:
         """Of all but the last seconds.
 
         Args:
@@ -278,7 +280,7 @@ class Frames:
         """
         count = max(len(self._rows) - int(np.ceil(seconds / step - 1e-6)), 0)
         if not count:
-            return History(np.full(4, np.nan), np.empty((0, 4)), step)
+            return ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), step)
         y, x, air = np.split(np.array(self._rows[:count]), [4, 4 + N_X], axis=1)
         matrix = np.nan_to_num(reference.matrix)
         made = x @ matrix.T
@@ -295,10 +297,10 @@ class Frames:
             columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
             fit = np.linalg.lstsq(columns, residuals[there, c], rcond=1e-6)[0]
             left[there, c] = residuals[there, c] - columns @ fit
-        return History(_median(residuals), left, step)
+        return ResidualHistory(_median(residuals), left, step)
 
 
-def strengths(window: Window, history: History, c: int) -> Array:
+def strengths(window: AlarmWindow, history: ResidualHistory, c: int) -> Array:
     """(2 + k,) strengths of white noise (/Hz), of differentiated noise, and variances of the OUs.
 
     Those of the flight before; where differences of the window's means before the alarm exceed what
@@ -391,7 +393,7 @@ def _means(parts: Array) -> Array:
     return means
 
 
-def _rate(values: Array, window: Window) -> Array:
+def _rate(values: Array, window: AlarmWindow) -> Array:
     rate: Array = np.gradient(values, window.index * window.step)
     return rate
 

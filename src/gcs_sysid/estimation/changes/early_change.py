@@ -16,10 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.changes.change_detection import Change
-from gcs_sysid.estimation.changes.change_hypotheses import Judgement, judge, likeliest_step
+from gcs_sysid.estimation.changes.change_detection import Detection
+from gcs_sysid.estimation.changes.change_hypotheses import Classification, judge, likeliest_step
 from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
-from gcs_sysid.estimation.changes.change_window import TUNING, History, Window
+from gcs_sysid.estimation.changes.change_window import (
+    TUNING,
+    AlarmWindow,
+    ResidualHistory,
+)
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf
@@ -66,7 +70,7 @@ def early_change(
     geometry: Array,
     actuator: Actuator | None,
     until: float,
-) -> tuple[Change, Judgement] | None:
+) -> tuple[Detection, Classification] | None:
     """The likeliest step of thrust over mass in the beginning of a flight, judged.
 
     Args:
@@ -84,14 +88,14 @@ def early_change(
     reference = _of_thrust(t, samples, dt, geometry, actuator, float(t[-1]))
     if reference is None:
         return None
-    window = Window(t, samples, dt, reference, float(t[-1]) + dt, _WHOLE)
+    window = AlarmWindow(t, samples, dt, reference, float(t[-1]) + dt, _WHOLE)
     first, last = t[0] + LEAST_BEFORE, min(until, t[-1] - TUNING.ages[0])
     times = np.array([window.time_of(i) for i in range(len(window.e))])
     # With gaps the first mean may come this late: there is none before it to compare with.
     places = 1 + np.flatnonzero((times[1:] >= first) & (times[1:] <= last))
     if not len(places):
         return None
-    nothing = History(np.full(4, np.nan), np.empty((0, 4)), window.step)
+    nothing = ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), window.step)
     at, share, sigmas = likeliest_step(window, reference, nothing, places.tolist(), _WHOLE)
     onset = _sharp(t, samples, dt, reference, window.time_of(at))
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
@@ -113,7 +117,7 @@ def early_change(
         if whole.verdict != "changed" or not stays:
             found = replace(found, verdict="disturbance")
     size = share * float(np.mean(reference.kappa * window.x[at:, TOTAL]))
-    change = Change(float(t[-1] - t[0]), onset - float(t[0]), "thrust", size, sigmas, "slow")
+    change = Detection(float(t[-1] - t[0]), onset - float(t[0]), "thrust", size, sigmas, "slow")
     return change, found
 
 
@@ -149,7 +153,7 @@ def _sharp(t: Array, samples: Samples, dt: float, reference: Reference, onset: f
     return float(times[1 + int(np.argmax(gain))])
 
 
-def _beside(window: Window, reference: Reference, at: int) -> History:
+def _beside(window: AlarmWindow, reference: Reference, at: int) -> ResidualHistory:
     """What thrust's residuals did beside a step: their level before, and how they wandered."""
     e = window.y[:, 0] + reference.kappa * window.x[:, TOTAL]
     later = np.arange(len(e)) >= at
@@ -161,4 +165,4 @@ def _beside(window: Window, reference: Reference, at: int) -> History:
     left, level = np.full((len(e), 4), np.nan), np.full(4, np.nan)
     left[:, 0], level[0] = e - columns @ fit, np.median(e[~later])
     left[max(at - 2, 0) : at + 2] = np.nan  # means across the step
-    return History(level, left, window.step)
+    return ResidualHistory(level, left, window.step)

@@ -57,7 +57,7 @@ class Trial:
         drift = self._estimator.drift
         return 0.0 if drift is None else drift.thrust_doubt
 
-    def take(self, t: Array, samples: Samples) -> None:
+    def add_samples(self, t: Array, samples: Samples) -> None:
         """Add (n,) times and samples."""
         self.parts.append((t, samples))
         self._estimator.update(samples)

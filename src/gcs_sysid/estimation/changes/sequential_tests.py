@@ -129,7 +129,7 @@ class Level:
         return std
 
 
-class Baseline:
+class RecentMean:
     """What a signal was just before each sample: an exponential mean of the samples until then.
 
     Args:

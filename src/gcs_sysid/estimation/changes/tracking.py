@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation.changes.change_detection import Change, ChangeTuning
-from gcs_sysid.estimation.changes.change_hypotheses import Judgement
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Detection
+from gcs_sysid.estimation.changes.change_hypotheses import Classification
 from gcs_sysid.estimation.changes.change_kinds import Cause
 from gcs_sysid.estimation.changes.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.changes.flight_comparison import Trial, is_another
@@ -93,7 +93,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Event:
+class TrackingEvent:
     """A change, or what looked like one. Times are session times in s.
 
     Attributes:
@@ -109,14 +109,14 @@ class Event:
 
     onset: float
     detected: float
-    change: Change | None
+    change: Detection | None
     cause: Cause | None
     segment: int | None
     decided: float | None = None
 
 
 @dataclass(frozen=True)
-class Point:
+class HistoryPoint:
     """Of a history: a quick fit, and the number of segments that had ended before it."""
 
     fit: Fit
@@ -148,7 +148,7 @@ class Tracker:
         self.dt = dt
         self.segments: list[Segment] = []
         """Those that have ended."""
-        self.events: list[Event] = []
+        self.events: list[TrackingEvent] = []
         self.forgotten = 0
         """Events that are kept no more."""
         self.stopped = False
@@ -224,7 +224,7 @@ class Tracker:
         samples: Samples,
         flying: Mask | None = None,
         stops: Sequence[int] = (),
-    ) -> list[Point]:
+    ) -> list[HistoryPoint]:
         """Take a block of samples; how they are grouped is one.
 
         Args:
@@ -236,7 +236,7 @@ class Tracker:
         Returns:
             A point of the history for each stop.
         """
-        points: list[Point] = []
+        points: list[HistoryPoint] = []
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
             # A stop between two runs is the end of the first.
             here = [stop - run.start for stop in stops[len(points) :] if stop <= run.stop]
@@ -289,7 +289,7 @@ class Tracker:
                 self.kept.append(last.part(slice(0, -left)))
             left -= len(last.gyro)
 
-    def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
+    def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[HistoryPoint]:
         """Take samples of flight."""
         if self.start is None:
             self.start = float(t[0])
@@ -307,7 +307,7 @@ class Tracker:
             return self._follow(t, samples, stops)
         room = self._trial.room
         points = self._idle(sum(stop <= room for stop in stops))
-        self._trial.take(t[:room], samples.part(slice(0, room)))
+        self._trial.add_samples(t[:room], samples.part(slice(0, room)))
         if len(t) >= room:
             self._end_trial()
         if len(t) > room:
@@ -315,12 +315,12 @@ class Tracker:
             points += self._follow(t[room:], samples.part(slice(room, None)), later)
         return points
 
-    def _idle(self, count: int) -> list[Point]:
+    def _idle(self, count: int) -> list[HistoryPoint]:
         """Fits at stops while nothing is estimated."""
         if not count:
             return []
         fit = self.fit(quick=True)
-        return [Point(fit, len(self.segments))] * count
+        return [HistoryPoint(fit, len(self.segments))] * count
 
     def _end_trial(self) -> None:
         """Decide whether the vehicle is the same, and continue with the trial's samples."""
@@ -332,7 +332,7 @@ class Tracker:
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < TRACKING.most_segments
         if room and is_another(before, trial.fit(before), arm, trial.battery_doubt):
-            self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
+            self._add(TrackingEvent(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
             # Of what was known only the rotors are left, and with them the scale, and the
             # accelerometer.
@@ -349,9 +349,9 @@ class Tracker:
             else:
                 self._follow(*part, ())
 
-    def _follow(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
+    def _follow(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[HistoryPoint]:
         """Learn from samples of the vehicle that is being followed."""
-        points: list[Point] = []
+        points: list[HistoryPoint] = []
         done = 0
         while done < len(t) and not self.stopped:
             # Decisions fall after a fixed number of samples.
@@ -381,15 +381,15 @@ class Tracker:
         quiet = self._watch.arm_at - self._estimator.seconds - TRACKING.held_back
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
-    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
+    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[HistoryPoint] | None:
         """Take samples; None where many were tried at once, and there is an alarm in them."""
         at_once = len(t) > self._frame
-        if self._watch is not None and not self._watch.take(t, samples, tentative=at_once):
+        if self._watch is not None and not self._watch.watch(t, samples, tentative=at_once):
             return None
         if self._keep:
             self.kept.append(samples)
         fits = self._estimator.follow(samples, stops)
-        return [Point(fit, len(self.segments)) for fit in fits]
+        return [HistoryPoint(fit, len(self.segments)) for fit in fits]
 
     def _look(self, now: float) -> None:
         """Decide what there is to decide; give the watch a better reference."""
@@ -414,29 +414,31 @@ class Tracker:
         if left is not None:
             alarm, found = left
             self._forget_last(self._newest - found.onset + TRACKING.contaminated)
-            self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None))
+            self._add(TrackingEvent(found.onset, alarm.detected, alarm.change, found.cause, None))
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
         return self._estimator.fit(quick=quick, series=series)
 
-    def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
+    def _pass(self, alarm: Alarm, found: Classification, now: float) -> None:
         """It was a disturbance: the vehicle is what it was."""
         if found.cause.disturbance == "contact":
             # What holds the vehicle down is not part of it.
             self._forget_last(now - found.onset + TRACKING.contaminated)
             self._break()
-        event = Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        event = TrackingEvent(
+            found.onset, alarm.detected, alarm.change, found.cause, None, decided=now
+        )
         last = self.events[-1] if self.events else None
         if last is None or not _goes_on(last, event):
             self._add(event)
 
-    def _change(self, alarm: Alarm, found: Judgement, now: float) -> None:
+    def _change(self, alarm: Alarm, found: Classification, now: float) -> None:
         """The vehicle is another one since; go on accordingly."""
         assert self.start is not None
         assert self._watch is not None
         onset, since = alarm.step_of(found)
-        event = Event(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        event = TrackingEvent(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
         self._forget_last(now - onset + TRACKING.contaminated)
         before = self.fit()
         if found.cause.kind == "rotor_failure":
@@ -481,7 +483,7 @@ class Tracker:
         if self._reserves:
             self.reserve()
 
-    def _add(self, event: Event) -> None:
+    def _add(self, event: TrackingEvent) -> None:
         self.events.append(event)
         passing = [i for i, known in enumerate(self.events) if known.segment is None]
         if len(passing) > TRACKING.most_passing:
@@ -526,7 +528,7 @@ def _prior(rotation: RotationFit, covariance: Array) -> Prior:
     return Prior(rotation.unknowns, information)
 
 
-def _goes_on(last: Event, event: Event) -> bool:
+def _goes_on(last: TrackingEvent, event: TrackingEvent) -> bool:
     """Whether a disturbance is that of the event before."""
     if last.cause is None or event.cause is None or last.decided is None:
         return False
