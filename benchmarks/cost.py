@@ -13,8 +13,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.accuracy.flights import GEOMETRY, fly, measure
-from benchmarks.linked import linked
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.hover_watch import HoverWatch
@@ -31,6 +29,8 @@ from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.article_flights import GEOMETRY, fly, measure
+from testbed.linked import linked
 
 RATE = 250
 _BLOCKS = (

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import attitude
@@ -26,6 +25,7 @@ from gcs_sysid.signals.differentiator import (
 from gcs_sysid.signals.smoothers import DAMPING, cosine_window
 from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
+from testbed.article_flights import PHYSICS_RATE, fly
 
 SIGMA = 0.02
 START, END = PAPER.lead, PAPER.duration - 0.5

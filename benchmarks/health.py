@@ -20,8 +20,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.thrust_curve_bound import curve_bound
-from benchmarks.truth.emulated import fly_into
-from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
@@ -45,6 +43,8 @@ from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.px4 import Px4
 from sim_bridge.simulation import Simulation
 from sim_bridge.uneven_rotors import RotorTraits
+from testbed.emulated import fly_into
+from testbed.vehicles import Drawn, draw
 
 LAYOUTS = ("quad-x", "hexa", "octo")
 IMU, ROTORS = 25.0, 10.0

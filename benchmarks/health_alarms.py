@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.health import LAYOUTS, ORDINARY, STRETCH, fly, loads_of, streams_in, uneven
-from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.arrays import complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
@@ -35,6 +34,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
+from testbed.vehicles import Drawn, draw
 
 FLIGHT, EARLIER = 300.0, 40.0
 """s of a flight, and of the one before it."""

@@ -11,7 +11,6 @@ none has a known fault. `formats`: flights that there are as .BFL and as .tlog: 
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,22 +24,13 @@ from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
-from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
+from testbed.recordings import rectangle
 
 PAIRED = ("LOG*.BFL", "cinerat.toml")
 """Flights of one vehicle, each also as .tlog of the same name, and their airframe file."""
-
-
-def rectangle(name: str, x: float, y: float) -> Airframe:
-    """A quad X of these levers."""
-    airframe = load_airframe(name)
-    rotors = tuple(
-        Rotor(float(np.copysign(x, r.x)), float(np.copysign(y, r.y)), r.spin)
-        for r in airframe.rotors
-    )
-    return replace(airframe, rotors=rotors)
 
 
 def thinned_logs(folder: Path) -> Iterator[str]:

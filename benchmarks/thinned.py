@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt, welch
 
-from benchmarks.recorded import airframe_of, thinned, truth_of
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
+from testbed.recordings import airframe_of, thinned, truth_of
 
 PRODUCTS = ("Ixy", "Iyz", "Ixz")
 SHOWN = (

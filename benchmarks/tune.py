@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.api import Signals, identify
 from gcs_sysid.control.gain_design import LIMITS, propose
 from gcs_sysid.control.hover_dynamics import hover_dynamics
@@ -36,6 +35,7 @@ from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import HEIGHT, Reference
 from sim_bridge.rate_controllers import CONTROLLERS, LOOP_RATE
 from sim_bridge.simulation import Simulation
+from testbed.vehicles import Drawn, draw
 
 LAYOUTS = ("quad-x", "hexa", "quad-h", "octo", "quad-plus")
 DELAY_LOOPS = 2

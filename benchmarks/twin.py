@@ -27,10 +27,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, kstest
 
-from benchmarks.recorded import airframe_for, logs_in
-from benchmarks.truth.emulated import record, write
-from benchmarks.truth.scenarios import SCENARIOS, Scenario
-from benchmarks.truth.vehicles import draw
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
@@ -44,6 +40,10 @@ from sim_bridge.doublets import LEAD, PART, DoubletMission
 from sim_bridge.missions import Reference
 from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.simulation import Simulation
+from testbed.emulated import record, write
+from testbed.recordings import airframe_for, logs_in
+from testbed.scenarios import SCENARIOS, Scenario
+from testbed.vehicles import draw
 
 SECONDS = 50.0
 """Of each emulated flight, at most."""

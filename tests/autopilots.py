@@ -2,10 +2,10 @@
 
 from collections import Counter, defaultdict
 
-from benchmarks.reliability.fuzz.link_harnesses import check_sent
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.messages import message_name, unpack
+from testbed.fuzz.link_harnesses import check_sent
 
 SETS, GROUPS, READS = "SET_MESSAGE_INTERVAL", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ"
 INTERVALS, MESSAGES = "GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"

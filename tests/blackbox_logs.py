@@ -1,6 +1,6 @@
 """Blackbox logs as short as can be."""
 
-from benchmarks import blackbox_log as bbl
+from testbed import blackbox_log as bbl
 
 
 def blackbox_of(folder, motors):

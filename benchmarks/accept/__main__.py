@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.accept import cost, emulated, equal, judge, recorded, trees
-from benchmarks.accept.logs import KEPT
+from testbed.recordings import KEPT
 
 REFERENCE = "d232f3d4"
 """The commit whose results count as right; a change that is to move digits names its own here."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmarks.accept import trees
 from benchmarks.accept.judge import Figure, Study
-from benchmarks.accept.logs import KEPT, SHARED, given
+from testbed.recordings import KEPT, SHARED, given
 
 _FLY = (
     "sim_bridge", "--airframe", "paper", "--mission", "all-axes", "--noise", "mems", "--rate",

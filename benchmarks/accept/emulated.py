@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import changes, early
-from benchmarks.accept.judge import Figure, Study, coverage, figure
+from benchmarks.accept.judge import Figure, Study, coverage, figure, share
 from benchmarks.accuracy import cases
-from benchmarks.accuracy.flights import fly, measure
 from benchmarks.truth import __main__ as truth
-from benchmarks.truth import closed_loop, independent
-from benchmarks.truth.judge import MOMENTS
-from benchmarks.truth.scenarios import SCENARIOS
+from benchmarks.truth import closed_loop
 from gcs_sysid.intervals import Z95
+from testbed import command_flights as early
+from testbed import fleets as changes
+from testbed import independent
+from testbed.article_flights import fly, measure
+from testbed.judge import MOMENTS
+from testbed.scenarios import SCENARIOS
 
 Outcomes = Sequence[dict[str, Any]]
 
@@ -29,7 +31,7 @@ def _truth_units(is_short: bool) -> list[tuple[str, int]]:
     if is_short:
         return [(name, 0) for name in _SHORT]
     names = [*(s.name for s in SCENARIOS), *independent.available()]
-    return [(name, number) for number in range(3) for name in names]
+    return [(name, number) for number in range(2) for name in names]
 
 
 def _truth(unit: tuple[str, int]) -> dict[str, Any]:
@@ -52,7 +54,7 @@ def claims(
 
 
 def claim_figures(what: str, outcomes: Outcomes) -> list[Figure]:
-    """Of flights held against their truth by `benchmarks.truth.judge`."""
+    """Of flights held against their truth by `testbed.judge`."""
 
     def holds(*, all_shown: bool) -> list[list[bool]]:
         return [[f["holds"] for _, f in c] for c in claims(outcomes, all_shown=all_shown)]
@@ -114,6 +116,10 @@ def _truth_details(outcomes: Outcomes) -> list[str]:
     return page.lines({n: {"outcomes": [o for o in outcomes if o["scenario"] == n]} for n in names})
 
 
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
 def _median(values: Sequence[float]) -> float:
     return float(np.median(values)) if len(values) else math.nan
 
@@ -122,7 +128,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _accuracy_units(is_short: bool) -> list[tuple[str, int]]:
-    counts = {"baseline": 4} if is_short else {"baseline": 24, "mems": 12, "course": 12}
+    counts = {"baseline": 4} if is_short else {"baseline": 16, "mems": 8, "course": 6}
     return [(name, seed) for name, count in counts.items() for seed in range(1, count + 1)]
 
 
@@ -190,31 +196,36 @@ def _sum(units: Outcomes, key: str) -> float:
 
 
 def _early_units(is_short: bool) -> list[tuple[str, int]]:
-    return [("speed", 1)] if is_short else [(lag_of, 3) for lag_of in early.LAGS]
+    return [("speed", 2)] if is_short else [(lag_of, 3) for lag_of in early.LAGS]
 
 
-def _early(unit: tuple[str, int]) -> dict[str, Any]:
-    found = early.study(*unit)
-    return {
-        f"{at:g}": {name: rows[:, 0].tolist() for name, rows in named.items()}
-        for at, named in found.items()
-    }
+def _early(unit: tuple[str, int]) -> list[dict[str, list[float]]]:
+    return [
+        {f"{at:g}": [z for z, _ in found.values()] for at, found in flight.items()}
+        for flight in early.flights(*unit)
+    ]
 
 
-def _early_figures(outcomes: Outcomes) -> list[Figure]:
+def _early_figures(outcomes: Sequence[list[dict[str, list[float]]]]) -> list[Figure]:
     figures = []
     for at in early.TIMES:
-        z = [[e for rows in o[f"{at:g}"].values() for e in rows] for o in outcomes]
+        z = [flight[f"{at:g}"] for flights in outcomes for flight in flights]
+        held = [[abs(e) <= Z95 for e in flight] for flight in z]
         figures += [
-            coverage(
-                f"early, {at:g} s: shown that hold, %", [[abs(e) <= Z95 for e in u] for u in z]
-            ),
-            figure(
-                f"early, {at:g} s: shown", "high", z,
-                lambda units: float(sum(map(len, units)) / len(units)),
-            ),
-        ]  # fmt: skip
+            coverage(f"early, {at:g} s: shown that hold, %", held),
+            figure(f"early, {at:g} s: shown a flight", "high", [len(f) for f in z], _mean),
+        ]
     return figures
+
+
+def _early_details(outcomes: Sequence[list[dict[str, list[float]]]]) -> list[str]:
+    """Of all flights, how many intervals hold at each time, and by how far others miss."""
+    lines = []
+    for at in early.TIMES:
+        z = [e for flights in outcomes for flight in flights for e in flight[f"{at:g}"]]
+        missed = " ".join(f"{e:+.1f}" for e in z if abs(e) > Z95)
+        lines.append(f"at {at:2.0f} s: {len(z) - len(missed.split())} of {len(z)} hold {missed}")
+    return lines
 
 
 # ---- changes ---------------------------------------------------------------------------------
@@ -226,62 +237,56 @@ def _quiet_units(is_short: bool) -> list[tuple[str, int]]:
 
 
 def _quiet(unit: tuple[str, int]) -> dict[str, Any]:
-    name, seed = unit
-    return changes.quiet_flights(name, seed, 1 if name == "climbs" else 2)
+    return changes.quiet_flights(*unit, count=2)
 
 
 def _quiet_figures(outcomes: Outcomes) -> list[Figure]:
     figures = []
     for key in changes.INPUTS:
-        rows = [o[key] for o in outcomes]
+        flights = [flight for o in outcomes for flight in o[key]]
         figures += [
             figure(
-                f"quiet, {key}: false changes", "never", rows,
-                lambda units: float(sum(o["changes"] for o in units)),
-                f"{sum(o['seconds'] for o in rows) / 60.0:.0f} min",
+                f"quiet, {key}: false changes", "never", flights,
+                lambda units: sum(len(f["called"]) for f in units),
+                f"{_total(flights, 'seconds') / 60.0:.0f} min",
             ),
             figure(
-                f"quiet, {key}: flight that is used, %", "high", rows,
-                lambda units: 100.0 * sum(o["used"] for o in units)
-                / sum(o["seconds"] for o in units),
+                f"quiet, {key}: flight that is used, %", "high", flights,
+                lambda units: 100.0 * _total(units, "used") / _total(units, "seconds"),
             ),
         ]  # fmt: skip
     return figures
 
 
+def _total(units: Outcomes, key: str) -> float:
+    return float(sum(unit[key] for unit in units))
+
+
 def _step_units(is_short: bool) -> list[tuple[str, int]]:
-    return [("speeds", 1)] if is_short else [(name, 3) for name in changes.STEPS]
+    return [("speeds", 2)] if is_short else [(name, 2) for name in changes.STEPS]
 
 
-def _step(unit: tuple[str, int]) -> dict[str, Any]:
+def _step(unit: tuple[str, int]) -> list[dict[str, Any]]:
     return changes.step_flights(*unit)
 
 
-def _step_figures(outcomes: Outcomes) -> list[Figure]:
-    count = sum(o["flights"] for o in outcomes)
+def _step_figures(outcomes: Sequence[list[dict[str, Any]]]) -> list[Figure]:
+    flights = [flight for found in outcomes for flight in found]
+    delays = [f["delay"] for f in flights if f["delay"] is not None]
     return [
+        share("steps: found within 2 s, %", [f["delay"] is not None and f["delay"] <= changes.SOON
+                                             for f in flights]),
+        share("steps: named right, %", [f["named"] for f in flights]),
+        figure("steps: median delay, s", "low", delays, _median),
         figure(
-            "steps: found within 2 s, %", "high", outcomes,
-            lambda units: 100.0 * sum(d <= changes.SOON for o in units for d in o["delays"])
-            / sum(o["flights"] for o in units), str(count),
-        ),
-        figure(
-            "steps: median delay, s", "low", outcomes,
-            lambda units: _median([d for o in units for d in o["delays"]]),
-        ),
-        figure(
-            "steps: named right, %", "high", outcomes,
-            lambda units: 100.0 * sum(o["named"] for o in units) / sum(o["flights"] for o in units),
-        ),
-        figure(
-            "steps: other changes called", "never", outcomes,
-            lambda units: float(sum(o["others"] for o in units)),
+            "steps: other changes called", "never", flights,
+            lambda units: _total(units, "others"),
         ),
         *(
             figure(
-                f"steps: {name} afterwards, rms error %", "low", outcomes,
-                lambda units, key=name: 100.0
-                * float(np.sqrt(np.mean([e**2 for o in units for e in o[key]]))),
+                f"steps: {name} afterwards, rms error %", "low",
+                [f[name] for f in flights if name in f],
+                lambda units: 100.0 * float(np.sqrt(np.mean(np.square(units)))),
             )
             for name in ("mass", "inertia")
         ),
@@ -294,7 +299,7 @@ _CELLS = ("doublets:none", "gentle:none", "aggressive:ou1", "doublets:ou3.5", "g
 
 
 def _loop_units(is_short: bool) -> list[tuple[str, int]]:
-    return [(cell, 4 if is_short else 12) for cell in (_CELLS[:1] if is_short else _CELLS)]
+    return [(cell, 4 if is_short else 8) for cell in (_CELLS[:1] if is_short else _CELLS)]
 
 
 def _loop(unit: tuple[str, int]) -> dict[str, Any]:
@@ -334,7 +339,7 @@ def _loop_figures(outcomes: Outcomes) -> list[Figure]:
 STUDIES = (
     Study("truth", _truth_units, _truth, _truth_figures, _truth_details),
     Study("accuracy", _accuracy_units, _accuracy, _accuracy_figures),
-    Study("early", _early_units, _early, _early_figures),
+    Study("early", _early_units, _early, _early_figures, _early_details),
     Study("quiet", _quiet_units, _quiet, _quiet_figures),
     Study("steps", _step_units, _step, _step_figures),
     Study("closed loop", _loop_units, _loop, _loop_figures),

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accept import trees
-from benchmarks.accept.logs import KEPT, all_logs
+from testbed.recordings import KEPT, all_logs
 
 TOLERANCE = 1e-9
 """Of a standard deviation; of the value where there is none."""

@@ -83,7 +83,9 @@ def figure(
     if better != "never" and n > 1:
         drawn = random.integers(0, n, (_RESAMPLED, n))
         values = np.array([statistic([outcomes[i] for i in row]) for row in drawn])
-        error = float(np.nanstd(values)) if np.isfinite(values).any() else math.nan
+        # A bootstrap of few units is too narrow by this.
+        few = math.sqrt(n / (n - 1.0))
+        error = few * float(np.nanstd(values)) if np.isfinite(values).any() else math.nan
     return Figure(name, better, float(value), error, of or f"{n}")
 
 
@@ -98,6 +100,14 @@ def coverage(name: str, outcomes: Sequence[list[bool]]) -> Figure:
     # All that hold tell no spread: that of intervals as good as they claim counts then.
     least = math.sqrt(NOMINAL * (100.0 - NOMINAL) / max(count, 1))
     return Figure(name, "coverage", found.value, max(found.error, least), found.of)
+
+
+def share(name: str, outcomes: Sequence[bool]) -> Figure:
+    """% of units of which something is so, with the error by Laplace's rule of succession."""
+    n, count = len(outcomes), sum(outcomes)
+    p = (count + 1.0) / (n + 2.0)
+    error = 100.0 * math.sqrt(p * (1.0 - p) / max(n, 1))
+    return Figure(name, "high", 100.0 * count / max(n, 1), error, f"{n}")
 
 
 @dataclass

@@ -1,69 +1,181 @@
-"""Studies on recorded flights: with a truth, of one real vehicle, thinned, of other people."""
+"""Studies on recorded flights: with a truth, of one real vehicle, thinned, of other people.
+
+Every log is analyzed once. A .truth.json beside it may list a true change: `mass_after` and, under
+`events`, the Unix time at which that came into force; other logs have none.
+"""
 
 import json
 import math
 import re
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import recorded, recorded_changes
 from benchmarks.accept import trees
 from benchmarks.accept.emulated import claim_figures
-from benchmarks.accept.judge import Figure, Study, coverage, figure
-from benchmarks.accept.logs import SHARED, given
-from benchmarks.truth import judge as truth_judge
-from benchmarks.truth import recorded_flights
-from benchmarks.truth.real_flights import FLIGHTS, OPEN_LOOP
+from benchmarks.accept.judge import Figure, Study, coverage, figure, share
+from benchmarks.truth.real_flights import FLIGHTS
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.results.snapshot import History
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.signals.sampling import SampleBlock
+from gcs_sysid.telemetry.tlog import read_tlog
+from testbed import judge as truth_judge
+from testbed import recordings
+from testbed.recordings import AIR_TIMES, OPEN_LOOP, SHARED, given
 
 Outcomes = Sequence[dict[str, Any]]
+Change = tuple[float, float, float]
+"""s, kg, kg: when the mass changed, from and to what."""
+LANDING = 0.5
+"""s within which a landing is to be found."""
+_SAME, _LATER = 2.0, 20.0
+"""s within which a change called is the true one; after it, when mass and inertia are looked at."""
+_SHOWN = ("mass", "Ixx", "Iyy", "Izz")
 
 # ---- logs with a truth, and changes in all of them -------------------------------------------
 
 
 def _log_units(is_short: bool) -> list[str]:
-    logs = [log for log in recorded_changes.logs_in([SHARED]) if "field" not in log.parts]
+    logs = [log for log in recordings.logs_in([SHARED]) if "field" not in log.parts]
     if is_short:
         logs = [log for log in logs if log.name in ("c_3.tlog", "LOG00267.tlog")]
     return [str(log) for log in sorted(logs, key=lambda log: -log.stat().st_size)]
 
 
-def _log(unit: str) -> dict[str, Any] | None:
-    log = Path(unit)
+@dataclass
+class _Onlooker:
+    """Keeps when the vehicle flew, and the history of its estimates."""
+
+    t: list[Array] = field(default_factory=list)
+    flies: list[Mask] = field(default_factory=list)
+    history: History | None = None
+
+    def begin(self) -> None:
+        self.t, self.flies = [], []
+
+    def take(self, block: SampleBlock) -> None:
+        self.t.append(block.t)
+        self.flies.append(block.flying)
+
+    def end(self, chain: Chain) -> None:
+        self.history = chain.history
+
+
+def _log(unit: str) -> dict[str, Any]:
+    log, seen = Path(unit), _Onlooker()
+    change = change_in(log)
+    options = ChainOptions(history_interval=None if change is None else 1.0)
     try:
-        flown = recorded_changes.fly(log)
+        result = analyze_log(log, recordings.airframe_for(log), options=options, observer=seen)
     except InputError as error:
-        return {"log": log.name, "verdict": "refused", "error": str(error), "false": 0}
+        return {"log": log.name, "verdict": "refused", "error": str(error), "false": []}
+    t, flies = (np.concatenate(parts or [np.zeros(1)]) for parts in (seen.t, seen.flies))
+    flies = flies.astype(bool)
+    called = [e for e in result.events if "detected" in e and e["kind"] != "disturbance"]
+    found = next((e for e in called if change and abs(e["t"] - change[0]) < _SAME), None)
     out: dict[str, Any] = {
         "log": log.name,
-        "false": len(flown.false),
-        "landings": flown.landings,
-        "used": flown.used,
-        "airborne": flown.airborne,
+        "verdict": result.verdict,
+        "rotor_input": str(result.rotor_input),
+        "false": [f"{e['kind']}@{e['t']:.1f}" for e in called if e is not found],
+        "disturbances": sum(e["kind"] == "disturbance" for e in result.events),
+        "landings": _landings(log, t[flies]),
+        "used": float(result.telemetry["used_seconds"]),
+        "airborne": float(np.sum(np.diff(t, append=t[-1]) * flies)),
         "moments": {
             name: [e.value, e.std, e.status]
-            for name, e in flown.result.parameters.items()
+            for name, e in result.parameters.items()
             if name in (*OPEN_LOOP, "k_T")
         },
     }
-    if flown.change is not None:
-        event, (at, _, mass) = flown.found, flown.change
-        out["delay"] = event["decided"] - at if event and event.get("decided") else None
-        truth, values = recorded.truth_of(log) | {"mass": mass}, flown.result.parameters
-        out["after"] = [
-            100.0 * (values[n].value / truth[n] - 1.0) for n in ("mass", "Ixx", "Iyy", "Izz")
-        ]
-    if recorded_flights.truth_file(log) is not None:
-        truth, changed = recorded_flights.truth_of(log)
-        out["judged"] = truth_judge.outcome(flown.result, truth)
-        if changed:
+    known = recordings.truth_file(log) is not None
+    if known and change is None and recordings.is_changed_in_flight(log):
+        out["false"] = out["false"][1:]  # of a payload on the ground one is called at the landing
+    truth = recordings.truth_of(log) if known else {}
+    if change is not None:
+        decided = found["decided"] if found and found.get("decided") else None
+        out["delay"] = None if decided is None else decided - change[0]
+        values = {name: result.parameters[name].value for name in _SHOWN}
+        out["at the end"] = _errors(values, truth)
+        history = seen.history
+        if history is not None and len(history.t):
+            k = min(int(np.searchsorted(history.t, change[0] + _LATER)), len(history.t) - 1)
+            out[f"after {_LATER:.0f} s"] = _errors(
+                {name: float(history.value[name][k]) for name in _SHOWN}, truth
+            )
+    if known:
+        out["judged"] = truth_judge.outcome(result, truth)
+        if recordings.is_changed_in_flight(log):
             out["judged"]["events"] = []
     return out
+
+
+def change_in(log: Path) -> Change | None:
+    """When and by how much the mass truly changed in flight."""
+    file = log.with_suffix(".truth.json")
+    truth = json.loads(file.read_text()) if file.exists() else {}
+    for event in truth.get("events", ()):
+        if "mass_after" in event and log.suffix == ".tlog":
+            began, _ = next(iter(read_tlog(log)))
+            return event["unix"] - 1e-6 * began, truth["mass"], event["mass_after"]
+    return None
+
+
+def _landings(log: Path, aloft: Array) -> list[float]:
+    """How late each true landing was found, s."""
+    late = []
+    for start, end in AIR_TIMES.get(log.stem, ()):
+        flown = aloft[(aloft > start) & (aloft < end + 2.0 * LANDING)]
+        late.append(float(flown[-1]) - end if len(flown) else math.inf)
+    return late
+
+
+def _errors(values: dict[str, float | None], truth: dict[str, Any]) -> list[float]:
+    """In % of the truth."""
+    return [100.0 * ((values[n] or math.nan) / truth[n] - 1.0) for n in _SHOWN]
+
+
+def _log_details(outcomes: Outcomes) -> list[str]:
+    """What was found in each log, and every judged parameter's error and half width."""
+    lines = [
+        f"{'log':<40}{'verdict':<11}{'in air s':>9}{'used s':>8}{'disturbances':>13}"
+        f"{'landings late s':>18}  false changes"
+    ]
+    for o in outcomes:
+        if "error" in o:
+            lines.append(f"{o['log']:<40}{o['error']}")
+            continue
+        late = " ".join(f"{s:.2f}" for s in o["landings"])
+        lines.append(
+            f"{o['log']:<40}{o['verdict']:<11}{o['airborne']:9.1f}{o['used']:8.1f}"
+            f"{o['disturbances']:13d}{late:>18}  {' '.join(o['false']) or '-'}"
+        )
+        if "delay" in o:
+            told = "never" if o["delay"] is None else f"after {o['delay']:.1f} s"
+            lines.append(f"    the change is called {told}")
+        for when in ("at the end", f"after {_LATER:.0f} s"):
+            if when in o:
+                errors = zip(_SHOWN, o[when], strict=True)
+                lines.append(f"    {when}: {', '.join(f'{n} {e:+.2f} %' for n, e in errors)}")
+        for name, found in o.get("judged", {}).get("parameters", {}).items():
+            unit, scale = (" %", 100.0) if REGISTRY.get(name) and found["z"] else ("", 1.0)
+            half = Z95 * abs(found["error"] / found["z"]) if found["z"] else math.nan
+            lines.append(
+                f"    {name:<20}{scale * found['error']:>10.3g}{unit:<2}"
+                f"{scale * half:>10.3g}{unit:<2}  {'holds' if found['holds'] else 'MISSES'}"
+                f"  {found['status'] if found['status'] != 'identified' else ''}".rstrip()
+            )
+    return lines
 
 
 def _log_figures(outcomes: Outcomes) -> list[Figure]:
@@ -73,7 +185,7 @@ def _log_figures(outcomes: Outcomes) -> list[Figure]:
     figures += [
         figure(
             "recorded: false changes in all logs", "never", outcomes,
-            lambda units: float(sum(o["false"] for o in units)),
+            lambda units: float(sum(len(o["false"]) for o in units)),
         ),
         figure(
             "recorded: flight that is used, %", "high", [o for o in outcomes if o.get("airborne")],
@@ -84,20 +196,24 @@ def _log_figures(outcomes: Outcomes) -> list[Figure]:
         figures.append(
             figure(
                 "recorded: landings found late, rms s", "low", landings,
-                lambda units: float(np.sqrt(np.mean(np.square(units)))),
+                _rms,
             )
         )  # fmt: skip
     for o in outcomes:
-        if "after" in o:
+        if "at the end" in o:
             late = math.inf if o["delay"] is None else o["delay"]
             figures += [
                 Figure("recorded change: called after, s", "low", late, 0.5, "1, a look"),
                 Figure(
                     "recorded change: mass and inertia, rms error %", "low",
-                    float(np.sqrt(np.mean(np.square(o["after"])))), 0.5, "1, at half widths of 1 %",
+                    _rms(o["at the end"]), 0.5, "1, half widths of 1 %",
                 ),
             ]  # fmt: skip
     return figures + _real_figures([o for o in outcomes if o["log"] in FLIGHTS])
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _real_figures(outcomes: Outcomes) -> list[Figure]:
@@ -145,16 +261,15 @@ _THINNED = ("px4-esc-cg.tlog", "px4-sih-default.tlog", "ardupilot-sitl.tlog")
 
 def _thinned_units(is_short: bool) -> list[tuple[str, int]]:
     found = [name for name in _THINNED if (SHARED / name).exists()]
-    return [] if is_short else [(name, seed) for name in found for seed in (1, 2, 3)]
+    return [] if is_short else [(name, seed) for name in found for seed in (1, 2)]
 
 
 def _thinned(unit: tuple[str, int]) -> dict[str, Any]:
     name, seed = unit
     log = SHARED / name
-    truth = recorded.truth_of(log)
-    airframe = recorded.airframe_of(log).with_anchor("mass", truth["mass"])
+    truth, airframe = recordings.truth_of(log), recordings.airframe_for(log)
     with tempfile.TemporaryDirectory() as folder:
-        thin = recorded.thinned(log, Path(folder) / name, seed)
+        thin = recordings.thinned(log, Path(folder) / name, seed)
         return truth_judge.judge(thin, airframe, truth, peer=False)
 
 
@@ -213,10 +328,7 @@ def _field_figures(outcomes: Outcomes) -> list[Figure]:
             "field: internal errors and warnings of libraries", "never", outcomes,
             lambda units: float(sum(o["crash"] for o in units)),
         ),
-        figure(
-            "field: flights that `health` answers", "high", aloft,
-            lambda units: float(sum(o["status"] == 0 for o in units)),
-        ),
+        share("field: flights that `health` answers, %", [o["status"] == 0 for o in aloft]),
     ]  # fmt: skip
     if still:
         figures.append(
@@ -251,7 +363,7 @@ def _disagreement(pairs: Sequence[Sequence[float]]) -> float:
 
 
 STUDIES = (
-    Study("recorded", _log_units, _log, _log_figures),
+    Study("recorded", _log_units, _log, _log_figures, _log_details),
     Study("thinned", _thinned_units, _thinned, _thinned_figures),
     Study("field", _field_units, _field, _field_figures),
 )

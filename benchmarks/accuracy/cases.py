@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks import filter_errors
 from benchmarks.accuracy import changes, end_to_end
-from benchmarks.accuracy.article import NAMES, TABLE_3
 from benchmarks.accuracy.estimators import (
     article_noise,
     at_known_mass,
@@ -20,14 +19,6 @@ from benchmarks.accuracy.estimators import (
     outcome,
     white_noise,
 )
-from benchmarks.accuracy.flights import (
-    EXCITED_FROM,
-    GEOMETRY,
-    MEMS_SPEED_STD,
-    fly,
-    fly_late,
-    measure,
-)
 from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online.online import OnlineEstimator
@@ -35,6 +26,15 @@ from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.signals.complementary import ComplementaryFilter
+from testbed.article import NAMES, TABLE_3
+from testbed.article_flights import (
+    EXCITED_FROM,
+    GEOMETRY,
+    MEMS_SPEED_STD,
+    fly,
+    fly_late,
+    measure,
+)
 
 SIGMA = 0.02
 """The article's baseline noise."""

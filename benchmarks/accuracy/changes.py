@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -13,6 +12,7 @@ from gcs_sysid.model.parameters import INERTIA
 from sim_bridge.ensemble import Flight
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Change, mass_step
+from testbed.article_flights import GEOMETRY, VEHICLE, fly, measure
 
 RATE = 250
 DT = 1.0 / RATE

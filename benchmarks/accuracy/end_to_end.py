@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.estimators import in_percent
+from testbed.article import NAMES
 
 FLIGHTS: dict[str, tuple[str, ...]] = {
     "paper mission, 20 Hz, the article's noise (0.02)": (

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES
-from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.offline.innovations import AxisNoise, Noise
@@ -20,6 +18,8 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.sensors import CORNER
+from testbed.article import NAMES
+from testbed.article_flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 
 Outcome = dict[str, list[float]]
 """error and std of the ten parameters, both in % of the truth."""

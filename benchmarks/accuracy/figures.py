@@ -7,9 +7,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from benchmarks.accuracy.article import INERTIA_AFTER_MASS_STEP, NAMES, TABLE_3
 from benchmarks.accuracy.statistics import Data, bound, kind, least, summary
 from benchmarks.accuracy.tables_errors import at_noise
+from testbed.article import INERTIA_AFTER_MASS_STEP, NAMES, TABLE_3
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

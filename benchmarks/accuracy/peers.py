@@ -19,13 +19,13 @@ from scipy.signal import savgol_filter
 from statsmodels.regression.recursive_ls import RecursiveLS
 
 from benchmarks.accuracy.estimators import Outcome, in_percent, online, outcome
-from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.article_estimator import Method
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
+from testbed.article_flights import GEOMETRY, VEHICLE, fly, measure
 
 TUNING_SEEDS = (100001, 100002, 100003)
 """The unscented filter, which takes long, is tuned on the first alone."""

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES
 from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
+from testbed.article import NAMES
 
 Data = dict[str, dict[str, Any]]
 """Outcomes of the cases that were run, by name; what JSON holds."""

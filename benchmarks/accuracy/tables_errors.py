@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES, TABLE_2, TABLE_3
 from benchmarks.accuracy.statistics import Data, bound, held, kind, least, summary
 from benchmarks.accuracy.verdicts import (
     Section,
@@ -17,6 +16,7 @@ from benchmarks.accuracy.verdicts import (
     within,
 )
 from gcs_sysid.arrays import Array
+from testbed.article import NAMES, TABLE_2, TABLE_3
 
 SPEEDS = ("exact", "telemetered")
 _ESTIMATORS = ("online", "offline")

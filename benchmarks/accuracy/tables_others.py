@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks import filter_claims, filter_errors
-from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.statistics import Data, held, kind
 from benchmarks.accuracy.verdicts import Section, Verdict, at_least, at_most, number, of, table
+from testbed.article import NAMES
 
 _TITLES = {"peers": "20 Hz, the article's noise", "peers-mems": "250 Hz MEMS"}
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.article import CONVERGENCE, INERTIA_AFTER_MASS_STEP, NAMES
 from benchmarks.accuracy.statistics import Data, kind, settled, summary
 from benchmarks.accuracy.verdicts import Section, Verdict, at_most, number, of, table
 from gcs_sysid.arrays import Array
+from testbed.article import CONVERGENCE, INERTIA_AFTER_MASS_STEP, NAMES
 
 MAX_TILT = 45.0
 """Degrees; a vehicle that leans further after a change is no longer called stable."""

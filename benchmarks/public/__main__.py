@@ -21,13 +21,12 @@ import numpy as np
 
 from benchmarks.public import entries, score
 from benchmarks.public.flight import Claims, Entry, flight_of
-from benchmarks.recorded import airframe_for
-from benchmarks.truth import emulated, independent, practitioner, recorded_flights
-from benchmarks.truth.scenarios import SCENARIOS
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
+from testbed import emulated, independent, practitioner, recordings
+from testbed.scenarios import SCENARIOS
 
 ROOT = Path(__file__).resolve().parents[2]
 CACHE = ROOT / "build" / "public"
@@ -53,9 +52,9 @@ def cases(vehicles: int, logs: Path | None) -> list[tuple[str, str, Make]]:
         for scenario in scenarios:
             for number in range(vehicles) if scenario in there else ():
                 found.append((group, f"{scenario} {number}", _emulate(scenario, number)))
-    for place, files in recorded_flights.cases(logs).items() if logs else ():
+    for place, files in recordings.cases(logs).items() if logs else ():
         for log in files:
-            truth, changes = recorded_flights.truth_of(log)
+            truth, changes = recordings.truth_of(log), recordings.is_changed_in_flight(log)
             if not changes:  # one truth for the whole flight
                 found.append((place, log.name, _recorded(log, truth)))
     return found
@@ -73,7 +72,7 @@ def _emulate(scenario: str, number: int) -> Make:
 
 
 def _recorded(log: Path, truth: Mapping[str, Any]) -> Make:
-    return lambda _: (log, airframe_for(log), truth)
+    return lambda _: (log, recordings.airframe_for(log), truth)
 
 
 def claims_of(result: Result) -> Claims:

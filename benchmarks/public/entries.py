@@ -13,10 +13,10 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from benchmarks.public.flight import Claims, Entry, Flight, Stretch
-from benchmarks.truth import practitioner
 from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
+from testbed import practitioner
 
 CLAIM = 0.2
 """Largest standard deviation of a claim, of the value (of a CG: of a tenth of the arm)."""
@@ -60,7 +60,7 @@ def thrust_coefficient(flight: Flight) -> float:
 
 
 def least_squares(flight: Flight) -> Claims:
-    """Savitzky-Golay derivatives in Euler's equations: `benchmarks.truth.practitioner`."""
+    """Savitzky-Golay derivatives in Euler's equations: `testbed.practitioner`."""
     parts = [(s.rates, s.rotors, s.force) for s in flight.stretches]
     rates, rotors, force = (np.concatenate(c) for c in zip(*parts, strict=True))
     found = practitioner.fit(rates, rotors, force, flight.dt, flight.geometry, flight.mass)

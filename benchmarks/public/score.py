@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.accuracy.verdicts import number, table
 from benchmarks.public.flight import Claims
-from benchmarks.truth.judge import against
+from testbed.judge import against
 
 OURS = "gcs-sysid"
 MOMENTS = ("Ixx", "Iyy", "Izz")

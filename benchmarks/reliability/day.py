@@ -29,7 +29,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import resident
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
@@ -46,6 +45,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.missions import MISSIONS, Mission, Reference
 from sim_bridge.simulation import mass_step
 from sim_bridge.wire import FrameWriter
+from testbed.ground_cycles import emulate
 
 RATE = 20.0
 RATES = {

@@ -20,7 +20,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.linked import linked
 from benchmarks.reliability.fault_cases import CASES, DROPOUTS, HEADLINE, Case
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
@@ -36,6 +35,7 @@ from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.linked import linked
 
 AIRFRAME = "paper"
 NO_LINE = LineFaults()

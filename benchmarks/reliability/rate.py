@@ -28,8 +28,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.reliability.flights import FAST, emulate, flights_in
 from benchmarks.reliability.watched import LEVELS, take_core
+from testbed.ground_cycles import FAST, emulate, flights_in
 
 SETTLED_AFTER = 120.0
 """s, after which memory must not grow."""

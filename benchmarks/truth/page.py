@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.verdicts import number, table
-from benchmarks.truth.judge import MOMENTS
+from testbed.judge import MOMENTS
 
 TEMPLATE = Path(__file__).with_name("template.md")
 Outcome = dict[str, Any]

@@ -14,16 +14,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.recorded import airframe_for
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
+from testbed.recordings import OPEN_LOOP, airframe_for
 
 FLIGHTS = tuple(f"LOG00{number}.tlog" for number in (259, 264, 267, 269, 271, 277, 281))
-OPEN_LOOP = {"Ixx": 5.8e-4, "Iyy": 7.4e-4}
-"""kg m^2, of throws of 0.45 s without feedback."""
 NAMES = tuple(OPEN_LOOP)
 
 

@@ -11,7 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import filter_errors
-from benchmarks.accuracy.article import NAMES, TABLE_3
+from testbed.article import NAMES, TABLE_3
 
 SEEDS = 200
 Random = np.random.Generator

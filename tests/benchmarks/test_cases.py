@@ -11,8 +11,8 @@ pytest.importorskip("statsmodels", reason="the bench extra")
 
 from benchmarks.accuracy import cases, changes, peers
 from benchmarks.accuracy.estimators import online, true_theta
-from benchmarks.accuracy.flights import exact, fly, measure
 from gcs_sysid.model import rigid_body as rb
+from testbed.article_flights import exact, fly, measure
 
 CORE = [*range(rb.CG_Y + 1), rb.MOMENT_RATIO]
 TRUE = true_theta()[CORE]

@@ -5,10 +5,12 @@ import argparse
 import numpy as np
 import pytest
 
-from benchmarks.changes import PAPER, follow, main, samples_of, stack_vehicles, vehicles, whole
+from benchmarks.changes import whole
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
+from sim_bridge.simulated_vehicle import stack_vehicles
+from testbed.fleets import PAPER, follow, samples_of, vehicles
 
 
 def test_vehicles_are_drawn_anew_by_each_seed_and_can_fly():
@@ -30,13 +32,6 @@ def test_a_short_hover_is_followed(commands):
     tracker = follow(samples_of(flight, 1, commands=commands), flight.t, commands=commands)
     assert tracker.events == []
     assert np.isfinite(tracker.fit(quick=True).seconds)
-
-
-def test_a_log_that_is_not_there_is_said(capsys, tmp_path):
-    assert main(["logs", str(tmp_path / "none")]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.strip() == f"{tmp_path / 'none'}: no such file or folder"
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "1.5", "many"])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.reliability import busy, day, flood, rate, soak
-from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.ground_cycles import emulate
 
 
 def test_garbage_holds_no_frame_and_repeats_with_its_seed():

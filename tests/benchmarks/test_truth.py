@@ -12,13 +12,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.truth import __main__ as command
-from benchmarks.truth import emulated, independent, page, recorded_flights
-from benchmarks.truth.judge import against, judge
-from benchmarks.truth.real_flights import OPEN_LOOP
-from benchmarks.truth.scenarios import SCENARIOS
-from benchmarks.truth.vehicles import HEAVIEST, LAYOUTS, LIGHTEST, draw
+from benchmarks.truth import page
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.simulated_vehicle import hover_thrusts
+from testbed import emulated, independent, recordings
+from testbed.judge import against, judge
+from testbed.recordings import OPEN_LOOP
+from testbed.scenarios import SCENARIOS
+from testbed.vehicles import HEAVIEST, LAYOUTS, LIGHTEST, draw
 
 BY_NAME = {s.name: s for s in SCENARIOS}
 
@@ -132,7 +133,8 @@ def test_truths_are_read_in_every_spelling(tmp_path: Path) -> None:
             }
         )
     )
-    truth, changes = recorded_flights.truth_of(tmp_path / "x.tlog")
+    truth = recordings.truth_of(tmp_path / "x.tlog")
+    changes = recordings.is_changed_in_flight(tmp_path / "x.tlog")
     assert changes
     assert truth["Ixx"] == 0.02
     assert (truth["cg_y"], truth["moment_ratio"]) == (-0.02, pytest.approx(0.02))
@@ -143,8 +145,8 @@ def test_truths_are_read_in_every_spelling(tmp_path: Path) -> None:
 def test_inertia_of_a_family_is_that_of_throws_and_unknown_with_a_camera(tmp_path: Path) -> None:
     bench = {"Ixx": 7.2e-4, "Iyy": 7.8e-4, "Izz": 8.9e-4}
     (tmp_path / "cinerat.truth.json").write_text(json.dumps(bench))
-    flown, _ = recorded_flights.truth_of(tmp_path / "LOG00267.tlog")
-    with_camera, _ = recorded_flights.truth_of(tmp_path / "LOG00340.tlog")
+    flown = recordings.truth_of(tmp_path / "LOG00267.tlog")
+    with_camera = recordings.truth_of(tmp_path / "LOG00340.tlog")
     assert flown == {"Izz": 8.9e-4, **OPEN_LOOP}
     assert with_camera == {"Izz": 8.9e-4}
 

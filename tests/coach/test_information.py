@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.flights import measure
 from gcs_sysid.coach.information import information, within_reach
 from gcs_sysid.coach.manoeuvre_library import Limits, library
 from gcs_sysid.coach.prior_vehicle import prior_vehicle
@@ -14,6 +13,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.swings import ManoeuvreMission, Swings
+from testbed.article_flights import measure
 
 RATE, SECONDS = 100.0, 16.0
 FREE = slice(0, rb.N_THETA + 1)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.coach import AGREES, TARGET, WANTED, Flight, coached, modes
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from sim_bridge.missions import MISSIONS
 from sim_bridge.swings import ManoeuvreMission, Swings
+from testbed.led_flights import AGREES, TARGET, WANTED, Flight, coached, modes
 
 HALF = 0.5
 

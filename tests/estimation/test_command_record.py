@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import early
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
@@ -28,6 +27,7 @@ from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.physics import Physics
 from sim_bridge.simulated_vehicle import stack_vehicles
+from testbed import command_flights as early
 
 DT = 0.005
 LAG = 0.05

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle
-from benchmarks.truth.closed_loop import fly as fly_cell
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, SIZES, SURE, DeviationChoice
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
@@ -18,6 +16,8 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
+from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle
+from testbed.rate_loop import fly as fly_cell
 from tests.feeding import feed
 
 T = 0.004

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.flights import exact
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.early_change import LEAST_BEFORE, actuator_of, early_change
 from gcs_sysid.estimation.changes.tracking import Tracker
@@ -19,6 +18,7 @@ from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.simulation import mass_step
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.article_flights import exact
 
 RATE, END = 100, 11.0
 DT = 1.0 / RATE

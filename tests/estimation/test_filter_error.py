@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.noise.whitening import averaged, gauss_markov, torque_noise
@@ -27,6 +26,7 @@ from gcs_sysid.estimation.offline.likelihood import most_passes
 from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
+from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 
 T = 0.004
 GIVEN = gauss_markov(T, 4.0)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 from gcs_sysid.estimation.fit.shocks import shocks_in
 from gcs_sysid.estimation.noise.whitening import (
     AVERAGED,
@@ -26,6 +25,7 @@ from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import OneStep, step_for
+from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 
 T = 0.004
 WHITENED, WINDOW = EstimatorTuning(), EstimatorTuning(smoother="window")

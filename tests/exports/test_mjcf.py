@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import gcs_sysid
-from benchmarks.exported_ensemble import SECONDS, STEP, spread_of
 from gcs_sysid.exports import mjcf
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.model.airframe import load_airframe
+from testbed.ensemble_spread import SECONDS, STEP, spread_of
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, speed_result, without
 from .pilot import GRAVITY, Pilot

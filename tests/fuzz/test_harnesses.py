@@ -7,16 +7,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.reliability.fuzz import blackbox_harnesses, definition_harnesses, link_harnesses
-from benchmarks.reliability.fuzz.__main__ import main, shares
-from benchmarks.reliability.fuzz.drive import Driver
-from benchmarks.reliability.fuzz.harness import Harness, one_line_errors
-from benchmarks.reliability.fuzz.harnesses import HARNESSES
-from benchmarks.reliability.fuzz.mutate import Mutator
-from benchmarks.reliability.fuzz.references import checksum
+from benchmarks.reliability.fuzz import main, shares
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.mapped_table import read_table
+from testbed.fuzz import blackbox_harnesses, definition_harnesses, link_harnesses
+from testbed.fuzz.drive import Driver
+from testbed.fuzz.harness import Harness, one_line_errors
+from testbed.fuzz.harnesses import HARNESSES
+from testbed.fuzz.mutate import Mutator
+from testbed.fuzz.references import checksum
 
 BY_NAME = [pytest.param(harness, id=harness.name) for harness in HARNESSES]
 

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.health_logs import rectangle
-from benchmarks.recorded import airframe_of
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log, judged
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.analysis import analyze_log
+from testbed.recordings import airframe_of, rectangle
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 _BY_HAND = {

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.recorded import airframe_of
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.log_playback import Recorded, survey
 from gcs_sysid.live.replay_session import ReplaySession
@@ -16,6 +15,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
+from testbed.recordings import airframe_of
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-from benchmarks.linked import linked
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.session.analysis import analyze_log
@@ -14,6 +13,7 @@ from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.linked import linked
 from tests.feeding import feed
 
 AS_THE_ARTICLE = ("--noise", "paper", "--sigma", "0.02", "--rate", "20")

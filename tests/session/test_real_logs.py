@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.recorded import airframe_of, thinned, truth_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
+from testbed.recordings import airframe_of, thinned, truth_of
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 

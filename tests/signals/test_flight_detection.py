@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.recorded_changes import AIR_TIMES
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
@@ -11,6 +10,7 @@ from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.logs import open_log
 from sim_bridge.cli import main as sim_bridge
+from testbed.recordings import AIR_TIMES
 
 RATE = 50.0
 T = np.arange(0.0, 30.0, 1.0 / RATE)

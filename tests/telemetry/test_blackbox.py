@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import blackbox_log as bbl
-from benchmarks.blackbox_log import BlackboxWriter, Field
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_session
 from gcs_sysid.fleet.batch import find_logs
@@ -18,6 +16,8 @@ from gcs_sysid.signals.rotor_units import command_range
 from gcs_sysid.telemetry.blackbox import flight_sessions, read_blackbox
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
+from testbed import blackbox_log as bbl
+from testbed.blackbox_log import BlackboxWriter, Field
 
 SETTINGS = {
     "Firmware type": "Betaflight", "gyro_scale": bbl.float_bits(1.0), "acc_1G": 2048,

@@ -5,9 +5,6 @@ import random
 import numpy as np
 import pytest
 
-from benchmarks import blackbox_log as bbl
-from benchmarks.blackbox_log import BlackboxWriter, Field
-from benchmarks.reliability.fuzz.blackbox_reference import PlainReader
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry import (
     blackbox_frames,
@@ -17,6 +14,9 @@ from gcs_sysid.telemetry import (
 )
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import read_frames
+from testbed import blackbox_log as bbl
+from testbed.blackbox_log import BlackboxWriter, Field
+from testbed.fuzz.blackbox_reference import PlainReader
 
 ENCODINGS = (0, 1, 3, 6, 7, 8, 9, 10)
 KEYS, DELTAS = (0, 4, 8, 9, 11), (0, 1, 2, 3, 4, 6, 8, 9, 11)

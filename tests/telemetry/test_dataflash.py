@@ -7,13 +7,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from benchmarks.reliability.fuzz.body_harnesses import assert_alike
-from benchmarks.reliability.fuzz.file_harnesses import check_recording
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
+from testbed.fuzz.body_harnesses import assert_alike
+from testbed.fuzz.file_harnesses import check_recording
 
 RPM = 2.0 * math.pi / 60.0
 

@@ -7,10 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.reliability.fuzz.harness import one_line_errors
-from benchmarks.reliability.garbage_cost import PATTERNS, measure
-from benchmarks.reliability.hostile import FILES, HEAD, TOP, ULG, formats, subscribed
-from benchmarks.reliability.hostile import ulg_entry as entry
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
@@ -21,6 +17,9 @@ from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.ulog_scan import UlogFile
+from testbed.fuzz.harness import one_line_errors
+from testbed.hostile_logs import FILES, HEAD, PATTERNS, TOP, ULG, formats, measure, subscribed
+from testbed.hostile_logs import ulg_entry as entry
 
 SECONDS, MEGABYTES = 1.0, 200.0
 TURNS_AT_MOST = 4

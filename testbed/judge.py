@@ -5,14 +5,14 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from benchmarks.truth import practitioner
-from benchmarks.truth.emulated import Truth
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
+from testbed import practitioner
+from testbed.emulated import Truth
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
 NO_CHANGE = ("disturbance", "rotor_input", "landing")

@@ -17,8 +17,8 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.reliability.fuzz.harness import Harness
-from benchmarks.reliability.fuzz.mutate import Mutator
+from testbed.fuzz.harness import Harness
+from testbed.fuzz.mutate import Mutator
 
 SLOW = 1.0
 """s of processor time: an input that takes longer is a finding."""
@@ -134,7 +134,7 @@ def _bound_memory() -> None:
 
 
 def _harness(name: str) -> Harness:
-    module = importlib.import_module("benchmarks.reliability.fuzz.harnesses")
+    module = importlib.import_module("testbed.fuzz.harnesses")
     found: Harness = next(h for h in module.HARNESSES if h.name == name)
     return found
 

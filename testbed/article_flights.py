@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.complementary import ComplementaryFilter
@@ -14,6 +13,7 @@ from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.article import NAMES
 
 VEHICLE = load_vehicle("paper")
 GEOMETRY = load_airframe("paper").geometry

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.reliability.fuzz.harness import Scratch, one_line_errors
 from gcs_sysid.argument_types import prior, setting, vehicle_address, web_address
 from gcs_sysid.cli.output import read_truth
 from gcs_sysid.errors import InputError
@@ -25,6 +24,7 @@ from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.swings import read_plan
+from testbed.fuzz.harness import Scratch, one_line_errors
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
 _toml, _json, _key = Scratch(".toml"), Scratch(".json"), Scratch(".key")
@@ -147,7 +147,7 @@ def check_wizard(data: bytes) -> None:
 
 def toml_seeds() -> list[bytes]:
     """The airframes that come with the program, and a full one."""
-    folder = Path(__file__).parents[3] / "src" / "gcs_sysid" / "model" / "airframes"
+    folder = Path(__file__).parents[2] / "src" / "gcs_sysid" / "model" / "airframes"
     full = b"""name = "x"\nmass = 1.5\nrotor_input = "command"
 [command]\nmin = 0.0\nmax = 1\nthrust_curve = 0.3\n[imu]\ngyro_filter = 80\nposition = [0, 0.1, 0]
 [prior]\nk_M = [6e-6, 1e-7]\nIxx = [0.01, 1e-3]\n[simulation]\nx = [[[1]]]\n"""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gcs_sysid.errors import GcsSysidError
 
-CORPUS = Path(__file__).parents[3] / "tests" / "fuzz" / "corpus"
+CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
 """Inputs kept, a folder for each harness."""
 
 

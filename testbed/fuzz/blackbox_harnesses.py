@@ -7,13 +7,13 @@ import functools
 import math
 from itertools import pairwise
 
-from benchmarks import blackbox_log as bbl
-from benchmarks.reliability.fuzz.blackbox_reference import PlainReader
-from benchmarks.reliability.fuzz.file_harnesses import check_recording
-from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import MAGIC, Header, read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import read_frames
+from testbed import blackbox_log as bbl
+from testbed.fuzz.blackbox_reference import PlainReader
+from testbed.fuzz.file_harnesses import check_recording
+from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 
 _bbl = Scratch(".bbl")
 

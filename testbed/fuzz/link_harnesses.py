@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
-from benchmarks.reliability.fuzz.references import checksum, frames_of_log, frames_of_stream
 from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import (
@@ -30,6 +28,8 @@ from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
 from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
+from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
+from testbed.fuzz.references import checksum, frames_of_log, frames_of_stream
 
 _TYPES = (
     "HEARTBEAT", "HIGHRES_IMU", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED",

@@ -13,14 +13,14 @@ from pathlib import Path
 from random import Random
 from zlib import crc32
 
-from benchmarks.reliability.fuzz.file_harnesses import check_recording
-from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import MAGIC
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.mapped_table import read_table
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
+from testbed.fuzz.file_harnesses import check_recording
+from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 
 SECONDS, SECONDS_PER_MB = 0.5, 0.5
 """Processor time that a log may take; a flood of the smallest entries takes 0.25 s a megabyte."""

@@ -1,11 +1,11 @@
 """All harnesses."""
 
-from benchmarks.reliability.fuzz import blackbox_harnesses as blackbox
-from benchmarks.reliability.fuzz import body_harnesses as bodies
-from benchmarks.reliability.fuzz import definition_harnesses as definitions
-from benchmarks.reliability.fuzz import file_harnesses as files
-from benchmarks.reliability.fuzz import link_harnesses as link
-from benchmarks.reliability.fuzz.harness import Harness
+from testbed.fuzz import blackbox_harnesses as blackbox
+from testbed.fuzz import body_harnesses as bodies
+from testbed.fuzz import definition_harnesses as definitions
+from testbed.fuzz import file_harnesses as files
+from testbed.fuzz import link_harnesses as link
+from testbed.fuzz.harness import Harness
 
 _MAGICS = (b"\xfd", b"\xfe", b"\xfd\x09\x00\x00", b"\xfe\x09", b"\xfd\x01\x00\x00\x09\x01\x01\xff")
 _JSON = (b"[", b"{", b"]", b"}", b'"', b":", b",", b"null", b"true", b"-", b"e", b"NaN", b"1e400")

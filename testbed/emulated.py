@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.truth.scenarios import Scenario
-from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import BOOT_US
@@ -20,6 +18,8 @@ from sim_bridge.physics import Physics
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import SensorFaults
 from sim_bridge.simulation import Simulation
+from testbed.scenarios import Scenario
+from testbed.vehicles import Drawn, draw
 
 _SPEEDS = (mavlink.MAVLINK_MSG_ID_ESC_STATUS, mavlink.MAVLINK_MSG_ID_ESC_INFO)
 _COMMANDS = (

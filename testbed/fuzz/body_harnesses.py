@@ -10,12 +10,12 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.reliability.fuzz.definition_harnesses import bounded
-from benchmarks.reliability.fuzz.file_harnesses import bin_seeds, check_recording, ulg_seeds
-from benchmarks.reliability.fuzz.harness import Scratch, one_line_errors
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
+from testbed.fuzz.definition_harnesses import bounded
+from testbed.fuzz.file_harnesses import bin_seeds, check_recording, ulg_seeds
+from testbed.fuzz.harness import Scratch, one_line_errors
 
 _ulg, _bin = Scratch(".ulg"), Scratch(".bin")
 _ULG_HEAD, _FMT = 16, 0x80

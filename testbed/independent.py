@@ -16,14 +16,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from benchmarks.truth.emulated import Recording, describe, write
-from benchmarks.truth.vehicles import LAYOUTS, Drawn, draw
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.dynamics import CALM, State
 from sim_bridge.missions import Mission
 from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
 from sim_bridge.simulation import Simulation, trim
+from testbed.emulated import Recording, describe, write
+from testbed.vehicles import LAYOUTS, Drawn, draw
 
 STEP_US = 2000
 """us a step of theirs."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.truth.vehicles import LAYOUTS
 from gcs_sysid.model.airframe import Airframe, Rotor
 from sim_bridge.physics import IDEAL, Physics
+from testbed.vehicles import LAYOUTS
 
 Random = np.random.Generator
 _CANT = math.radians(4.0)

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reliability.fuzz.drive import has_atheris
-from benchmarks.reliability.fuzz.harness import Harness
-from benchmarks.reliability.fuzz.harnesses import HARNESSES
+from testbed.fuzz.drive import has_atheris
+from testbed.fuzz.harness import Harness
+from testbed.fuzz.harnesses import HARNESSES
 
 
 def shares(harnesses: Sequence[Harness], inputs: int, least: int) -> dict[str, int]:
@@ -30,7 +30,7 @@ def _run(harness: Harness, inputs: int, options: argparse.Namespace) -> dict[str
     if inputs == 0:
         return before or _figures(None)
     figures.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "benchmarks.reliability.fuzz.drive", harness.name]
+    command = [sys.executable, "-m", "testbed.fuzz.drive", harness.name]
     command += [str(options.findings), "--inputs", str(inputs), "--seed", str(options.seed)]
     command += ["--seconds", str(options.seconds), "--engine", options.engine]
     log = options.findings / f"{harness.name}.log"

@@ -1,0 +1,1 @@
+"""What tests and benchmarks share: vehicles, flights, recordings, harnesses, and who judges."""
