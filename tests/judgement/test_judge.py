@@ -22,6 +22,7 @@ from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 
 PAPER = load_airframe("paper")
 MASS, K_T = 1.5, 2.05e-4
@@ -227,3 +228,18 @@ def test_what_becomes_known_later_is_added():
     assert object_to(result, [note]).reasons == ("lost",)
     lower = object_to(result, [Objection("cut", verdict="partial", by="x"), silent])
     assert (lower.verdict, lower.reasons) == ("partial", ("cut", "slow link"))
+
+
+def test_a_gyro_that_contradicts_the_attitude_limits_what_rests_on_it():
+    half = GyroAgainstAttitude(
+        0.5 * np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
+    )
+    found = judge(flight(gyro=half))
+    assert found.verdict == "partial"
+    assert any("reads 0.50 of what the attitude turns" in reason for reason in found.reasons)
+    assert found.estimates["Ixx"].status == "weak"
+    assert found.estimates["k_T"].status == "identified"
+    sound = GyroAgainstAttitude(
+        np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
+    )
+    assert judge(flight(gyro=sound)) == judge(flight())

@@ -8,6 +8,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.records import Stream
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ class Evidence:
         given: name -> standard deviation that comes from what was given, SI.
         reread: whether rotor speeds declared as rpm were read as rad/s.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
+        gyro: what it reads of what the attitude turns; None where that is not known.
         received: what came; None where only a fit is judged, not a flight.
         no_vehicle: why there is no vehicle; empty where there is one.
         layout: what the vehicle says against the airframe.
@@ -75,6 +77,7 @@ class Evidence:
     given: Mapping[str, float] = field(default_factory=dict)
     reread: bool = False
     clock: "ClockDoubt | None" = None
+    gyro: GyroAgainstAttitude | None = None
     received: Received | None = None
     no_vehicle: str = ""
     layout: tuple[str, ...] = ()

@@ -1,13 +1,16 @@
 """Does the gyro read what the attitude turns? If not, what does it do?"""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.model.estimate import Objection
+from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 
-AXES = ("roll", "pitch", "yaw")
 _SYSTEMATIC = np.array([0.015, 0.015, 0.05])
 """Shares by which sound gyros and attitudes of 40 logs differ beyond their noise: gravity corrects
 roll and pitch of an attitude, the compass its yaw."""
@@ -21,11 +24,18 @@ _DEAD = 0.1
 """Share of a turn that a dead axis reads at most."""
 
 
-def misread_axes(check: GyroAgainstAttitude) -> Array:
+def misread_axes(check: GyroAgainstAttitude) -> Mask:
     """(3,) which axes certainly do not read what the attitude turns."""
     std = np.hypot(np.diag(check.std), _SYSTEMATIC)
-    wrong: Array = np.abs(np.diag(check.gain) - 1.0) > _CERTAIN * std
-    return wrong & (check.turned > _MOVED)
+    scale = np.diag(check.gain)
+    moved: Mask = check.turned > _MOVED
+    wrong: Mask = moved & (np.abs(scale - 1.0) > _CERTAIN * std)
+    # What is wrong with one scale for all is wrong with all, also where that axis cannot show it.
+    return moved if wrong.any() and _alike(scale[moved]) else wrong
+
+
+def _alike(scales: Array) -> bool:
+    return float(np.ptp(scales)) < _ALIKE * abs(float(scales.mean()))
 
 
 def gyro_reason(check: GyroAgainstAttitude | None) -> str:
@@ -34,8 +44,8 @@ def gyro_reason(check: GyroAgainstAttitude | None) -> str:
         return ""
     gain = check.gain
     scale = np.diag(gain)
-    mean = float(scale.mean())
-    if wrong.sum() >= 2 and float(np.ptp(scale)) < _ALIKE * abs(mean):
+    mean = float(scale[wrong].mean())
+    if wrong.sum() >= 2 and _alike(scale[wrong]):
         if abs(math.radians(mean) - 1.0) < _ALIKE:
             return (
                 f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not "
@@ -57,3 +67,25 @@ def gyro_reason(check: GyroAgainstAttitude | None) -> str:
         for i in np.flatnonzero(wrong)
     )
     return f"the gyro's {words} of what the attitude turns: check the IMU"
+
+
+def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
+    """All that rests on an axis which the gyro does not read as the attitude turns.
+
+    Drag too: the attitude that it is found with is filtered with the gyro.
+    """
+    if not (reason := gyro_reason(evidence.gyro)) or evidence.gyro is None:
+        return
+    axes = misread_axes(evidence.gyro)
+    yield Objection(
+        reason,
+        frozenset(
+            name
+            for name in evidence.estimates
+            if any(axes[axis] for axis in REGISTRY[name].axes)
+            or REGISTRY[name].fit == "translation"
+        ),
+        cap="weak",
+        verdict="partial",
+        evidence=dict(zip(AXES, np.diag(evidence.gyro.gain).tolist(), strict=True)),
+    )

@@ -327,6 +327,7 @@ class Chain:
             checked=self.options.tuning.method == "forward" and self.tracker is not None,
             interval=0.0 if self.tracker is None else self.tracker.dt,
             filtered=self.cutoffs[0] is not None,
+            gyro=self.sampler.gyro_check.result(),
         )
 
     def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:

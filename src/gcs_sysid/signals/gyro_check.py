@@ -64,6 +64,7 @@ class GyroCheck:
         self._angle = np.zeros(3)
         self._ends: list[Array] = []
         self._before: tuple[float, Array] | None = None
+        self._found: tuple[int, GyroAgainstAttitude | None] = 0, None
 
     def update(self, t: Array, gyro: Array, reported: Array, *, fresh: bool = False) -> None:
         """Take a block.
@@ -93,31 +94,41 @@ class GyroCheck:
         self._last, self._before = bool(there[-1]), (float(t[-1]), gyro[-1].copy())
 
     def result(self) -> GyroAgainstAttitude | None:
-        """What was found; None while there is too little to compare."""
-        if len(self._ends) <= _FEWEST:
+        """What was found; None while there is too little to compare.
+
+        It is renewed each time there is a fifth more, so that asking often costs little.
+        """
+        count = 2 * _FEWEST
+        if len(self._ends) < count:
             return None
-        ends = np.array(self._ends)
-        t, run, angle, q, rate = np.split(ends, [1, 2, 5, 9], axis=1)
-        same = (run[1:] == run[:-1])[:, 0] & (np.diff(t[:, 0]) < 2.0 * _INTERVAL)
-        dt = np.diff(t, axis=0)[same]
-        phi = attitude.to_rotation_vector(attitude.multiply(attitude.conjugate(q[:-1]), q[1:]))[
-            same
-        ]
-        theta, change = np.diff(angle, axis=0)[same], np.diff(rate, axis=0)[same]
-        small: Mask = np.linalg.norm(phi, axis=1) < _LARGEST_TURN
-        columns = np.column_stack([phi, dt, change])[small]
-        phi, theta = phi[small], theta[small]
-        if len(phi) < _FEWEST:
-            return None
-        fits = [_robust(columns, theta[:, axis]) for axis in range(3)]
-        explained = np.array([[max(share, _LEAST_SHARE)] for *_, share in fits])
-        gain = np.array([value[:3] for value, *_ in fits])
-        std = np.sqrt([np.diag(covariance)[:3] for _, covariance, _ in fits])
-        half = 0.5 * gain * (1.0 / explained - 1.0)
-        gain, std = gain + half, np.hypot(std, half)
-        bias = np.array([value[3] for value, *_ in fits])
-        turned = np.sqrt((phi**2).mean(axis=0))
-        return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
+        while (more := math.ceil(1.2 * count)) <= len(self._ends):
+            count = more
+        if count != self._found[0]:
+            self._found = count, _compared(np.array(self._ends[:count]))
+        return self._found[1]
+
+
+def _compared(ends: Array) -> GyroAgainstAttitude | None:
+    """From the (n, 12) ends of intervals: time, run, angle, attitude and rate."""
+    t, run, angle, q, rate = np.split(ends, [1, 2, 5, 9], axis=1)
+    same = (run[1:] == run[:-1])[:, 0] & (np.diff(t[:, 0]) < 2.0 * _INTERVAL)
+    dt = np.diff(t, axis=0)[same]
+    phi = attitude.to_rotation_vector(attitude.multiply(attitude.conjugate(q[:-1]), q[1:]))[same]
+    theta, change = np.diff(angle, axis=0)[same], np.diff(rate, axis=0)[same]
+    small: Mask = np.linalg.norm(phi, axis=1) < _LARGEST_TURN
+    columns = np.column_stack([phi, dt, change])[small]
+    phi, theta = phi[small], theta[small]
+    if len(phi) < _FEWEST:
+        return None
+    fits = [_robust(columns, theta[:, axis]) for axis in range(3)]
+    explained = np.array([[max(share, _LEAST_SHARE)] for *_, share in fits])
+    gain = np.array([value[:3] for value, *_ in fits])
+    std = np.sqrt([np.diag(covariance)[:3] for _, covariance, _ in fits])
+    half = 0.5 * gain * (1.0 / explained - 1.0)
+    gain, std = gain + half, np.hypot(std, half)
+    bias = np.array([value[3] for value, *_ in fits])
+    turned = np.sqrt((phi**2).mean(axis=0))
+    return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
 
 
 def _robust(columns: Array, y: Array) -> tuple[Array, Array, float]:
