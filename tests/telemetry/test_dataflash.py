@@ -9,7 +9,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import dataflash_format
+from gcs_sysid.telemetry import dataflash_format, file_windows
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
 from testbed.fuzz.body_harnesses import assert_alike
@@ -362,7 +362,7 @@ def test_a_log_larger_than_any_card_holds_is_not_read(tmp_path):
     path = tmp_path / "sparse.bin"
     with open(path, "wb") as file:
         file.write(dataflash_format.HEAD)
-        file.truncate(dataflash_format.MOST_BYTES + 1)
+        file.truncate(file_windows.MOST_BYTES + 1)
     with pytest.raises(InputError, match=r"too large for an ArduPilot log: 4,294,967,297 bytes"):
         open_log(path)
 

@@ -25,11 +25,10 @@ from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
 from gcs_sysid.telemetry.blackbox_search import DISARM
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.file_windows import MOST_BYTES
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
-MOST_BYTES = 2**32
-"""Of a log, which is read whole: the cards that flight controllers write to hold no larger file."""
 _FRD = np.array([1.0, -1.0, -1.0])
 """Forward, left, up to forward, right, down; north, west, up to north, east, down."""
 _QUATERNION_ONE, _INDIFLIGHT_ONE = 32767.0, 8127.0

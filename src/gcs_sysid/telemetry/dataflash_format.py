@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.file_windows import file_windows
+from gcs_sysid.telemetry.file_windows import MOST_BYTES, file_windows
 
 HEAD = b"\xa3\x95"
-MOST_BYTES = 2**32
-"""Of a log: the cards that autopilots write to hold no larger file."""
 EVERY = slice(None)
 """Rows."""
 _FMT = 0x80

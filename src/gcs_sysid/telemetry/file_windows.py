@@ -4,6 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
+MOST_BYTES = 2**32
+"""Of an onboard log: the cards that autopilots write to hold no larger file."""
+
 
 @dataclass
 class FileWindow:

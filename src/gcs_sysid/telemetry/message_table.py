@@ -28,8 +28,6 @@ MOST_ROTORS = 64
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""
-PREFERRED_FOR = 1.0
-"""s. The next best message is used only when no better one came for this long."""
 
 
 def used_sensors(_messages: Array, rpm: Array) -> Array:
@@ -228,6 +226,9 @@ INERTIAL = frozenset(message.name for message in MESSAGES if message.stream is S
 class Preference:
     """Lets messages of a stream through only while none that ranks better comes."""
 
+    PREFERRED_FOR = 1.0
+    """s. The next best message is used only when no better one came for this long."""
+
     def __init__(self) -> None:
         self._received: dict[int, float] = {}
 
@@ -249,11 +250,11 @@ class Preference:
             allowed = np.ones(len(t), bool)
             for better, last in silent:
                 if better < rank:
-                    allowed &= ~(np.abs(t - last) <= PREFERRED_FOR)
+                    allowed &= ~(np.abs(t - last) <= self.PREFERRED_FOR)
             for better, better_order, better_t in received:
                 if better < rank:
                     last_t = better_t[np.searchsorted(better_order, order)]
-                    allowed &= ~(np.abs(t - last_t) <= PREFERRED_FOR)
+                    allowed &= ~(np.abs(t - last_t) <= self.PREFERRED_FOR)
             masks.append(allowed)
             timed = np.isfinite(t)
             times = np.concatenate([[self._received.get(rank, np.nan)], t[timed]])

@@ -27,11 +27,6 @@ _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT32: struct.Struct("<I"),
     mavlink.MAV_PARAM_TYPE_INT32: struct.Struct("<i"),
 }
-LANDED_STATE_FOR = 5.0
-"""s. ArduPilot's heartbeat gives the flight state only when no EXTENDED_SYS_STATE, which comes once
-or twice a second, came for this long."""
-MOST_PARAMETERS = 4096
-"""Names kept: a hostile sender can make up more than any autopilot has."""
 STATE_IDS = frozenset(
     MESSAGE_IDS[name]
     for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE", "MESSAGE_INTERVAL")
@@ -77,6 +72,12 @@ class VehicleStates:
             many of these had come by then.
         untimed: messages that gave no record because no stamp had been received.
     """
+
+    LANDED_STATE_FOR = 5.0
+    """s. ArduPilot's heartbeat gives the flight state only when no EXTENDED_SYS_STATE, which comes
+    once or twice a second, came for this long."""
+    MOST_PARAMETERS = 4096
+    """Names kept: a hostile sender can make up more than any autopilot has."""
 
     def __init__(self) -> None:
         self.autopilot: int | None = None
@@ -136,7 +137,7 @@ class VehicleStates:
             armed == self._armed
             and self.autopilot == _ARDUPILOT
             and status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
-            and not abs(now - self._landed_received) <= LANDED_STATE_FOR
+            and not abs(now - self._landed_received) <= self.LANDED_STATE_FOR
         ):
             return Record(Stream.IN_AIR, now, (float(status == mavlink.MAV_STATE_ACTIVE),))
         self._armed = armed
@@ -147,7 +148,7 @@ class VehicleStates:
         name, value = read_parameter(payload, bytewise=bytewise)
         if not name or not math.isfinite(value):
             return None
-        if len(self.parameters) >= MOST_PARAMETERS and name not in self.parameters:
+        if len(self.parameters) >= self.MOST_PARAMETERS and name not in self.parameters:
             return None
         self.parameters[name] = value
         return Record(Stream.PARAMETER, now or 0.0, (value,), source=name)
