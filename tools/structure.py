@@ -11,7 +11,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "gcs_sysid"
+JUDGED = ("Estimate", "IdentifiedEstimate", "KnownEstimate", "Result", "Health", "Inspection")
+"""Classes with a status, a verdict or reasons."""
+WORDS = {
+    "status": {"identified", "given", "zero", "weak", "unobservable"},
+    "verdict": {"identified", "partial", "refused", "available", "yes", "partly", "no"},
+}
+"""What is decided in one room."""
 BARS = {
+    "writers of a status or verdict": 1,
     "lines": 58_000,
     "files": 280,
     "lines of estimation": 11_500,
@@ -88,6 +96,43 @@ def circles(imports: dict[str, set[str]]) -> list[list[str]]:
     return sorted(sorted(group) for group in groups)
 
 
+def is_read(value: ast.expr, name: str) -> bool:
+    """Whether a value is handed on from an attribute, or an entry of a file, of that name."""
+    return any(
+        (isinstance(node, ast.Attribute) and node.attr == name)
+        or (isinstance(node, ast.Constant) and node.value == name)
+        for node in ast.walk(value)
+    )
+
+
+def judgements(tree: ast.Module) -> list[int]:
+    """Lines on which a module makes a status, a verdict or its reasons.
+
+    Those are arguments of what is judged, or of `replace`, that are not read elsewhere; and their
+    words where they are returned or chosen between. An `Objection` only asks for one.
+    """
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            called = node.func.id if isinstance(node.func, ast.Name) else called
+            made = {keyword.arg: keyword.value for keyword in node.keywords if keyword.arg}
+            if called in JUDGED:
+                names = ("status", "verdict", "reasons")
+                if called.endswith("Estimate") and len(node.args) > 3:
+                    made["status"] = node.args[3]
+                found += [node.lineno for n in names if n in made and not is_read(made[n], n)]
+            elif called == "replace":
+                found += [
+                    node.lineno
+                    for name, words in WORDS.items()
+                    for part in ast.walk(made.get(name, ast.Pass()))
+                    if isinstance(part, ast.Constant) and part.value in words
+                ]
+                found += [node.lineno for name in ("reasons",) if name in made]
+    return found
+
+
 def main() -> None:
     """Print the counts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -121,7 +166,10 @@ def main() -> None:
         for name in imports
         if len(importers[name]) == 1 and not name.endswith("__main__")
     }
+    writers = {name: found for name, tree in trees.items() if (found := judgements(tree))}
+    rooms = {".".join(name.split(".")[:2]) for name in writers}
     counts = {
+        "writers of a status or verdict": len(rooms),
         "lines": lines(SOURCE),
         "files": len(trees),
         "lines of estimation": lines(SOURCE / "estimation"),
@@ -140,6 +188,7 @@ def main() -> None:
         print(
             "", *(f"{name}: {', '.join(where)}" for name, where in sorted(twice.items())), sep="\n"
         )
+        print("", *(f"{name}: judges on line {lines}" for name, lines in writers.items()), sep="\n")
         print("", *(f"{name} <- {by}" for name, by in sorted(single.items())), sep="\n")
 
 

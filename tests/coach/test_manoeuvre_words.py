@@ -9,7 +9,8 @@ import pytest
 from gcs_sysid.coach.choice import Choice
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre, damped_words, sentence
-from gcs_sysid.model.estimate import NOTHING, Estimate
+from gcs_sysid.judgement.status import NOTHING
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.rotor_input import RotorInput
 

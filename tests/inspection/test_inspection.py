@@ -13,6 +13,7 @@ from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
+from gcs_sysid.judgement.short_verdicts import level_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.columns import RecordBlock
@@ -39,7 +40,7 @@ def inspect(recording):
 
 
 def texts(found, *levels):
-    return " | ".join(f.text for f in found.findings if not levels or f.level in levels)
+    return " | ".join(o.reason for o in found.objections if not levels or level_of(o) in levels)
 
 
 def watched(t, values=None):
@@ -226,7 +227,7 @@ def test_a_dead_rotor_is_refused_as_by_analyze():
 def test_a_sound_flight(inspect):
     found = inspect()
     assert found.verdict == "yes"
-    assert found.findings == ()
+    assert found.objections == ()
     assert found.kind == "tlog"
     assert found.flight_told_by == "autopilot"
     assert found.in_air == pytest.approx(16.0, abs=0.1)
@@ -307,7 +308,7 @@ def test_several_flights_and_the_ground_between():
 def test_clock_drift_is_told(inspect):
     found = inspect("--duration", "30", "--trap", "clock-drift=8000")
     assert found.clock.drift_ppm == pytest.approx(8000.0, rel=0.02)
-    assert any("clock runs 0.80 % fast" in finding.text for finding in found.findings)
+    assert any("clock runs 0.80 % fast" in objection.reason for objection in found.objections)
 
 
 @pytest.mark.slow
@@ -343,7 +344,7 @@ def test_a_narrow_link_is_refused_with_what_to_do(fly):
     found = inspect_log(fly("--mission", "all-axes", "--rate", "4", "--duration", "16").tlog)
     assert found.verdict == "no"
     assert "HIGHRES_IMU comes at 4.0 Hz" in texts(found, "blocks")
-    assert any("faster" in f.advice or "fast link" in f.advice for f in found.findings)
+    assert any("faster" in o.how or "fast link" in o.how for o in found.objections)
 
 
 @pytest.mark.slow

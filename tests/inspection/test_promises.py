@@ -8,9 +8,12 @@ import pytest
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log, judged
+from gcs_sysid.judgement.prediction import RULES
+from gcs_sysid.judgement.received import TOO_MUCH_LOSS
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.records import Stream
 from testbed.recordings import airframe_of, rectangle
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -76,14 +79,33 @@ def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
 
 
 @pytest.mark.slow
+def test_loss_and_stillness_limit_by_the_rules_of_the_analysis(fly):
+    flight = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
+    found = inspect_log(fly(*flight).tlog)
+
+    def missing(percent):
+        streams = [
+            replace(s, missing_percent=percent) if s.stream is Stream.IMU else s
+            for s in found.streams
+        ]
+        return judged(replace(found, streams=tuple(streams))).verdict
+
+    most = 100.0 * TOO_MUCH_LOSS
+    assert [missing(percent) for percent in (0.9 * most, 1.1 * most)] == ["yes", "partly"]
+    still = replace(found.motion["yaw"], rate_rms=0.9 * RULES.still[2])
+    hardly = judged(replace(found, motion={**found.motion, "yaw": still}))
+    assert (hardly.verdict, hardly.obtainable) == ("partly", "all but Izz")
+
+
+@pytest.mark.slow
 def test_rotors_that_explain_too_little_promise_rough_inertia(fly):
     flight = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
     found = inspect_log(fly(*flight).tlog)
     assert (found.verdict, found.obtainable) == ("yes", "everything")
     rough = judged(replace(found, explained_coupled=0.8))
     assert (rough.verdict, rough.obtainable) == ("partly", "in part")
-    assert any("rotors explain 80 %" in finding.text for finding in rough.findings)
+    assert any("rotors explain 80 %" in objection.reason for objection in rough.objections)
     chosen = replace(found.rotor_input.chosen, kind=RotorInput.COMMAND)
     commands = judged(replace(rough, rotor_input=replace(found.rotor_input, chosen=chosen)))
     assert commands.obtainable == "in part"
-    assert any("inertia and T_max rough" in finding.text for finding in commands.findings)
+    assert any("inertia and T_max rough" in objection.reason for objection in commands.objections)

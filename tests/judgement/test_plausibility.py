@@ -15,9 +15,9 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import judge, judged
 from gcs_sysid.judgement.plausibility import RANGES, implausible, placeholder_arm, reread_speeds
-from gcs_sysid.judgement.status import by_interval
+from gcs_sysid.judgement.status import NOTHING, by_interval
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
-from gcs_sysid.model.estimate import NOTHING, Estimate, Objection, Status
+from gcs_sysid.model.estimate import Estimate, Objection, Status
 from gcs_sysid.model.parameters import ARM, CORE_OF, PARAMETERS, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result_view import figures

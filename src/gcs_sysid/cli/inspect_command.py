@@ -23,6 +23,7 @@ from gcs_sysid.inspection.facts import (
 )
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
 from gcs_sysid.inspection.thresholds import THRESHOLDS
+from gcs_sysid.judgement.short_verdicts import level_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
@@ -352,15 +353,15 @@ def _verdict(found: Inspection, width: int) -> list[str]:
         f"Can be identified from: {_VERDICTS[found.verdict]}",
         *_entry("Obtainable", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
     ]
-    for i, finding in enumerate(found.findings):
-        mark = "-" if finding.level == "note" else "!"
+    for i, objection in enumerate(found.objections):
+        mark = "-" if level_of(objection) == "note" else "!"
         lines += textwrap.wrap(
-            finding.text, width, initial_indent=f"  {mark} ", subsequent_indent="    "
+            objection.reason, width, initial_indent=f"  {mark} ", subsequent_indent="    "
         )
-        following = found.findings[i + 1 :]
-        if finding.advice and not any(f.advice == finding.advice for f in following):
+        following = found.objections[i + 1 :]
+        if objection.how and not any(o.how == objection.how for o in following):
             lines += textwrap.wrap(
-                finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
+                objection.how, width, initial_indent="    -> ", subsequent_indent="       "
             )
     if found.verdict != "no" and found.kind != "link":
         lines += ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]

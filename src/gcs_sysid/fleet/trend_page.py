@@ -188,8 +188,7 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
                 found.name,
                 value_text(found.name, found.before),
                 value_text(found.name, found.after),
-                value_text(found.name, Estimate(found.value, found.std, found.unit, "identified"))
-                + share,
+                value_text(found.name, Estimate(found.value, found.std, found.unit)) + share,
             ]
         )
     return out

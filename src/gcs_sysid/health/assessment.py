@@ -27,7 +27,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock
@@ -120,11 +120,11 @@ class HoverRecords:
         log, blocks = self._log, self._blocks
         self._blocks = []
         if log is None:
-            return Health(source, reasons=("nothing was read",))
+            return _refused("nothing was read", source=source)
         if log.vehicle is None:
             found = ", ".join(map(str, log.systems))
             text = "no heartbeat of an autopilot was found" + (f"; found: {found}" if found else "")
-            return Health(source, reasons=(text,))
+            return _refused(text, source=source)
         autopilot = log.vehicle.key
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
         guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
@@ -171,7 +171,7 @@ def health_of(
     problem = _missing(streams)
     windows = None if problem else windows_of(streams, len(airframe.rotors))
     if windows is None:
-        return Health("", airframe=airframe, reasons=problem)
+        return _refused(*problem, airframe=airframe)
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
     curve = None
@@ -181,12 +181,12 @@ def health_of(
     c = curve.c.value if curve is not None and rotor_input.motors else None
     thrust = thrust_of(windows, c)
     if rotor_input.motors and c is None:
-        return Health("", airframe=airframe, reasons=("nothing was seen in flight",))
+        return _refused("nothing was seen in flight", airframe=airframe)
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
-        return Health("", airframe=airframe, reasons=(_no_hover(windows),))
+        return _refused(_no_hover(windows), airframe=airframe)
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         return _contradicted(airframe, _ORDER.format(guess.origin))
@@ -254,7 +254,15 @@ def _rotor_stream(streams: Streams, airframe: Airframe) -> tuple[RotorInput, Rot
 
 def _contradicted(airframe: Airframe, reason: str) -> Health:
     """Nothing but why: CG, shares and positions all depend on the motor order."""
-    return Health("", airframe=airframe, reasons=(reason,), contradicted=True)
+    return _refused(reason, airframe=airframe, by=ROTORS)
+
+
+def _refused(
+    *reasons: str, source: str = "", airframe: Airframe | None = None, by: str = "hover"
+) -> Health:
+    """No answer, for these reasons."""
+    objections = tuple(Objection(reason, verdict="refused", by=by) for reason in reasons)
+    return Health(source, airframe=airframe, objections=objections)
 
 
 def _missing(streams: Streams) -> tuple[str, ...]:

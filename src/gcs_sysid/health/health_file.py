@@ -8,6 +8,7 @@ from gcs_sysid.files import read_text
 from gcs_sysid.health.autopilot_parameters import suggested
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
+from gcs_sysid.judgement.short_verdicts import hover_verdict
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.strict_json import parse_json
@@ -26,7 +27,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "schema": SCHEMA,
         "source": health.source,
         "vehicle": dict(health.vehicle),
-        "verdict": "available" if health.available else "refused",
+        "verdict": hover_verdict(health.objections, hovers=health.available),
         "reasons": list(health.reasons),
         "seconds_of_hover": health.seconds,
         "rotor_input": health.rotor_input,

@@ -7,8 +7,9 @@ from typing import Any
 from gcs_sysid.health.balance import Center
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
+from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
 
 
@@ -92,9 +93,7 @@ class Health:
         source: the log.
         vehicle: as in a result.
         autopilot: "px4", "ardupilot" or another key; "" when not known.
-        reasons: why there is no answer; empty when there is one.
-        contradicted: whether the motion contradicts the airframe: then nothing that depends on its
-            motor order is given, and `reasons` say so even where an analysis has its own.
+        objections: why there is no answer; empty when there is one.
         airframe: used for the balances.
         rotor_input: that loads were taken from.
         seconds: of hover.
@@ -130,8 +129,7 @@ class Health:
     source: str
     vehicle: Mapping[str, Any] = field(default_factory=dict)
     autopilot: str = ""
-    reasons: tuple[str, ...] = ()
-    contradicted: bool = False
+    objections: tuple[Objection, ...] = ()
     airframe: Airframe | None = None
     rotor_input: RotorInput | None = None
     rotor_source: str = ""
@@ -179,6 +177,18 @@ class Health:
     def through_motors(self) -> bool:
         """Whether loads are those of commands."""
         return self.rotor_input is not None and self.rotor_input.motors
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why there is no answer, in words."""
+        return tuple(objection.reason for objection in self.objections)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the motion contradicts the airframe: then nothing that depends on its motor order
+        is given, and `reasons` say so even where an analysis has its own.
+        """
+        return any(objection.by == ROTORS for objection in self.objections)
 
     @property
     def available(self) -> bool:

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from gcs_sysid.judgement.short_verdicts import Readiness, level_of, readiness
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.vehicles import RADIO, MavlinkSystem
@@ -14,7 +16,6 @@ AXES = ("roll", "pitch", "yaw")
 ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 
-Verdict = Literal["yes", "partly", "no"]
 Obtainable = Literal["everything", "all but Izz", "in part", "health", "nothing"]
 """Obtainable results; "all but Izz" where yaw was hardly flown."""
 
@@ -109,16 +110,6 @@ class ClockFacts:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something that decides, or that a pilot should know."""
-
-    level: Literal["blocks", "limits", "note"]
-    text: str
-    advice: str = ""
-    """What to do about it."""
-
-
-@dataclass(frozen=True)
 class Inspection:
     """Everything found. Times are s since the first record, going on over reboots."""
 
@@ -155,7 +146,8 @@ class Inspection:
     little was flown, or not looked for."""
     explained_coupled: float | None = None
     """The same with products of inertia and a CG off the center allowed for."""
-    findings: tuple[Finding, ...] = ()
+    objections: tuple[Objection, ...] = ()
+    """What decides, or is worth knowing, the worst first."""
     obtainable: Obtainable = "nothing"
 
     @property
@@ -174,10 +166,9 @@ class Inspection:
         return None if self.vehicle is None else self.vehicle.address
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Readiness:
         """Whether the vehicle can be identified from this."""
-        levels = {finding.level for finding in self.findings}
-        return "no" if "blocks" in levels else "partly" if "limits" in levels else "yes"
+        return readiness(self.objections)
 
     def stream(self, kind: Stream) -> StreamFacts | None:
         """The stream of a kind, the first where there are several."""
@@ -191,7 +182,10 @@ class Inspection:
             "obtainable": self.obtainable,
             "seconds_of_hover": self.hover,
             "explained_by_rotors": self.explained,
-            "reasons": [asdict(finding) for finding in self.findings],
+            "reasons": [
+                {"level": level_of(objection), "text": objection.reason, "advice": objection.how}
+                for objection in self.objections
+            ],
             "source": self.source,
             "kind": self.kind,
             "duration": self.duration,

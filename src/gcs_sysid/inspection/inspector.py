@@ -29,7 +29,7 @@ from gcs_sysid.inspection.facts import (
     StreamFacts,
     that_matter,
 )
-from gcs_sysid.inspection.readiness import findings_of, obtainable
+from gcs_sysid.inspection.readiness import objections_to, obtainable
 from gcs_sysid.inspection.stream_watch import (
     MotionWatch,
     Pending,
@@ -342,8 +342,8 @@ def inspect_log(
 
 
 def judged(inspection: Inspection) -> Inspection:
-    """With the findings that its facts lead to, and with how much is obtainable."""
-    whole = replace(inspection, findings=findings_of(inspection))
+    """With the objections that its facts lead to, and with how much is obtainable."""
+    whole = replace(inspection, objections=objections_to(inspection))
     return replace(whole, obtainable=obtainable(whole))
 
 

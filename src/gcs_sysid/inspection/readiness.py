@@ -1,17 +1,20 @@
 """Whether a vehicle can be identified from what was found, in a pilot's words."""
 
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 from gcs_sysid.inspection.facts import (
     AXES,
     ONBOARD,
-    Finding,
     Inspection,
     Obtainable,
     RotorMessage,
 )
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
+from gcs_sysid.judgement.prediction import is_still
+from gcs_sysid.judgement.received import TOO_MUCH_LOSS
+from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 
@@ -33,39 +36,47 @@ _FASTER_LINK = (
 )
 
 
-def findings_of(inspection: Inspection) -> tuple[Finding, ...]:
+def objections_to(inspection: Inspection) -> tuple[Objection, ...]:
     """Everything that decides or is worth knowing, the worst first."""
     order = {"blocks": 0, "limits": 1, "note": 2}
-    return tuple(sorted(_findings(inspection), key=lambda finding: order[finding.level]))
+    found = [
+        replace(objection, by=by)
+        for by, object_to in _PRODUCERS
+        if inspection.vehicle is not None or by in ("link", "vehicle")
+        for objection in object_to(inspection)
+    ]
+    return tuple(sorted(found, key=lambda objection: order[level_of(objection)]))
 
 
-def _findings(found: Inspection) -> Iterator[Finding]:
-    for problem in found.problems:
-        yield Finding("limits", problem)
-    if found.vehicle is None:
-        yield _no_vehicle(found)
+def _blocks(reason: str, how: str = "") -> Objection:
+    return Objection(reason, verdict="refused", how=how)
+
+
+def _limits(reason: str, how: str = "") -> Objection:
+    return Objection(reason, verdict="partial", how=how)
+
+
+def _note(reason: str, how: str = "") -> Objection:
+    return Objection(reason, verdict="identified", how=how)
+
+
+def _problems(found: Inspection) -> Iterator[Objection]:
+    yield from map(_limits, found.problems)
+
+
+def _vehicle(found: Inspection) -> Iterator[Objection]:
+    if found.vehicle is not None:
         return
-    yield from _imu(found)
-    yield from _rotors(found)
-    yield from _attitude_and_velocity(found)
-    yield from _flight(found)
-    yield from _motion(found)
-    yield from _turned_by_rotors(found)
-    yield from _losses(found)
-    yield from _others(found)
-
-
-def _no_vehicle(found: Inspection) -> Finding:
-    if not found.is_received:
-        return Finding(
-            "blocks", "no MAVLink message received", "check the link, its port and its baud rate"
-        )
     names = ", ".join(map(str, found.systems))
-    if any(system.is_autopilot for system in found.systems):
+    if not found.is_received:
+        how = "check the link, its port and its baud rate"
+        yield _blocks("no MAVLink message received", how)
+    elif any(system.is_autopilot for system in found.systems):
         text = f"the requested vehicle was not found; found: {names}"
-        return Finding("blocks", text, "name one of these with --vehicle")
-    text = f"no autopilot heartbeat; received: {names}"
-    return Finding("blocks", text, "check that it is powered and sends to this link")
+        yield _blocks(text, "name one of these with --vehicle")
+    else:
+        text = f"no autopilot heartbeat; received: {names}"
+        yield _blocks(text, "check that it is powered and sends to this link")
 
 
 def _faster(found: Inspection) -> str:
@@ -100,32 +111,32 @@ def obtainable(found: Inspection) -> Obtainable:
     return "health" if slow and rotors and found.flights else "nothing"
 
 
-def _imu(found: Inspection) -> Iterator[Finding]:
+def _imu(found: Inspection) -> Iterator[Objection]:
     imu = found.stream(Stream.IMU)
     if imu is None:
-        yield Finding("blocks", "no IMU data (HIGHRES_IMU)", _faster(found))
+        yield _blocks("no IMU data (HIGHRES_IMU)", _faster(found))
         return
     rate = imu.rate or 0.0
     if rate < MIN_RATE:
         text = (
             f"{imu.message} comes at {rate:.1f} Hz; identification needs {LIMITS.imu_rate:.0f} Hz"
         )
-        yield Finding("blocks", text, _faster(found))
+        yield _blocks(text, _faster(found))
     elif rate < LIMITS.nearly * LIMITS.command_rate:
         needed = rate >= LIMITS.nearly * LIMITS.imu_rate
         text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for fast motion"
-        yield Finding("note" if needed else "limits", text, _faster(found))
+        yield (_note if needed else _limits)(text, _faster(found))
     # PX4's IMU data come from before its filter.
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
     if 0.0 < cutoff < LIMITS.slow_gyro_filter:
-        yield Finding("note", f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
+        yield _note(f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
 
 
-def _rotors(found: Inspection) -> Iterator[Finding]:
+def _rotors(found: Inspection) -> Iterator[Objection]:
     chosen = found.rotor_input.chosen
     if found.rotors_assumed and found.rotor_sources:
         text = f"the vehicle type does not define the number of rotors: {found.rotors} assumed"
-        yield Finding("note", text, "give --rotors N, or --airframe")
+        yield _note(text, "give --rotors N, or --airframe")
     if chosen is None:
         if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
             return  # what flight would show; that there was none is reported separately
@@ -133,8 +144,7 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
             f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
             for source in found.rotor_sources
         )
-        yield Finding(
-            "blocks",
+        yield _blocks(
             f"no rotor input that can be used: {why}" if why else "no rotor input at all",
             _faster(found)
             if why
@@ -143,87 +153,84 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         )
         return
     for reason in found.rotor_input.reasons:
-        yield Finding("note", reason)
+        yield _note(reason)
     if chosen.kind.motors and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
-        yield Finding(
-            "limits",
+        yield _limits(
             f"{chosen.message}'s commands at {chosen.rate:.0f} Hz leave out commands in between",
             _faster(found),
         )
     elif (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
         text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: fast motion cannot be used"
-        yield Finding("limits", text, _faster(found))
+        yield _limits(text, _faster(found))
 
 
 def _is_quick(source: RotorMessage) -> bool:
     return source.rate is not None and source.rate >= MIN_RATE
 
 
-def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
+def _attitude_and_velocity(found: Inspection) -> Iterator[Objection]:
     attitude = found.stream(Stream.ATTITUDE)
     if attitude is None:
-        yield Finding("blocks", "no attitude (ATTITUDE or ATTITUDE_QUATERNION)", _faster(found))
+        yield _blocks("no attitude (ATTITUDE or ATTITUDE_QUATERNION)", _faster(found))
     elif (attitude.rate or 0.0) < LIMITS.attitude_rate:
-        yield Finding(
-            "limits", f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
+        yield _limits(
+            f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
         )
     if found.stream(Stream.VELOCITY) is None:
-        yield Finding("note", "no velocity (LOCAL_POSITION_NED): linear_drag is not observable")
+        yield _note("no velocity (LOCAL_POSITION_NED): linear_drag is not observable")
 
 
-def _flight(found: Inspection) -> Iterator[Finding]:
+def _flight(found: Inspection) -> Iterator[Objection]:
     if not found.flight_told_by:
         advice = "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)"
         if found.kind == "table":
             advice = "name a column of it in the mapping file: in_air or armed"
-        yield Finding("blocks", "no flight state in the data", advice)
+        yield _blocks("no flight state in the data", advice)
     elif found.kind == "link":
         if not found.flights:
             text = "not in the air while listening: flight-dependent checks are skipped"
-            yield Finding("blocks", text, "inspect again in flight, or start gcs-sysid live")
+            yield _blocks(text, "inspect again in flight, or start gcs-sysid live")
     elif found.in_air < LIMITS.too_short:
         text = f"only {found.in_air:.0f} s in the air" if found.in_air else "never in the air"
-        yield Finding("blocks", text, "fly a minute, with roll, pitch and yaw inputs")
+        yield _blocks(text, "fly a minute, with roll, pitch and yaw inputs")
     elif found.in_air < LIMITS.short:
         text = f"only {found.in_air:.0f} s in the air: intervals stay wide"
-        yield Finding("limits", text, "fly a minute or more")
+        yield _limits(text, "fly a minute or more")
     if len(found.flights) > 1:
         text = f"{len(found.flights)} flights: joined only where they agree"
-        yield Finding("note", text)
+        yield _note(text)
 
 
-def _motion(found: Inspection) -> Iterator[Finding]:
+def _motion(found: Inspection) -> Iterator[Objection]:
     little = [a for a in AXES if a in found.motion and _is_little(found, a)]
     if not little:
         return
     identified = ", ".join(_IDENTIFIED_BY_AXIS[axis] for axis in little)
     axes = " and ".join(filter(None, [", ".join(little[:-1]), little[-1]]))
     now = "right now " if found.kind == "link" else ""
-    yield Finding(
-        "limits",
+    yield _limits(
         f"too little {axes} motion {now}to identify {identified}",
         f"fly fast {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
     )
 
 
 def _is_little(found: Inspection, axis: str) -> bool:
-    return found.motion[axis].acceleration_rms < LIMITS.acceleration[axis]
+    motion, least = found.motion[axis], LIMITS.acceleration[axis]
+    return is_still(motion.rate_rms, axis) or motion.acceleration_rms < least
 
 
-def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
+def _turned_by_rotors(found: Inspection) -> Iterator[Objection]:
     """What turns the vehicle must be its rotors, at the rates of this log and in this order."""
     if not _is_flown(found) or found.explained is None:
         return
     if found.explained < LIMITS.explained:
-        yield Finding(
-            "blocks",
+        yield _blocks(
             f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: vibration, "
             "gusts, slow data or another motor order",
             f"give --airframe with the motors in the autopilot's order; {_faster(found)}",
         )
     elif _is_rough(found):
-        yield Finding(
-            "limits",
+        yield _limits(
             f"the rotors explain {100.0 * (found.explained_coupled or 0.0):.0f} % of roll or "
             "pitch: what else moves the vehicle (propeller wash, gusts, the ground) may leave the "
             f"inertia{' and T_max' * _is_by_commands(found)} rough",
@@ -251,51 +258,62 @@ def _is_by_commands(found: Inspection) -> bool:
     return found.rotor_input.chosen is not None and found.rotor_input.chosen.kind.motors
 
 
-def _losses(found: Inspection) -> Iterator[Finding]:
+def _losses(found: Inspection) -> Iterator[Objection]:
     imu = found.stream(Stream.IMU)
     lost = float(found.telemetry.get("lost_percent", 0.0))
     skipped = imu.missing_percent if imu else 0.0
+    # What is missing limits an estimate, whatever it was lost by.
+    level = _limits if 0.01 * skipped >= TOO_MUCH_LOSS else _note
     if lost > LIMITS.loss_named:
         advice = "" if found.kind in ONBOARD else "fly closer, or request less (--rate)"
-        yield Finding(_loss_level(lost), f"{lost:.0f} % of the messages were lost", advice)
+        yield level(f"{lost:.0f} % of the messages were lost", advice)
     elif imu and skipped > LIMITS.loss_named:
-        text = f"{skipped:.0f} % of {imu.message} was never sent, by its timestamps"
-        yield Finding(_loss_level(skipped), text)
+        yield level(f"{skipped:.0f} % of {imu.message} was never sent, by its timestamps")
     if imu and imu.gaps:
         text = f"{imu.gaps} gaps in {imu.message}, the longest {imu.longest_gap:.1f} s"
-        yield Finding("note", text)
+        yield _note(text)
     bad = int(found.telemetry.get("bad_crc", 0))
     if bad:
-        yield Finding("note", f"{bad} messages of another definition, or damaged, were skipped")
+        yield _note(f"{bad} messages of another definition, or damaged, were skipped")
     torn = int(found.telemetry.get("cut_short", 0))
     if torn:
         text = f"the last record is cut short: {torn} bytes (the recording was not closed)"
-        yield Finding("note", text)
+        yield _note(text)
     garbage = int(found.telemetry.get("garbage_bytes", 0))
     if garbage >= LIMITS.garbage or found.telemetry.get("damaged"):
         text = (
             f"damaged: {garbage} bytes are not part of a message" if garbage else "damaged in part"
         )
-        yield Finding("note", text)
+        yield _note(text)
     drops = found.telemetry.get("dropouts", {})
     if drops.get("count"):
         text = (
             f"the autopilot could not write for {drops['seconds']:.1f} s ({drops['count']} times)"
         )
-        yield Finding("note", text, "use a faster SD card")
+        yield _note(text, "use a faster SD card")
 
 
-def _loss_level(percent: float) -> Literal["limits", "note"]:
-    return "limits" if percent > LIMITS.loss_hurts else "note"
-
-
-def _others(found: Inspection) -> Iterator[Finding]:
+def _others(found: Inspection) -> Iterator[Objection]:
     if found.clock.reboots:
-        yield Finding("note", f"the autopilot restarted in between ({found.clock.reboots} x)")
+        yield _note(f"the autopilot restarted in between ({found.clock.reboots} x)")
     others = [s for s in found.systems if s.is_autopilot and s.address != found.vehicle_address]
     if others:
         more = [f"{len(others) - LIMITS.vehicles_named} more"] * (
             len(others) > LIMITS.vehicles_named
         )
         names = ", ".join([*map(str, others[: LIMITS.vehicles_named]), *more])
-        yield Finding("note", f"other vehicles on the link: {names}", "choose with --vehicle")
+        yield _note(f"other vehicles on the link: {names}", "choose with --vehicle")
+
+
+_PRODUCERS: tuple[tuple[str, Callable[[Inspection], Iterable[Objection]]], ...] = (
+    ("link", _problems),
+    ("vehicle", _vehicle),
+    ("imu", _imu),
+    ("rotors", _rotors),
+    ("attitude", _attitude_and_velocity),
+    ("flight", _flight),
+    ("motion", _motion),
+    ("explained", _turned_by_rotors),
+    ("loss", _losses),
+    ("others", _others),
+)

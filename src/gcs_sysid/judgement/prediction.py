@@ -269,6 +269,11 @@ def still_axes(fit: Fit) -> Mask:
     return still
 
 
+def is_still(rate: float, axis: str) -> bool:
+    """Whether an axis of this rms rate, rad/s, hardly turns."""
+    return rate < RULES.still[AXES.index(axis)]
+
+
 def is_hover(evidence: Evidence) -> bool:
     """Whether hardly any rotation was flown on any axis: other reasons follow from that one."""
     if evidence.fit.rotation is None or not evidence.checked:

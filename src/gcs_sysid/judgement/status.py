@@ -47,6 +47,8 @@ class StatusRules:
 
 
 RULES = StatusRules()
+NOTHING = Estimate(None, None, status="unobservable")
+"""Of a parameter of which nothing is known."""
 
 
 def by_interval(estimate: Estimate, reference: float, parameter: Parameter) -> Estimate:

@@ -21,7 +21,7 @@ class Objection:
     """What some evidence holds against estimates, or against all of a result.
 
     Attributes:
-        reason: what is wrong, and what to do, in a pilot's words.
+        reason: what is wrong, and where `how` is empty what to do, in a pilot's words.
         parameters: those that it concerns.
         cap: the best status left to these; None: any.
         verdict: the best verdict left to the result; "identified" makes it a note, which is
@@ -31,6 +31,7 @@ class Objection:
         void: whether the values mean nothing at all and are not shown.
         stated: whether the reason stands among those of the verdict; False where others imply it.
         evidence: name -> number that it rests on.
+        how: what to do about it.
         by: its producer.
     """
 
@@ -43,6 +44,7 @@ class Objection:
     void: bool = False
     stated: bool = True
     evidence: Mapping[str, float] = field(default_factory=dict)
+    how: str = ""
     by: str = ""
 
     def as_json(self) -> dict[str, Any]:
@@ -161,9 +163,6 @@ class Estimate:
         if self.status is not None:
             out["objections"] = [objection.of_parameter() for objection in self.objections]
         return out
-
-
-NOTHING = Estimate(None, None, status="unobservable")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.model.estimate import NOTHING, Estimate
+from gcs_sysid.judgement.status import NOTHING
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.result import Result
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.model.estimate import KNOWN, NOTHING, Estimate, Status, Verdict
+from gcs_sysid.judgement.status import NOTHING
+from gcs_sysid.model.estimate import KNOWN, Estimate, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
