@@ -239,8 +239,8 @@ def differences(before: Any, now: Any, where: str = "", scale: float = 0.0) -> I
     """
     if isinstance(before, dict) and isinstance(now, dict):
         if _is_covariance(before) and _is_covariance(now) and before["names"] == now["names"]:
-            yield from _of_matrices(before["matrix"], now["matrix"], where)
-            return
+            yield from _of_matrices(before["matrix"], now["matrix"], f"{where}.matrix")
+            before, now = ({k: v for k, v in t.items() if k != "matrix"} for t in (before, now))
         std = before.get("std")
         scale = std if isinstance(std, float) and std > 0.0 else 0.0
         for key in sorted(before.keys() | now.keys()):
@@ -274,7 +274,7 @@ def _of_matrices(before: Any, now: Any, where: str) -> Iterator[str]:
 
 
 def _is_covariance(table: dict[str, Any]) -> bool:
-    return table.keys() == {"names", "matrix"}
+    return table.keys() >= {"names", "matrix"}
 
 
 def _is_number(value: Any) -> bool:

@@ -48,7 +48,8 @@ def test_a_digit_is_one_of_the_standard_deviation(before, now, says):
 
 def test_a_covariance_is_held_against_its_diagonal():
     def told(cross):
-        return {"covariance": {"names": ["a", "b"], "matrix": [[1.0, cross], [cross, 4.0]]}}
+        matrix = [[1.0, cross], [cross, 4.0]]
+        return {"covariance": {"names": ["a", "b"], "matrix": matrix, "given": {}}}
 
     assert not list(equal.differences(told(1e-15), told(1e-11)))
     assert list(equal.differences(told(0.0), told(1e-6)))
