@@ -25,7 +25,7 @@ from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, 
 from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop, read_loop
 from gcs_sysid.control.tuning_study import ASSUMED_DELAY, joined_vehicle, with_delay
 from gcs_sysid.errors import GcsSysidError
-from gcs_sysid.exports.exported_vehicle import Vehicle, assemble
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, assemble
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.model.airframe import CommandRange
 from gcs_sysid.model.parameters import GRAVITY
@@ -81,7 +81,7 @@ class Steps:
         )
 
 
-def identified(drawn: Drawn, seed: int) -> Vehicle:
+def identified(drawn: Drawn, seed: int) -> ExportedVehicle:
     """What a flight with speeds and commands tells; the commands reach the rotors late."""
     mission = ALL_MISSIONS["all-axes"]
     flight = fly_ensemble(drawn.vehicle, mission, 250.0, 60.0, seed).with_noise("mems", 0.0, [seed])
@@ -104,7 +104,7 @@ def identified(drawn: Drawn, seed: int) -> Vehicle:
     return joined_vehicle(assemble(speeds), with_delay(assemble(commands)))
 
 
-def loop_of(autopilot: Autopilot, ours: Vehicle, drawn: Drawn) -> RateLoop:
+def loop_of(autopilot: Autopilot, ours: ExportedVehicle, drawn: Drawn) -> RateLoop:
     """The autopilot's settings before the tuning: the thrust curve as identified, else defaults."""
     curve = ours.get("thrust_curve") or 0.0
     name = "THR_MDL_FAC" if autopilot == "px4" else "MOT_THST_EXPO"
@@ -206,7 +206,9 @@ class Row:
     crossover: float
 
 
-def vehicle_rows(drawn: Drawn, ours: Vehicle, autopilot: Autopilot) -> tuple[list[Row], bool]:
+def vehicle_rows(
+    drawn: Drawn, ours: ExportedVehicle, autopilot: Autopilot
+) -> tuple[list[Row], bool]:
     """Everything of one vehicle with one autopilot."""
     loop = loop_of(autopilot, ours, drawn)
     delay = ours.known.get("rotor_delay")

@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.cli.screens import export_result, report_session
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError
-from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus
 from gcs_sysid.session.analysis import analyze_log
@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_every_format_has_a_suffix():
-    assert len({target.form.suffix for target in TARGETS.values()}) == len(TARGETS)
+    assert len({target.suffix for target in FORMATS.values()}) == len(FORMATS)
 
 
 def test_an_export_never_takes_the_place_of_another(result, folder):

@@ -7,7 +7,7 @@ from gcs_sysid.control.gain_design import LIMITS, propose
 from gcs_sysid.control.hover_dynamics import HoverDynamics, hover_dynamics
 from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.exports.exported_vehicle import KnownEstimate, MissingError, Vehicle
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, MissingError
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from sim_bridge.controller import Gains
 from sim_bridge.missions import HEIGHT, Reference
@@ -31,7 +31,7 @@ def known_vehicle(share=0.01, **changes):
         for n, v in values.items()
         if v is not None
     }
-    return truth, Vehicle("paper", truth.rotors, known, speed_result())
+    return truth, ExportedVehicle("paper", truth.rotors, known, speed_result())
 
 
 def test_margins_of_a_known_loop():

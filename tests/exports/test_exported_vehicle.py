@@ -10,7 +10,7 @@ import pytest
 from gcs_sysid.cli.commands import EXPORT_TARGETS
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
-from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 
@@ -20,7 +20,7 @@ EVERYTHING = {"rotor_speed_max": FULL_SPEED, "motor_lag": LAG}
 
 
 def test_names_on_the_command_line_are_the_targets():
-    assert tuple(TARGETS) == EXPORT_TARGETS
+    assert tuple(FORMATS) == EXPORT_TARGETS
 
 
 def test_axes_forward_left_up(vehicle):
@@ -64,7 +64,7 @@ def test_an_airframes_priors_stand_in_but_do_not_overrule(result):
 def test_unobservable_values_are_not_used(result):
     lost = estimate("Izz", 0.05, share=0.6, status="unobservable")
     result = replace(result, parameters=result.parameters | {"Izz": lost})
-    for target in TARGETS.values():
+    for target in FORMATS.values():
         with pytest.raises(MissingError, match="Izz"):
             target.write(assemble(result, given=EVERYTHING))
 
@@ -73,25 +73,25 @@ def test_weak_values_are_used_and_named(result):
     rough = estimate("Izz", VALUES["Izz"], share=0.1, status="weak")
     result = replace(result, parameters=result.parameters | {"Izz": rough})
     vehicle = assemble(result, given=EVERYTHING)
-    for target in TARGETS.values():
+    for target in FORMATS.values():
         # A line of a comment, or of the list that stands for one in JSON.
         assert re.search(r'Note: weak: Izz(",)?\n', target.write(vehicle))
         assert "weak: Izz" in target.notes(vehicle)
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", FORMATS)
 def test_a_result_without_a_scale_is_refused(result, target):
     names = [name for name in VALUES if name not in ("cg_x", "cg_y", "moment_ratio")]
     relative = replace(without(result, *names), scale=None)
     with pytest.raises(MissingError, match=r"no scale.*--mass KG"):
-        TARGETS[target].write(assemble(relative, given=EVERYTHING))
+        FORMATS[target].write(assemble(relative, given=EVERYTHING))
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", FORMATS)
 def test_an_inertia_that_no_body_has_is_refused(result, target):
     vehicle = assemble(result, given={**EVERYTHING, "Izz": 0.05})
     with pytest.raises(MissingError, match="no rigid body"):
-        TARGETS[target].write(vehicle)
+        FORMATS[target].write(vehicle)
 
 
 def test_what_cannot_be_below_zero_is_zero(result):
@@ -123,9 +123,9 @@ def test_rotors_must_be_known_and_the_same(result):
         assemble(result, load_airframe("px4-hexa-x"))
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", FORMATS)
 def test_a_file_says_where_it_comes_from(vehicle, target):
-    text = TARGETS[target].write(vehicle)
+    text = FORMATS[target].write(vehicle)
     assert "Flight: logs/a flight.tlog" in text
     assert "Verdict: identified" in text
     assert "Scale: mass = 1.5 kg" in text
@@ -136,15 +136,15 @@ def test_a_file_says_where_it_comes_from(vehicle, target):
     assert "Unknown: thrust_curve" in text
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", FORMATS)
 def test_names_cannot_break_a_file(result, target):
     hostile = replace(
         result, source='a--b-->\n</sdf>"""\nimport os\r\n1\t1\tSIH_MASS\t9.0\t9', reasons=("-->",)
     )
     vehicle = assemble(hostile, given=EVERYTHING, name='3 "<&>\n')
-    text = TARGETS[target].write(vehicle)
+    text = FORMATS[target].write(vehicle)
     if text.startswith("#"):
-        plain = TARGETS[target].write(assemble(result, given=EVERYTHING, name="x"))
+        plain = FORMATS[target].write(assemble(result, given=EVERYTHING, name="x"))
         code = [line for line in text.splitlines() if not line.startswith("#")]
         expected = [line for line in plain.splitlines() if not line.startswith("#")]
         # A section of TOML has the vehicle's name, made harmless.

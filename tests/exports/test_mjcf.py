@@ -23,7 +23,7 @@ J = TURN @ TRUTH.J @ TURN
 
 
 def load(vehicle):
-    model = mujoco.MjModel.from_xml_string(mjcf.write(vehicle))
+    model = mujoco.MjModel.from_xml_string(mjcf.FORMAT.write(vehicle))
     return model, mujoco.MjData(model)
 
 
@@ -134,7 +134,7 @@ def test_what_is_not_known_is_left_out(result):
     assert not model.dof_damping.any()
     assert not model.actuator_ctrllimited.any()
     assert not model.na
-    notes = "\n".join(mjcf.notes(vehicle))
+    notes = "\n".join(mjcf.FORMAT.notes(vehicle))
     for name in ("linear_drag", "rotational_damping", "T_max", "motor_lag"):
         assert f"without {name}" in notes
 

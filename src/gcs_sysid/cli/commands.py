@@ -77,7 +77,7 @@ EXPORT_TARGETS = (
     "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
     "indiflight", "paparazzi",
 )  # fmt: skip
-"""Names of `exports.formats.TARGETS`."""
+"""Names of `exports.formats.FORMATS`."""
 LAYOUTS = (
     "px4-quad-x", "ardupilot-quad-x", "px4-quad-plus", "ardupilot-quad-plus",
     "px4-hexa-x", "ardupilot-hexa-x", "px4-hexa-plus", "ardupilot-hexa-plus",

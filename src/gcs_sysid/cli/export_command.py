@@ -7,8 +7,9 @@ from pathlib import Path
 from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
 from gcs_sysid.cli.output import print_file, progress_bar, save
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle, assemble
-from gcs_sysid.exports.formats import TARGETS, Target
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
+from gcs_sysid.exports.file_format import Format
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.files import check_target, log_file, write_whole
 from gcs_sysid.report.signal_table import SignalRecorder, writer_of
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{path} exists; --force overwrites it")
     result = read_result(Path(options.result))
     vehicle = assemble(result, beside_result(options), dict(options.set), options.name)
-    target = TARGETS[options.to]
+    target = FORMATS[options.to]
     try:
         text = target.write(vehicle)
         if options.ensemble is not None:
@@ -67,7 +68,7 @@ def _signals(options: argparse.Namespace) -> int:
 
 
 def _ensemble(
-    options: argparse.Namespace, vehicle: Vehicle, target: Target, path: Path | None
+    options: argparse.Namespace, vehicle: ExportedVehicle, target: Format, path: Path | None
 ) -> int:
     """Vehicles drawn from the covariance, a file each: NAME-001.xml beside NAME.xml."""
     if path is None:

@@ -12,7 +12,7 @@ from gcs_sysid.cli.output import on_signals, save, say_addresses
 from gcs_sysid.cli.reporting import ReportJob, have_written
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble
-from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
@@ -75,7 +75,7 @@ def replay_actions(
     """What can be done with a recorded flight: nothing that would change its numbers."""
     return Actions(
         export=export_result,
-        export_targets=tuple(TARGETS),
+        export_targets=tuple(FORMATS),
         report=lambda: report_session(session, truth, options),
         absent="in a replay",
     )
@@ -85,17 +85,17 @@ def export_result(target: str, result: Result) -> str:
     """Write a result for a simulator, into a file of the present folder that was not there.
 
     Args:
-        target: one of `TARGETS`.
+        target: one of `FORMATS`.
         result: as it is at this moment.
 
     Raises:
         GcsSysidError: it lacks what the format needs, or the file cannot be written.
     """
     vehicle = assemble(result)
-    text = TARGETS[target].write(vehicle)
-    path = unused_path(Path(f"{vehicle.name}{TARGETS[target].form.suffix}"))
+    text = FORMATS[target].write(vehicle)
+    path = unused_path(Path(f"{vehicle.name}{FORMATS[target].suffix}"))
     save(path, text, force=False)
-    missing = "; see its header for what is missing" if TARGETS[target].notes(vehicle) else ""
+    missing = "; see its header for what is missing" if FORMATS[target].notes(vehicle) else ""
     return f"Exported to {path}{missing}"
 
 
@@ -161,7 +161,7 @@ def live_actions(
         set_anchor=session.set_anchor,
         choose_vehicle=session.choose_vehicle,
         export=export_result,
-        export_targets=tuple(TARGETS),
+        export_targets=tuple(FORMATS),
         report=lambda: report_session(session, truth, options),
     )
 

@@ -38,8 +38,8 @@ from gcs_sysid.control.tuning_study import (
     with_deviations,
 )
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle, assemble
-from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.report.parts import Markup, element, joined
 from gcs_sysid.results.result_file import read_result
@@ -82,7 +82,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
         raise InputError(f"{options.output}: {options.to} is written to a file NAME{wanted[0]}")
 
 
-def _vehicle(options: argparse.Namespace) -> Vehicle:
+def _vehicle(options: argparse.Namespace) -> ExportedVehicle:
     airframe = beside_result(options)
     given = {name: float(value) for name, value, _ in options.set}
     deviations = {name: std for name, _, std in options.set if std}
@@ -94,7 +94,7 @@ def _vehicle(options: argparse.Namespace) -> Vehicle:
     return with_deviations(vehicle, deviations)
 
 
-def _gains(options: argparse.Namespace, vehicle: Vehicle) -> int:
+def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
     parameters, received = _parameters(options)
     autopilot = _autopilot(options, vehicle, received, parameters)
     try:
@@ -122,11 +122,11 @@ def _gains(options: argparse.Namespace, vehicle: Vehicle) -> int:
     return 0
 
 
-def _effectiveness(options: argparse.Namespace, vehicle: Vehicle) -> int:
+def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
     """G1 and G2, which INDI has in place of gains."""
     if options.json is not None or options.bode is not None:
         raise InputError("--json and --bode apply to gains: leave them out with INDI")
-    target = TARGETS[_INDI[options.to]]
+    target = FORMATS[_INDI[options.to]]
     write_text(options.output, target.write(vehicle), force=options.force)
     for note in target.notes(vehicle):
         print(f"gcs-sysid: note: {note}", file=sys.stderr)
@@ -154,7 +154,10 @@ def _parameters(options: argparse.Namespace) -> tuple[Mapping[str, float], str]:
 
 
 def _autopilot(
-    options: argparse.Namespace, vehicle: Vehicle, received: str, parameters: Mapping[str, Any]
+    options: argparse.Namespace,
+    vehicle: ExportedVehicle,
+    received: str,
+    parameters: Mapping[str, Any],
 ) -> Autopilot:
     wanted = _OF_TARGET.get(options.to)
     named = options.autopilot or wanted or received or vehicle.result.vehicle.get("autopilot")

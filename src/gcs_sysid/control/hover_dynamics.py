@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.control.rate_loops import RateLoop
-from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
 
 FLIGHT_FOR = {
@@ -114,7 +114,7 @@ class HoverDynamics:
 
 
 def hover_dynamics(
-    vehicles: Sequence[Vehicle],
+    vehicles: Sequence[ExportedVehicle],
     loop: RateLoop,
     delay: tuple[float, float],
     seed: int = 1,
@@ -165,7 +165,7 @@ def hover_dynamics(
     return HoverDynamics(B, reaction, damping, lag, delays, hover, tuple(notes))
 
 
-def check_needs(vehicle: Vehicle) -> None:
+def check_needs(vehicle: ExportedVehicle) -> None:
     """Check that all that a loop depends on is known and identified.
 
     Raises:
@@ -192,7 +192,7 @@ def check_needs(vehicle: Vehicle) -> None:
 
 
 def _one(
-    v: Vehicle, loop: RateLoop, reaction_time: float | None
+    v: ExportedVehicle, loop: RateLoop, reaction_time: float | None
 ) -> tuple[Array, Array, Array, float, Array]:
     places = np.array([[r.x, r.y] for r in v.rotors])
     spins = np.array([float(r.spin) for r in v.rotors])
@@ -229,7 +229,7 @@ def _one(
 _ELEMENTS = (("Ixx", "Ixy", "Ixz"), ("Ixy", "Iyy", "Iyz"), ("Ixz", "Iyz", "Izz"))
 
 
-def _of_each_rotor(v: Vehicle) -> tuple[Array, Array]:
+def _of_each_rotor(v: ExportedVehicle) -> tuple[Array, Array]:
     """(n,) thrust of each rotor over their mean, and moment ratio, m."""
     n = len(v.rotors)
     if not v.rotors_differ or v.get("k_T") is None:

@@ -23,7 +23,7 @@ from gcs_sysid.control.loop_margins import (
 )
 from gcs_sysid.control.rate_loops import AXES, Autopilot, RateLoop, read_loop
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import KnownEstimate, Vehicle, complete
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, complete
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameter_file import mission_planner_lines, qgroundcontrol_lines
@@ -73,7 +73,7 @@ class Tuning:
         notes: what was assumed.
     """
 
-    vehicle: Vehicle
+    vehicle: ExportedVehicle
     dynamics: HoverDynamics
     delay: tuple[float, float]
     delay_from: str
@@ -90,7 +90,7 @@ class Tuning:
 
 
 def study(
-    vehicle: Vehicle,
+    vehicle: ExportedVehicle,
     autopilot: Autopilot,
     parameters: Mapping[str, float],
     *,
@@ -133,7 +133,7 @@ def study(
 
 
 def _delay(
-    vehicle: Vehicle, loop: RateLoop, given: tuple[float, float] | None
+    vehicle: ExportedVehicle, loop: RateLoop, given: tuple[float, float] | None
 ) -> tuple[tuple[float, float], str]:
     if given is not None:
         return given, "given"
@@ -146,7 +146,7 @@ def _delay(
     return ASSUMED_DELAY, "assumed"
 
 
-def joined_vehicle(vehicle: Vehicle, other: Vehicle) -> Vehicle:
+def joined_vehicle(vehicle: ExportedVehicle, other: ExportedVehicle) -> ExportedVehicle:
     """A vehicle with what another result of it adds, as of commands beside speeds.
 
     The first takes precedence. Values derived from two others are computed again.
@@ -171,7 +171,7 @@ def joined_vehicle(vehicle: Vehicle, other: Vehicle) -> Vehicle:
     return replace(vehicle, known=known)
 
 
-def with_delay(vehicle: Vehicle) -> Vehicle:
+def with_delay(vehicle: ExportedVehicle) -> ExportedVehicle:
     """The vehicle with the delay from commands to rotors, where its result has it."""
     found = vehicle.result.timing.get("rotor_delay")
     if (
@@ -341,7 +341,7 @@ def parameter_text(tuning: Tuning, suffix: str) -> str:
     return "\n".join([*head, "#", *rows]) + "\n"
 
 
-def with_deviations(vehicle: Vehicle, deviations: Mapping[str, float]) -> Vehicle:
+def with_deviations(vehicle: ExportedVehicle, deviations: Mapping[str, float]) -> ExportedVehicle:
     """The vehicle with standard deviations of values given by hand."""
     known = dict(vehicle.known)
     for name, std in deviations.items():

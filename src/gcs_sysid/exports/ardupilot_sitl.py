@@ -15,54 +15,23 @@ import math
 
 import numpy as np
 
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, number, provenance
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.file_format import Format, commented, number
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
-FORMAT = Format(
-    "ardupilot-sitl",
-    "frame of ArduPilot's SITL",
-    ".json",
-    "SITL's frame has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio"),
-    uses=("thrust_curve", "rotational_damping", "linear_drag"),
-    lacks=("motor_lag", "Ixy", "Iyz", "Ixz"),
-)
 _TURNING = math.radians(400.0)
 _YAW = 0.05
 _ANGLE = 15.0
 """deg, refAngle: the tilt at which refSpd is held."""
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    if vehicle.get("thrust_curve") is None:
-        out.append("thrust_curve is not known: SITL's own propExpo is used")
-    if not vehicle.get("linear_drag"):
-        out.append("linear_drag is not known: SITL's own refSpd and refAngle are used")
-    elif vehicle.get("linear_drag"):
-        out.append("SITL's drag goes with speed squared: it is linear_drag at refSpd")
-    out.append("inertia is diagonal in SITL: products of inertia are left out")
-    out.append(
-        "releases of SITL that stop at motorN_position: delete those lines, the rotors are then "
-        "on a circle around the CG"
-    )
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The frame as JSON with comments.
-
-    Raises:
-        MissingError: a parameter that SITL cannot do without is not known.
-    """
-    FORMAT.check(vehicle)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The frame as JSON with comments."""
     n = len(vehicle.rotors)
-    share = vehicle["mass"] * GRAVITY / (n * vehicle["T_max"])
+    share = vehicle.hover_load
     c = vehicle.get("thrust_curve")
     curve = 0.65 if c is None else min(max(c, 0.0), 1.0)
-    u = 2.0 * share / (1.0 - curve + math.sqrt((1.0 - curve) ** 2 + 4.0 * curve * share) + 1e-12)
+    u = thrust_command(share, curve)
     arm = float(np.mean([math.hypot(r.x, r.y) for r in vehicle.rotors]))
     # d(thrust)/du over d(u thrust)/du.
     slope = 1.0 - curve + 2.0 * curve * u
@@ -100,5 +69,33 @@ def write(vehicle: Vehicle) -> str:
         line + end + (f"  # {words}" if words else "")
         for line, end, (_, _, words) in zip(text, ends, rows, strict=True)
     ]
-    head = commented(provenance(vehicle, FORMAT, notes(vehicle)), "#").replace("{", "(")
-    return head.replace("}", ")") + "{\n" + "\n".join(body) + "\n}\n"
+    plain = commented(head, "#").replace("{", "(").replace("}", ")")
+    return plain + "{\n" + "\n".join(body) + "\n}\n"
+
+
+def _remarks(vehicle: ExportedVehicle) -> list[str]:
+    out = []
+    if vehicle.get("linear_drag"):
+        out.append("SITL's drag goes with speed squared: it is linear_drag at refSpd")
+    out.append("inertia is diagonal in SITL: products of inertia are left out")
+    out.append(
+        "releases of SITL that stop at motorN_position: delete those lines, the rotors are then "
+        "on a circle around the CG"
+    )
+    return out
+
+
+FORMAT = Format(
+    "ardupilot-sitl",
+    "frame of ArduPilot's SITL",
+    ".json",
+    "SITL's frame has",
+    needs=("mass", *INERTIA[:3], "cg_x", "cg_y", "T_max", "moment_ratio"),
+    uses=("thrust_curve", "rotational_damping", "linear_drag"),
+    text=_text,
+    absent={
+        "thrust_curve": "thrust_curve is not known: SITL's own propExpo is used",
+        "linear_drag": "linear_drag is not known: SITL's own refSpd and refAngle are used",
+    },
+    remarks=_remarks,
+)

@@ -14,39 +14,15 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import FOUR, Format, commented, number, provenance
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import FOUR, Format, commented, number
 from gcs_sysid.model.parameters import INERTIA
 
-FORMAT = Format(
-    "crazyflow",
-    "parameters of crazyflow and drone-models",
-    ".toml",
-    "crazyflow has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "T_max"),
-    uses=("linear_drag", "rotor_inertia"),
-)
 _RPM = 60.0 / (2.0 * math.pi)
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    if vehicle.get("linear_drag") is None:
-        out.append("without linear_drag there is no drag")
-    if not vehicle.get("rotor_inertia"):
-        out.append("without rotor_inertia there is no reaction of the propellers")
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The parameters as a section of TOML.
-
-    Raises:
-        MissingError: a parameter that the model cannot do without is not known.
-        InputError: it has other than four rotors, or motors without a lag.
-    """
-    FORMAT.check(vehicle, rotors=FOUR)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The parameters as a section of TOML."""
     if not vehicle["motor_lag"] > 0.0:
         raise InputError("crazyflow: it divides by motor_lag: give --set motor_lag=SECONDS")
     places = vehicle.rotors_flu - vehicle.cg_flu
@@ -71,8 +47,7 @@ def write(vehicle: Vehicle) -> str:
         f"mixing_matrix = {_matrix(mixing)}",
         f"drag_matrix = {_matrix(-drag * np.eye(3))}",
     ]
-    head = commented(provenance(vehicle, FORMAT, notes(vehicle)), "#")
-    return head + f"\n[{vehicle.name}]\n" + "\n".join(rows) + "\n"
+    return commented(head, "#") + f"\n[{vehicle.name}]\n" + "\n".join(rows) + "\n"
 
 
 def _matrix(values: Array) -> str:
@@ -84,3 +59,19 @@ def _real(value: float) -> str:
     """A number of TOML that is no integer: arrays there want one type."""
     text = number(value)
     return text if any(c in text for c in ".en") else text + ".0"
+
+
+FORMAT = Format(
+    "crazyflow",
+    "parameters of crazyflow and drone-models",
+    ".toml",
+    "crazyflow has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "T_max"),
+    uses=("linear_drag", "rotor_inertia"),
+    text=_text,
+    absent={
+        "linear_drag": "without linear_drag there is no drag",
+        "rotor_inertia": "without rotor_inertia there is no reaction of the propellers",
+    },
+    rotors=FOUR,
+)

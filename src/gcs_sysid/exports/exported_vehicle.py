@@ -16,7 +16,7 @@ from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import INERTIA, REGISTRY, Sign
+from gcs_sysid.model.parameters import GRAVITY, INERTIA, REGISTRY, Sign
 from gcs_sysid.results.result import Result
 
 UNITS = {name: p.unit for name, p in REGISTRY.items() if p.of_vehicle} | {
@@ -56,7 +56,7 @@ class KnownEstimate(Estimate):
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class ExportedVehicle:
     """What is known of a vehicle; axes forward, right, down.
 
     Attributes:
@@ -157,6 +157,11 @@ class Vehicle:
         return k_T * share_T, ratio * share_M / share_T
 
     @property
+    def hover_load(self) -> float:
+        """Thrust of a rotor in hover over its full thrust, after `need` of mass and T_max."""
+        return self["mass"] * GRAVITY / (len(self.rotors) * self["T_max"])
+
+    @property
     def inertia(self) -> Array:
         """(3, 3) matrix about the CG, kg m^2, axes forward, right, down."""
         return rb.inertia_matrix(np.array([self[name] for name in INERTIA]))
@@ -185,7 +190,7 @@ def assemble(
     airframe: Airframe | None = None,
     given: Mapping[str, float] = MappingProxyType({}),
     name: str | None = None,
-) -> Vehicle:
+) -> ExportedVehicle:
     """Combine what is known of a vehicle.
 
     Args:
@@ -211,7 +216,7 @@ def assemble(
                 known.pop(dependent, None)
     complete(known)
     _stand_upright(rotors, known)
-    return Vehicle(_identifier(name or label), rotors, known, result)
+    return ExportedVehicle(_identifier(name or label), rotors, known, result)
 
 
 def _of_flight(estimate: Estimate) -> KnownEstimate | None:
@@ -318,6 +323,13 @@ def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, KnownEstimate]) -
             known[name] = KnownEstimate(
                 own.value + cant * share, own.std, origin=f"{own.origin}, cant added"
             )
+
+
+def thrust_command(load: float, curve: float) -> float:
+    """The command u at which (1 - c) u + c u^2 is a load."""
+    linear = 1.0 - curve
+    root = math.sqrt(max(linear**2 + 4.0 * curve * load, 0.0))
+    return 2.0 * load / (linear + root)
 
 
 def _identifier(name: str) -> str:

@@ -1,8 +1,5 @@
 """The formats by name."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from gcs_sysid.exports import (
     ardupilot_sitl,
     crazyflow,
@@ -14,37 +11,19 @@ from gcs_sysid.exports import (
     rotorpy,
     urdf,
 )
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format
 
-
-@dataclass(frozen=True)
-class Target:
-    """One format.
-
-    Attributes:
-        form: what it takes.
-        write: the vehicle as the file's text.
-        notes: what the user should know of this vehicle in this format, after `write`.
-    """
-
-    form: Format
-    write: Callable[[Vehicle], str]
-    notes: Callable[[Vehicle], list[str]]
-
-
-TARGETS = {
-    module.FORMAT.name: Target(module.FORMAT, module.write, module.notes)
-    for module in (px4_sih, gazebo_sdf, urdf, mjcf, rotorpy, ardupilot_sitl, crazyflow, l2f)
-} | {
-    "indiflight": Target(
+FORMATS = {
+    each.name: each
+    for each in (
+        px4_sih.FORMAT,
+        gazebo_sdf.FORMAT,
+        urdf.FORMAT,
+        mjcf.FORMAT,
+        rotorpy.FORMAT,
+        ardupilot_sitl.FORMAT,
+        crazyflow.FORMAT,
+        l2f.FORMAT,
         indi_effectiveness.INDIFLIGHT_FORMAT,
-        indi_effectiveness.indiflight_text,
-        indi_effectiveness.indiflight_notes,
-    ),
-    "paparazzi": Target(
         indi_effectiveness.PAPARAZZI_FORMAT,
-        indi_effectiveness.paparazzi_text,
-        indi_effectiveness.paparazzi_notes,
-    ),
+    )
 }

@@ -11,25 +11,16 @@ rotor's axis, torque = -(+1 ccw, -1 cw) momentConstant thrust about it.
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import (
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import (
     Format,
     inertia_elements,
     number,
     numbers,
-    provenance,
     xml_comment,
 )
 from gcs_sysid.model.parameters import INERTIA
 
-FORMAT = Format(
-    "gazebo-sdf",
-    "SDF for Gazebo",
-    ".sdf",
-    "Gazebo's motor model has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "moment_ratio", "rotor_speed_max"),
-    uses=("motor_lag", "rotor_inertia"),
-)
 _TOKEN_MASS = 1e-3
 """Of the vehicle's mass, of one rotor's link."""
 _TOKEN_INERTIA = 1e-4
@@ -38,26 +29,8 @@ _FLAT = 0.6
 """Inertia of a rotor's link about the other axes, over that about its own."""
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    if not vehicle.get("motor_lag"):
-        out.append("motor_lag is not known: Gazebo's own time constants are used")
-    out.append("rotor links have a token mass, taken from base_link: the total is right")
-    out.append("CG and rotors are at one height: their vertical offset is not observable")
-    if vehicle.rotors_differ:
-        out.append("each rotor has its own k_T and moment ratio, as identified")
-    out.append("shapes are visual only, without collision")
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The vehicle as an SDF model, frame of `base_link` at the geometric center.
-
-    Raises:
-        MissingError: a parameter that the motor model cannot do without is not known.
-    """
-    FORMAT.check(vehicle)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The vehicle as an SDF model, frame of `base_link` at the geometric center."""
     places = vehicle.rotors_flu
     rotor_mass = _TOKEN_MASS * vehicle["mass"]
     axial = max(vehicle.get("rotor_inertia") or 0.0, _TOKEN_INERTIA * vehicle["Izz"])
@@ -80,7 +53,7 @@ def write(vehicle: Vehicle) -> str:
         plugins += _motor(vehicle, i, "ccw" if rotor.spin > 0 else "cw")
     return (
         '<?xml version="1.0"?>\n'
-        + xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
+        + xml_comment(head)
         + f'<sdf version="1.9">\n  <model name="{vehicle.name}">\n'
         + links
         + plugins
@@ -89,7 +62,7 @@ def write(vehicle: Vehicle) -> str:
 
 
 def _body(
-    vehicle: Vehicle, places: Array, rotor_mass: float, rotor_inertia: Array
+    vehicle: ExportedVehicle, places: Array, rotor_mass: float, rotor_inertia: Array
 ) -> tuple[float, Array, Array]:
     """Mass, CG and inertia of what remains without the rotors' links."""
     mass = vehicle["mass"] - len(places) * rotor_mass
@@ -124,7 +97,7 @@ def _box(size: float) -> str:
     return f"<box><size>{number(2 * size)} {number(size)} {number(0.5 * size)}</size></box>"
 
 
-def _motor(vehicle: Vehicle, i: int, spin: str) -> str:
+def _motor(vehicle: ExportedVehicle, i: int, spin: str) -> str:
     lag = vehicle.get("motor_lag")
     k_T, ratio = vehicle.rotor_coefficients(i)
     settings = {
@@ -150,3 +123,24 @@ def _motor(vehicle: Vehicle, i: int, spin: str) -> str:
         + "".join(f"      <{key}>{value}</{key}>\n" for key, value in settings.items())
         + "    </plugin>\n"
     )
+
+
+def _remarks(vehicle: ExportedVehicle) -> list[str]:
+    out = ["rotor links have a token mass, taken from base_link: the total is right"]
+    out.append("CG and rotors are at one height: their vertical offset is not observable")
+    if vehicle.rotors_differ:
+        out.append("each rotor has its own k_T and moment ratio, as identified")
+    return [*out, "shapes are visual only, without collision"]
+
+
+FORMAT = Format(
+    "gazebo-sdf",
+    "SDF for Gazebo",
+    ".sdf",
+    "Gazebo's motor model has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "moment_ratio", "rotor_speed_max"),
+    uses=("motor_lag", "rotor_inertia"),
+    text=_text,
+    absent={"motor_lag": "motor_lag is not known: Gazebo's own time constants are used"},
+    remarks=_remarks,
+)

@@ -12,36 +12,20 @@ around hover, scaled by 1000; G2 is that of the change of u from one period to t
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, number, provenance, xml_comment
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.file_format import Format, commented, number, xml_comment
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
-_NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag")
-INDIFLIGHT_FORMAT = Format(
-    "indiflight",
-    "effectiveness for Indiflight, lines of its CLI",
-    ".txt",
-    "INDI has",
-    needs=_NEEDS,
-    uses=("k_T", "rotor_inertia", "thrust_curve"),
-)
-PAPARAZZI_FORMAT = Format(
-    "paparazzi",
-    "effectiveness for Paparazzi, a section of its airframe file",
-    ".paparazzi.xml",
-    "INDI has",
-    needs=_NEEDS,
-    uses=("k_T", "rotor_inertia", "thrust_curve"),
-)
 _PPRZ, _SCALE, _RATE = 9600.0, 1000.0, 512.0
 """Largest command, INDI_G_SCALING and PERIODIC_FREQUENCY of Paparazzi."""
 
 
-def g1(vehicle: Vehicle) -> Array:
+def g1(vehicle: ExportedVehicle) -> Array:
     """(4, n) effect of each rotor's thrust over its full thrust on f_z, p', q', r'; SI."""
     x = np.array([r.x for r in vehicle.rotors]) - vehicle["cg_x"]
     y = np.array([r.y for r in vehicle.rotors]) - vehicle["cg_y"]
@@ -53,7 +37,7 @@ def g1(vehicle: Vehicle) -> Array:
     return out
 
 
-def g2(vehicle: Vehicle) -> Array:
+def g2(vehicle: ExportedVehicle) -> Array:
     """(3, n) effect of each rotor's acceleration in rad/s^2 on p', q', r'; zero if not known."""
     spin = np.array([float(r.spin) for r in vehicle.rotors])
     inertia = vehicle.get("rotor_inertia") or 0.0
@@ -62,35 +46,13 @@ def g2(vehicle: Vehicle) -> Array:
     return out
 
 
-def _notes(form: Format, vehicle: Vehicle) -> list[str]:
-    out = form.notes(vehicle)
-    if not vehicle.get("rotor_inertia"):
-        out.append("rotor_inertia is not known: G2 is zero")
-    if vehicle.get("k_T") is None:
-        out.append("k_T is not known: rotor speeds are left out")
-    return out
-
-
-def indiflight_notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = _notes(INDIFLIGHT_FORMAT, vehicle)
-    if np.abs(_indiflight_g1(vehicle)).max() > 32767 or np.abs(g2(vehicle)).max() * 1e5 > 32767:
-        out.append("some values exceed Indiflight's 16 bits and are cut off")
-    return out
-
-
-def _indiflight_g1(vehicle: Vehicle) -> Array:
+def _indiflight_g1(vehicle: ExportedVehicle) -> Array:
     scaled: Array = g1(vehicle) * [[100.0], [10.0], [10.0], [10.0]]
     return scaled
 
 
-def indiflight_text(vehicle: Vehicle) -> str:
-    """Lines for Indiflight's CLI.
-
-    Raises:
-        MissingError: a parameter that INDI cannot do without is not known.
-    """
-    INDIFLIGHT_FORMAT.check(vehicle)
+def _indiflight_text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """Lines for Indiflight's CLI."""
     n = len(vehicle.rotors)
     effect, reaction = _indiflight_g1(vehicle), g2(vehicle) * 1e5
     names = ("fz", "roll", "pitch", "yaw")
@@ -116,7 +78,6 @@ def indiflight_text(vehicle: Vehicle) -> str:
     if c is not None:
         curve = np.full(n, 100.0 * min(max(c, 0.0), 1.0))
         rows.append(f"set indi_act_nonlinearity = {_integers(curve)}")
-    head = provenance(vehicle, INDIFLIGHT_FORMAT, indiflight_notes(vehicle))
     return commented(head, "#") + "\n".join(rows) + "\n"
 
 
@@ -124,25 +85,12 @@ def _integers(values: Array, most: int = 32767) -> str:
     return ",".join(str(int(v)) for v in np.clip(np.rint(values), -most, most))
 
 
-def paparazzi_notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    return [
-        *_notes(PAPARAZZI_FORMAT, vehicle),
-        f"commands of 0 to {_PPRZ:g} span the range of outputs; G2 is for {_RATE:g} Hz",
-    ]
-
-
-def paparazzi_text(vehicle: Vehicle) -> str:
-    """A section of Paparazzi's airframe file.
-
-    Raises:
-        MissingError: a parameter that INDI cannot do without is not known.
-    """
-    PAPARAZZI_FORMAT.check(vehicle)
+def _paparazzi_text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """A section of Paparazzi's airframe file."""
     n = len(vehicle.rotors)
     c = vehicle.get("thrust_curve") or 0.0
-    share = vehicle["mass"] * GRAVITY / (n * vehicle["T_max"])
-    u = 2.0 * share / (1.0 - c + math.sqrt((1.0 - c) ** 2 + 4.0 * c * share) + 1e-12)
+    share = vehicle.hover_load
+    u = thrust_command(share, c)
     # Thrust over full thrust per command, around hover.
     slope = (1.0 - c + 2.0 * c * u) / _PPRZ * _SCALE
     force, *angular = g1(vehicle) * slope
@@ -162,10 +110,41 @@ def paparazzi_text(vehicle: Vehicle) -> str:
         f'  <define name="{name}" value="{", ".join(map(number, values))}" type="float[]"/>'
         for name, values in rows
     ]
-    head = xml_comment(provenance(vehicle, PAPARAZZI_FORMAT, paparazzi_notes(vehicle)))
     return (
-        head
+        xml_comment(head)
         + '<section name="STABILIZATION_ATTITUDE_INDI" prefix="STABILIZATION_INDI_">\n'
         + "\n".join(lines)
         + "\n</section>\n"
     )
+
+
+def _indiflight_remarks(vehicle: ExportedVehicle) -> list[str]:
+    if np.abs(_indiflight_g1(vehicle)).max() > 32767 or np.abs(g2(vehicle)).max() * 1e5 > 32767:
+        return ["some values exceed Indiflight's 16 bits and are cut off"]
+    return []
+
+
+INDIFLIGHT_FORMAT = Format(
+    "indiflight",
+    "effectiveness for Indiflight, lines of its CLI",
+    ".txt",
+    "INDI has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
+    text=_indiflight_text,
+    uses=("k_T", "rotor_inertia", "thrust_curve"),
+    absent={
+        "rotor_inertia": "rotor_inertia is not known: G2 is zero",
+        "k_T": "k_T is not known: rotor speeds are left out",
+    },
+    remarks=_indiflight_remarks,
+)
+PAPARAZZI_FORMAT = replace(
+    INDIFLIGHT_FORMAT,
+    name="paparazzi",
+    title="effectiveness for Paparazzi, a section of its airframe file",
+    suffix=".paparazzi.xml",
+    text=_paparazzi_text,
+    remarks=lambda _: [
+        f"commands of 0 to {_PPRZ:g} span the range of outputs; G2 is for {_RATE:g} Hz"
+    ],
+)

@@ -13,44 +13,16 @@ import json
 
 import numpy as np
 
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import FOUR, Format, provenance
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.file_format import FOUR, Format
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
-FORMAT = Format(
-    "l2f",
-    "dynamics of l2f's parameters",
-    ".l2f.json",
-    "l2f has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
-    uses=("thrust_curve",),
-)
 
-
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    out.append(
-        "put `dynamics` in place of that of l2f.parameters_to_json, then parameters_from_json"
-    )
-    if vehicle.get("thrust_curve") is None:
-        out.append("the thrust curve is not known: actions are rotor speeds over the fastest")
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The dynamics as JSON.
-
-    Raises:
-        MissingError: a parameter that l2f cannot do without is not known.
-        InputError: it has other than four rotors.
-    """
-    FORMAT.check(vehicle, rotors=FOUR)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The dynamics as JSON."""
     J = vehicle.inertia_flu
     full, c = vehicle["T_max"], vehicle.get("thrust_curve")
     c = 1.0 if c is None else c
-    share = vehicle["mass"] * GRAVITY / (FOUR * full)
-    hover = 2.0 * share / (1.0 - c + float(np.sqrt(max((1.0 - c) ** 2 + 4.0 * c * share, 0.0))))
     dynamics = {
         "rotor_positions": (vehicle.rotors_flu - vehicle.cg_flu).tolist(),
         "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * FOUR,
@@ -63,9 +35,29 @@ def write(vehicle: Vehicle) -> str:
         "gravity": [0.0, 0.0, -GRAVITY],
         "J": J.tolist(),
         "J_inv": np.linalg.inv(J).tolist(),
-        "hovering_throttle_relative": hover,
+        "hovering_throttle_relative": thrust_command(vehicle.hover_load, c),
         "action_limit": {"min": 0.0, "max": 1.0},
     }
-    lines = ",\n".join(map(json.dumps, provenance(vehicle, FORMAT, notes(vehicle))))
+    lines = ",\n".join(map(json.dumps, head))
     body = json.dumps({"dynamics": dynamics}, indent=1, allow_nan=False)
     return f'{{"_comment": [\n{lines}\n],' + body.removeprefix("{") + "\n"
+
+
+def _remarks(_: ExportedVehicle) -> list[str]:
+    return ["put `dynamics` in place of that of l2f.parameters_to_json, then parameters_from_json"]
+
+
+FORMAT = Format(
+    "l2f",
+    "dynamics of l2f's parameters",
+    ".l2f.json",
+    "l2f has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
+    uses=("thrust_curve",),
+    text=_text,
+    absent={
+        "thrust_curve": "the thrust curve is not known: actions are rotor speeds over the fastest"
+    },
+    remarks=_remarks,
+    rotors=FOUR,
+)

@@ -5,8 +5,8 @@ than on one free joint: drag then damps the slides, and damping the ball, apart 
 Positions and velocities are laid out as those of a free joint.
 """
 
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import ELEMENTS, Format, number, numbers, provenance, xml_comment
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import ELEMENTS, Format, number, numbers, xml_comment
 from gcs_sysid.model.parameters import INERTIA
 
 _ABSENT = {
@@ -15,32 +15,10 @@ _ABSENT = {
     "linear_drag": "without linear_drag there is no drag",
     "rotational_damping": "without rotational_damping rotation is undamped",
 }
-FORMAT = Format(
-    "mjcf",
-    "MJCF of MuJoCo",
-    ".xml",
-    "this body has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "moment_ratio"),
-    uses=tuple(_ABSENT),
-)
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    out += [text for name, text in _ABSENT.items() if vehicle.get(name) is None]
-    out.append("CG and rotors are at one height: their vertical offset is not observable")
-    out.append("shapes are visual only, without collision")
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The vehicle as an MJCF model, body `base` with its frame at the geometric center.
-
-    Raises:
-        MissingError: a parameter that MuJoCo cannot do without is not known.
-    """
-    FORMAT.check(vehicle)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The vehicle as an MJCF model, body `base` with its frame at the geometric center."""
     inertia = numbers(vehicle.inertia_flu[at] for at in ELEMENTS.values())
     cg = numbers(vehicle.cg_flu)
     drag = _damping(vehicle.get("linear_drag"))
@@ -65,8 +43,7 @@ def write(vehicle: Vehicle) -> str:
             f"{limits}{filtered}/>\n"
         )
     return (
-        xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
-        + f'<mujoco model="{vehicle.name}">\n'
+        xml_comment(head) + f'<mujoco model="{vehicle.name}">\n'
         '  <default>\n    <default class="shape">\n'
         '      <geom contype="0" conaffinity="0" group="1" rgba="0.3 0.3 0.35 1"/>\n'
         "    </default>\n  </default>\n"
@@ -88,6 +65,26 @@ def _damping(value: float | None) -> str:
     return f' damping="{number(value)}"' if value else ""
 
 
-def _lengths(vehicle: Vehicle) -> list[float]:
+def _lengths(vehicle: ExportedVehicle) -> list[float]:
     """Distances of the rotors from the geometric center."""
     return [float((place @ place) ** 0.5) for place in vehicle.rotors_flu]
+
+
+def _remarks(_: ExportedVehicle) -> list[str]:
+    return [
+        "CG and rotors are at one height: their vertical offset is not observable",
+        "shapes are visual only, without collision",
+    ]
+
+
+FORMAT = Format(
+    "mjcf",
+    "MJCF of MuJoCo",
+    ".xml",
+    "this body has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "moment_ratio"),
+    uses=tuple(_ABSENT),
+    text=_text,
+    absent=_ABSENT,
+    remarks=_remarks,
+)

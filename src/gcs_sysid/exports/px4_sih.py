@@ -14,8 +14,8 @@ import math
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, commented, provenance
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import Format, commented
 from gcs_sysid.model.parameter_file import INT32, REAL32
 from gcs_sysid.model.parameters import INERTIA
 
@@ -24,14 +24,6 @@ OPTIONAL = {
     "SIH_KDW": "rotational_damping",
     "SIH_T_TAU": "motor_lag",
 }
-FORMAT = Format(
-    "px4-sih",
-    "parameters of PX4's SIH simulator",
-    ".params",
-    "SIH has",
-    needs=("mass", *INERTIA, "T_max", "moment_ratio"),
-    uses=tuple(OPTIONAL.values()),
-)
 _HALF, _FRONT = 0.5, math.sqrt(3.0) / 2.0
 _LAYOUTS = {
     0: ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
@@ -43,35 +35,10 @@ _LAYOUTS = {
 """SIH_VEHICLE_TYPE -> its rotors: x over SIH_L_PITCH, y over SIH_L_ROLL, spin."""
 _CLOSE = 0.02
 """Of the arm: rotors further from SIH's layout are not flown by it."""
-"""MAVLink's parameter types."""
-_LITTLE_CURVE = 0.05
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    kept = [f"{sih} ({name})" for sih, name in OPTIONAL.items() if vehicle.get(name) is None]
-    if kept:
-        out.append(f"unknown, left unchanged: {', '.join(kept)}")
-    if abs(vehicle.get("thrust_curve") or 0.0) > _LITTLE_CURVE:
-        out.append("SIH's thrust is linear in the output, this vehicle's is not")
-    elif not vehicle.result.rotor_input.motors:
-        out.append("SIH's thrust is linear in the output: THR_MDL_FAC is 0 here")
-    out.append(
-        "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them: on the vehicle itself "
-        "they count from the CG"
-    )
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The parameters as a .params file.
-
-    Raises:
-        MissingError: a parameter that SIH cannot do without is not known.
-        InputError: SIH has no such layout of rotors.
-    """
-    FORMAT.check(vehicle)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The parameters as a .params file."""
     kind, roll_arm, pitch_arm = _layout(vehicle)
     values = {
         "SIH_MASS": vehicle["mass"],
@@ -85,20 +52,15 @@ def write(vehicle: Vehicle) -> str:
         value = vehicle.get(name)
         if value is not None:
             values[sih] = value
-    head = [
-        *provenance(vehicle, FORMAT, notes(vehicle)),
-        "",
-        "Vehicle-Id Component-Id Name Value Type",
-    ]
     values |= _allocation(vehicle)
     whole = {"SIH_VEHICLE_TYPE": kind, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotors)}
     # PX4 holds single precision; QGroundControl writes 18 decimals.
     rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{REAL32}\n" for n, v in sorted(values.items())]
     rows += [f"1\t1\t{n}\t{v}\t{INT32}\n" for n, v in whole.items()]
-    return commented(head, "#") + "".join(rows)
+    return commented([*head, "", "Vehicle-Id Component-Id Name Value Type"], "#") + "".join(rows)
 
 
-def _allocation(vehicle: Vehicle) -> dict[str, float]:
+def _allocation(vehicle: ExportedVehicle) -> dict[str, float]:
     """CA_*: the rotors as PX4's control allocation has them, from the center as SIH flies them."""
     out: dict[str, float] = {"THR_MDL_FAC": 0.0}
     for i, rotor in enumerate(vehicle.rotors):
@@ -107,7 +69,7 @@ def _allocation(vehicle: Vehicle) -> dict[str, float]:
     return out
 
 
-def _layout(vehicle: Vehicle) -> tuple[int, float, float]:
+def _layout(vehicle: ExportedVehicle) -> tuple[int, float, float]:
     """SIH's vehicle type, roll and pitch arm in m."""
     own = np.array([[r.x, r.y, r.spin] for r in vehicle.rotors])
     arm = float(np.hypot(own[:, 0], own[:, 1]).mean())
@@ -125,3 +87,32 @@ def _layout(vehicle: Vehicle) -> tuple[int, float, float]:
         "px4-sih: SIH flies a symmetrical quad X (front right turns counter-clockwise) or hexa "
         f"only, not the {len(own)} rotors of this airframe"
     )
+
+
+def _remarks(vehicle: ExportedVehicle) -> list[str]:
+    out = []
+    kept = [f"{sih} ({name})" for sih, name in OPTIONAL.items() if vehicle.get(name) is None]
+    if kept:
+        out.append(f"unknown, left unchanged: {', '.join(kept)}")
+    little = 0.05
+    if abs(vehicle.get("thrust_curve") or 0.0) > little:
+        out.append("SIH's thrust is linear in the output, this vehicle's is not")
+    elif not vehicle.result.rotor_input.motors:
+        out.append("SIH's thrust is linear in the output: THR_MDL_FAC is 0 here")
+    out.append(
+        "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them: on the vehicle itself "
+        "they count from the CG"
+    )
+    return out
+
+
+FORMAT = Format(
+    "px4-sih",
+    "parameters of PX4's SIH simulator",
+    ".params",
+    "SIH has",
+    needs=("mass", *INERTIA, "T_max", "moment_ratio"),
+    uses=tuple(OPTIONAL.values()),
+    text=_text,
+    remarks=_remarks,
+)

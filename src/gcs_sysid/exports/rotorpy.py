@@ -7,44 +7,15 @@ that turns clockwise seen from above: the sign of its torque on the body about t
 import math
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import FOUR, Format, commented, number, provenance
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import FOUR, Format, commented, number
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
-FORMAT = Format(
-    "rotorpy",
-    "parameters of RotorPy",
-    ".py",
-    "RotorPy has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "rotor_speed_max"),
-    uses=("linear_drag",),
-)
 """RotorPy inverts its allocation, which is square for four."""
 
 
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    out = FORMAT.notes(vehicle)
-    if vehicle.get("linear_drag"):
-        out.append(
-            "RotorPy's drag grows with rotor speed: k_d and k_z make it linear_drag in hover"
-        )
-    else:
-        out.append("without linear_drag there is no drag (k_d = k_z = 0)")
-    curve = vehicle.get("thrust_curve")
-    if curve is not None and vehicle.known["motor_lag"].origin == "identified":
-        out.append("tau_m is the lag of the command, used as that of rotor speed")
-    return out
-
-
-def write(vehicle: Vehicle) -> str:
-    """The parameters as a Python module with the dictionary `quad_params`.
-
-    Raises:
-        MissingError: a parameter that RotorPy cannot do without is not known.
-        InputError: it has other than four rotors.
-    """
-    FORMAT.check(vehicle, rotors=FOUR)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The parameters as a Python module with the dictionary `quad_params`."""
     if not vehicle["motor_lag"] > 0.0:
         raise InputError("rotorpy: RotorPy divides by motor_lag: give --set motor_lag=SECONDS")
     J = vehicle.inertia_flu
@@ -58,7 +29,7 @@ def write(vehicle: Vehicle) -> str:
         ("num_rotors", str(FOUR), "in the autopilot's motor order"),
     ]
     return (
-        commented(provenance(vehicle, FORMAT, notes(vehicle)), "#")
+        commented(head, "#")
         + "import numpy as np\n\nquad_params = {\n"
         + "".join(_row(*row) for row in rows)
         + '    "rotor_pos": {  # m from the CG: forward, left, up\n'
@@ -90,3 +61,29 @@ _MATRIX = {
 
 def _row(name: str, value: str, comment: str) -> str:
     return f'    "{name}": {value},' + (f"  # {comment}" if comment else "") + "\n"
+
+
+def _remarks(vehicle: ExportedVehicle) -> list[str]:
+    out = []
+    if vehicle.get("linear_drag"):
+        out.append(
+            "RotorPy's drag grows with rotor speed: k_d and k_z make it linear_drag in hover"
+        )
+    curve = vehicle.get("thrust_curve")
+    if curve is not None and vehicle.known["motor_lag"].origin == "identified":
+        out.append("tau_m is the lag of the command, used as that of rotor speed")
+    return out
+
+
+FORMAT = Format(
+    "rotorpy",
+    "parameters of RotorPy",
+    ".py",
+    "RotorPy has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "rotor_speed_max"),
+    uses=("linear_drag",),
+    text=_text,
+    absent={"linear_drag": "without linear_drag there is no drag (k_d = k_z = 0)"},
+    remarks=_remarks,
+    rotors=FOUR,
+)

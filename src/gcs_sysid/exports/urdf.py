@@ -4,35 +4,18 @@ Axes are forward, left, up (REP 103). ixy is the element [x, y] of the inertia m
 no place for what rotors do.
 """
 
-from gcs_sysid.exports.exported_vehicle import Vehicle
-from gcs_sysid.exports.header import Format, inertia_attributes, numbers, provenance, xml_comment
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
+from gcs_sysid.exports.file_format import (
+    Format,
+    inertia_attributes,
+    numbers,
+    xml_comment,
+)
 from gcs_sysid.model.parameters import INERTIA
 
-FORMAT = Format(
-    "urdf",
-    "URDF",
-    ".urdf",
-    "URDF has",
-    needs=("mass", *INERTIA, "cg_x", "cg_y"),
-    lacks=("k_T", "k_M", "T_max", "moment_ratio"),
-)
 
-
-def notes(vehicle: Vehicle) -> list[str]:
-    """What the user should know."""
-    return [
-        *FORMAT.notes(vehicle),
-        "CG and rotors are at one height: their vertical offset is not observable",
-    ]
-
-
-def write(vehicle: Vehicle) -> str:
-    """The vehicle as URDF, frame `base_link` at the geometric center.
-
-    Raises:
-        MissingError: a parameter that URDF cannot do without is not known.
-    """
-    FORMAT.check(vehicle)
+def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The vehicle as URDF, frame `base_link` at the geometric center."""
     rotors = "".join(
         f'  <link name="rotor_{i}"/>\n'
         f'  <joint name="rotor_{i}_mount" type="fixed">\n'
@@ -43,9 +26,7 @@ def write(vehicle: Vehicle) -> str:
         for i, place in enumerate(vehicle.rotors_flu, 1)
     )
     return (
-        '<?xml version="1.0"?>\n'
-        + xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
-        + f'<robot name="{vehicle.name}">\n'
+        '<?xml version="1.0"?>\n' + xml_comment(head) + f'<robot name="{vehicle.name}">\n'
         '  <link name="base_link">\n'
         "    <inertial>\n"
         f'      <origin xyz="{numbers(vehicle.cg_flu)}" rpy="0 0 0"/>\n'
@@ -54,3 +35,18 @@ def write(vehicle: Vehicle) -> str:
         "    </inertial>\n"
         "  </link>\n" + rotors + "</robot>\n"
     )
+
+
+def _remarks(_: ExportedVehicle) -> list[str]:
+    return ["CG and rotors are at one height: their vertical offset is not observable"]
+
+
+FORMAT = Format(
+    "urdf",
+    "URDF",
+    ".urdf",
+    "URDF has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y"),
+    text=_text,
+    remarks=_remarks,
+)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs_sysid.exports.exported_vehicle import KnownEstimate, Vehicle, complete
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, complete
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import INERTIA, REGISTRY
 
@@ -14,7 +14,7 @@ _FOLLOWING = "from "
 """Prefix of the origin of a value derived from two others, which is computed from the draws."""
 
 
-def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
+def drawn_vehicles(vehicle: ExportedVehicle, count: int, seed: int) -> list[ExportedVehicle]:
     """Vehicles drawn from the covariance of one, each a possible rigid body.
 
     Parameters with an entry in the covariance of the result are drawn together; others by their
@@ -31,7 +31,7 @@ def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
     """
     random = np.random.default_rng(seed)
     names, root = _root(vehicle)
-    out: list[Vehicle] = []
+    out: list[ExportedVehicle] = []
     for _ in range(_TRIES * max(count, 1)):
         if len(out) == count:
             return out
@@ -44,7 +44,7 @@ def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
     raise ValueError("the intervals are too wide: hardly any draw from them is a rigid body")
 
 
-def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:
+def _root(vehicle: ExportedVehicle) -> tuple[list[str], np.ndarray]:
     """Names and (n, n) root of the covariance of all that has a standard deviation."""
     known = {
         name: quantity.std
@@ -74,7 +74,7 @@ def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:
 _OF_THE_FLIGHT = ("identified", "weak", "zero", "given")
 
 
-def _shifted(vehicle: Vehicle, shift: dict[str, float]) -> Vehicle | None:
+def _shifted(vehicle: ExportedVehicle, shift: dict[str, float]) -> ExportedVehicle | None:
     """The vehicle with values moved; None where there can be no such thing."""
     known: dict[str, KnownEstimate] = {}
     for name, quantity in vehicle.known.items():
