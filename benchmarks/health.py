@@ -41,8 +41,8 @@ from sim_bridge.doublets import DoubletMission
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.px4 import Px4
+from sim_bridge.simulated_vehicle import RotorTraits
 from sim_bridge.simulation import Simulation
-from sim_bridge.uneven_rotors import RotorTraits
 from testbed.emulated import fly_into
 from testbed.vehicles import Drawn, draw
 

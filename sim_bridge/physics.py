@@ -15,8 +15,14 @@ import numpy as np
 
 from gcs_sysid.argument_types import between, not_negative, positive
 from sim_bridge.choices import Kind, Span, choice_help, gather, milliseconds, parse_choice, span
-from sim_bridge.simulated_vehicle import LAGS, Value, Vehicle, hover_thrusts
-from sim_bridge.uneven_rotors import RotorTraits, even
+from sim_bridge.simulated_vehicle import (
+    LAGS,
+    RotorTraits,
+    Value,
+    Vehicle,
+    even,
+    hover_thrusts,
+)
 
 LEAST_SHARE = 0.2
 """Of k_T or k_M; however wide the scatter, no rotor has less."""

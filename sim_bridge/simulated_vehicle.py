@@ -3,6 +3,7 @@
 A value is a float for one vehicle, or an array of shape (N,) for an ensemble of N.
 """
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -10,13 +11,41 @@ import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, REGISTRY
-from sim_bridge.uneven_rotors import RotorTraits, per_thrust
 
 Value = Any
 """A float, or a float array of shape (N,): the physics is written once for both."""
 
 LAGS = ("speed", "thrust", "command")
 """What may lag behind the command."""
+
+
+@dataclass(frozen=True)
+class RotorTraits:
+    """How the rotors differ from the ideal ones.
+
+    Attributes:
+        thrust: e_i, each rotor's k_T over the vehicle's.
+        torque: e'_i, each rotor's k_M over the vehicle's.
+        tilt: delta, rad; positive where the cant helps the drag torque.
+    """
+
+    thrust: tuple[Value, ...]
+    torque: tuple[Value, ...]
+    tilt: float = 0.0
+
+    def weakened(self, rotor: int, share: float) -> "RotorTraits":
+        """The same with one rotor's thrust and torque less by this share."""
+        left = 1.0 - share
+        return RotorTraits(
+            tuple(left * e if i == rotor else e for i, e in enumerate(self.thrust)),
+            tuple(left * e if i == rotor else e for i, e in enumerate(self.torque)),
+            self.tilt,
+        )
+
+
+def even(count: int) -> RotorTraits:
+    """Rotors that are all alike."""
+    return RotorTraits((1.0,) * count, (1.0,) * count)
 
 
 @dataclass(frozen=True)
@@ -181,3 +210,26 @@ def hover_thrusts(vehicle: Vehicle) -> list[Value]:
     """Thrust of every rotor in steady hover, N."""
     weight = vehicle.mass * GRAVITY
     return [share[0] * weight for share in allocation(vehicle)]
+
+
+def per_thrust(vehicle: Vehicle, rotor: Rotor, ratio: Value) -> tuple[Value, ...]:
+    """(F_x, F_y, M_x, M_y, M_z) of 1 N along a rotor's axis, its drag torque included.
+
+    Args:
+        vehicle: whose CG, tilt and height of the rotors count.
+        rotor: which.
+        ratio: its drag torque over its thrust, m.
+    """
+    delta = vehicle.traits.tilt if vehicle.traits is not None else 0.0
+    cosine, sine = math.cos(delta), math.sin(delta)
+    arm = math.hypot(rotor.x, rotor.y) or 1.0
+    t_x, t_y = -rotor.y / arm, rotor.x / arm
+    f_x, f_y = rotor.spin * sine * t_x, rotor.spin * sine * t_y
+    r_x, r_y, r_z = rotor.x - vehicle.cg_x, rotor.y - vehicle.cg_y, vehicle.rotor_z
+    return (
+        f_x,
+        f_y,
+        -r_y * cosine - r_z * f_y - rotor.spin * ratio * f_x,
+        r_z * f_x + r_x * cosine - rotor.spin * ratio * f_y,
+        r_x * f_y - r_y * f_x + rotor.spin * ratio * cosine,
+    )

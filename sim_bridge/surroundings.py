@@ -17,8 +17,7 @@ from sim_bridge.ground_effect import thrust_gain
 from sim_bridge.loads import Slosh, Swing
 from sim_bridge.physics import Physics
 from sim_bridge.random_forces import RandomForces
-from sim_bridge.simulated_vehicle import Value, Vehicle
-from sim_bridge.uneven_rotors import even
+from sim_bridge.simulated_vehicle import Value, Vehicle, even
 from sim_bridge.wind import Wind
 
 

@@ -18,78 +18,19 @@ The acceleration of a rotor, for the reaction torque -h' of rotor inertia, follo
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gcs_sysid.model.airframe import Rotor
-
-if TYPE_CHECKING:
-    from sim_bridge.simulated_vehicle import Vehicle
-
-Value = Any
+from sim_bridge.simulated_vehicle import Value, Vehicle, even, per_thrust
 
 SLOWEST = 1.0
 """rad/s: below it a rotor's acceleration is not computed from its thrust, which is nearly zero."""
 
 
-@dataclass(frozen=True)
-class RotorTraits:
-    """How the rotors differ from the ideal ones.
-
-    Attributes:
-        thrust: e_i, each rotor's k_T over the vehicle's.
-        torque: e'_i, each rotor's k_M over the vehicle's.
-        tilt: delta, rad; positive where the cant helps the drag torque.
-    """
-
-    thrust: tuple[Value, ...]
-    torque: tuple[Value, ...]
-    tilt: float = 0.0
-
-    def weakened(self, rotor: int, share: float) -> "RotorTraits":
-        """The same with one rotor's thrust and torque less by this share."""
-        left = 1.0 - share
-        return RotorTraits(
-            tuple(left * e if i == rotor else e for i, e in enumerate(self.thrust)),
-            tuple(left * e if i == rotor else e for i, e in enumerate(self.torque)),
-            self.tilt,
-        )
-
-
-def even(count: int) -> RotorTraits:
-    """Rotors that are all alike."""
-    return RotorTraits((1.0,) * count, (1.0,) * count)
-
-
-def per_thrust(vehicle: "Vehicle", rotor: Rotor, ratio: Value) -> tuple[Value, ...]:
-    """(F_x, F_y, M_x, M_y, M_z) of 1 N along a rotor's axis, its drag torque included.
-
-    Args:
-        vehicle: whose CG, tilt and height of the rotors count.
-        rotor: which.
-        ratio: its drag torque over its thrust, m.
-    """
-    delta = vehicle.traits.tilt if vehicle.traits is not None else 0.0
-    cosine, sine = math.cos(delta), math.sin(delta)
-    arm = math.hypot(rotor.x, rotor.y) or 1.0
-    t_x, t_y = -rotor.y / arm, rotor.x / arm
-    f_x, f_y = rotor.spin * sine * t_x, rotor.spin * sine * t_y
-    r_x, r_y, r_z = rotor.x - vehicle.cg_x, rotor.y - vehicle.cg_y, vehicle.rotor_z
-    return (
-        f_x,
-        f_y,
-        -r_y * cosine - r_z * f_y - rotor.spin * ratio * f_x,
-        r_z * f_x + r_x * cosine - rotor.spin * ratio * f_y,
-        r_x * f_y - r_y * f_x + rotor.spin * ratio * cosine,
-    )
-
-
 class UnevenRotors:
     """The rotors' wrench, rotor by rotor, for `Dynamics`."""
 
-    def __init__(self, vehicle: "Vehicle") -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         v = self._vehicle = vehicle
         traits = v.traits or even(len(v.rotors))
         cosine = math.cos(traits.tilt)

@@ -32,7 +32,8 @@ from gcs_sysid.session.chain import WINDOW, Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.twin.held_out_flight import TwinFlight, fly_held_out
+from gcs_sysid.twin.held_out_flight import fly_held_out
+from gcs_sysid.twin.twin_flight import TwinFlight
 
 __all__ = [
     "Airframe",

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
 from gcs_sysid.cli.program import run
-from gcs_sysid.fleet.batch import Batch
+from gcs_sysid.fleet.batch import BatchRun
 from gcs_sysid.fleet.batch_table import read_table
 from gcs_sysid.fleet.jobs import FAILURE, Job
 from gcs_sysid.fleet.pools import LocalPool
@@ -204,7 +204,7 @@ def test_a_log_at_which_the_process_dies_is_a_row_and_is_tried_again(logs, tmp_p
         jobs = [Job(path, airframe if n == 1 else paper) for n, path in enumerate(paths)]
         pool = LocalPool(2)
         try:
-            batch = Batch(jobs, Store(tmp_path / "out"), pool, lambda *_: None, lambda: False)
+            batch = BatchRun(jobs, Store(tmp_path / "out"), pool, lambda *_: None, lambda: False)
             return {Path(row["path"]): row for row in batch.run()}, batch.tally.kept
         finally:
             pool.close()

@@ -10,7 +10,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.limits import Limits, analyze_within
+from gcs_sysid.fleet.limits import LogLimits, analyze_within
 from gcs_sysid.model.airframe import load_airframe
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
@@ -35,8 +35,8 @@ def spin_and_swallow(task):
 @pytest.mark.parametrize("work", [spin, spin_and_swallow])
 def test_what_takes_too_long_is_given_up(task, work):
     with pytest.raises(InputError, match=r"some\.tlog: not done after 0\.2 s; --log-timeout"):
-        analyze_within(Limits(seconds=0.2), task, work)
-    assert analyze_within(Limits(), task, lambda task: {"done": True}) == {"done": True}
+        analyze_within(LogLimits(seconds=0.2), task, work)
+    assert analyze_within(LogLimits(), task, lambda task: {"done": True}) == {"done": True}
 
 
 @ON_LINUX
@@ -45,9 +45,9 @@ def test_what_takes_too_much_memory_is_given_up_and_the_limit_lifted(task):
 
     before = resource.getrlimit(resource.RLIMIT_AS)
     with pytest.raises(InputError, match="needs more than 50 MB of memory; --log-memory"):
-        analyze_within(Limits(megabytes=50.0), task, lambda task: np.ones(20_000_000))
+        analyze_within(LogLimits(megabytes=50.0), task, lambda task: np.ones(20_000_000))
     assert resource.getrlimit(resource.RLIMIT_AS) == before
-    assert len(analyze_within(Limits(), task, lambda task: np.ones(20_000_000))) == 20_000_000
+    assert len(analyze_within(LogLimits(), task, lambda task: np.ones(20_000_000))) == 20_000_000
 
 
 def test_a_reader_that_has_run_out_of_memory_is_told_as_that(task):
@@ -58,7 +58,7 @@ def test_a_reader_that_has_run_out_of_memory_is_told_as_that(task):
             raise InputError("too large") from error
 
     with pytest.raises(InputError, match="--log-memory"):
-        analyze_within(Limits(), task, read)
+        analyze_within(LogLimits(), task, read)
 
 
 def test_other_errors_are_its_own(task):
@@ -66,14 +66,15 @@ def test_other_errors_are_its_own(task):
         raise InputError("no log")
 
     with pytest.raises(InputError, match=r"^no log$"):
-        analyze_within(Limits(), task, read)
+        analyze_within(LogLimits(), task, read)
 
 
 ENDLESS = """
 import re
 from gcs_sysid.fleet import limits
 limits._GRACE = 0.2
-limits.analyze_within(limits.Limits(seconds=0.1), TASK, lambda task: re.match("(a+)+b", "a" * 80))
+within = limits.LogLimits(seconds=0.1)
+limits.analyze_within(within, TASK, lambda task: re.match("(a+)+b", "a" * 80))
 """
 
 

@@ -27,7 +27,7 @@ from gcs_sysid.web import log_worker
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.cli import main as sim_bridge
 from sim_bridge.px4_parameters import px4_parameters
-from sim_bridge.uneven_rotors import even
+from sim_bridge.simulated_vehicle import even
 from sim_bridge.vehicle_files import load_vehicle
 from tests.blackbox_logs import blackbox_of
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gcs_sysid.setup_help.checks import (
-    Finding,
+    SetupFinding,
     Sign,
     as_text,
     check_packages,
@@ -105,8 +105,8 @@ def test_a_folder_of_somebody_else(tmp_path):
 
 def test_findings_as_text():
     findings = [
-        Finding("a", Sign.OK, "fine"),
-        Finding("b", Sign.PROBLEM, "word " * 20, ["a command that is kept whole " * 4]),
+        SetupFinding("a", Sign.OK, "fine"),
+        SetupFinding("b", Sign.PROBLEM, "word " * 20, ["a command that is kept whole " * 4]),
     ]
     lines = as_text(findings, 60, unicode=True).splitlines()
     assert lines[0] == "✓ ok       a: fine"

@@ -8,7 +8,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help import answers as say
 from gcs_sysid.setup_help.layouts import ASCII, layout_rotors, reversed_spins
-from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
+from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard, given_answers
 
 
 class Dialogue:
@@ -37,7 +37,7 @@ class Dialogue:
 
 def asked(*typed, given=None):
     dialogue = Dialogue(*typed)
-    found = Wizard(dialogue.ask, dialogue.say, ASCII).answers(given or Given())
+    found = Wizard(dialogue.ask, dialogue.say, ASCII).answers(given or GivenAnswers())
     assert dialogue.over
     return found, dialogue.seen
 
@@ -127,7 +127,9 @@ def test_own_positions_that_cannot_fly_are_asked_again():
 
 
 def test_what_options_have_told_is_not_asked():
-    given = Given(layout="px4-hexa-x", arm=0.4, spin="usual", scale=("k_T", 1e-5), name="six")
+    given = GivenAnswers(
+        layout="px4-hexa-x", arm=0.4, spin="usual", scale=("k_T", 1e-5), name="six"
+    )
     found, seen = asked("", "", given=given)
     assert found.rotors == layout_rotors("px4-hexa-x", 0.4)
     assert (found.scale, found.name) == (("k_T", 1e-5), "six")
@@ -159,10 +161,13 @@ def test_yes_and_no(typed, yes):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (Given(), "which layout"),
-        (Given(layout="px4-quad-x", arm=0.2, rotors=(Rotor(0, 0, 1),)), "leave out --layout"),
-        (Given(layout="px4-hexa-x", arm=(0.1, 0.2)), "quad X only"),
-        (Given(layout="px4-quad-x", arm=0.2, spin="cw,cw"), "4 spins"),
+        (GivenAnswers(), "which layout"),
+        (
+            GivenAnswers(layout="px4-quad-x", arm=0.2, rotors=(Rotor(0, 0, 1),)),
+            "leave out --layout",
+        ),
+        (GivenAnswers(layout="px4-hexa-x", arm=(0.1, 0.2)), "quad X only"),
+        (GivenAnswers(layout="px4-quad-x", arm=0.2, spin="cw,cw"), "4 spins"),
     ],
 )
 def test_options_that_do_not_go_together(given, said):

@@ -11,10 +11,9 @@ from sim_bridge.aerodynamics import Aerodynamics
 from sim_bridge.dynamics import CALM, Dynamics, State
 from sim_bridge.ground_effect import GEAR, thrust_gain
 from sim_bridge.physics import Physics
-from sim_bridge.simulated_vehicle import Vehicle, allocation, hover_thrusts
+from sim_bridge.simulated_vehicle import RotorTraits, Vehicle, allocation, hover_thrusts
 from sim_bridge.simulation import trim
 from sim_bridge.surroundings import Surroundings
-from sim_bridge.uneven_rotors import RotorTraits
 from sim_bridge.vehicle_files import load_vehicle
 
 AIR = Physics(rotor_drag=0.3, inflow=0.6, forward_lift=0.003, flapping=1.5, quadratic_drag=20.0)

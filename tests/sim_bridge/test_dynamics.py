@@ -8,9 +8,8 @@ import pytest
 
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.dynamics import Disturbance, Dynamics, State, rotate_to_body
-from sim_bridge.simulated_vehicle import Vehicle, hover_thrusts
+from sim_bridge.simulated_vehicle import Vehicle, even, hover_thrusts
 from sim_bridge.simulation import trim
-from sim_bridge.uneven_rotors import even
 
 
 def matrix(q: list[float]) -> np.ndarray:

@@ -22,7 +22,7 @@ from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder, _with_later_bias
 from gcs_sysid.twin.prediction_errors import Twin, basic_model
-from gcs_sysid.twin.twin_text import twin_svg, twin_table
+from gcs_sysid.twin.twin_flight import twin_svg, twin_table
 
 SAMPLE = Path(__file__).resolve().parents[2] / "logs" / "sample.tlog"
 

@@ -17,7 +17,7 @@ from gcs_sysid.setup_help.airframe_file import (
     write_new,
 )
 from gcs_sysid.setup_help.answers import arm_lengths, imu_position, plain_name, rotor
-from gcs_sysid.setup_help.checks import Finding, Sign, as_text, can_show, quoted, worst
+from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
 from gcs_sysid.setup_help.layouts import (
     ASCII,
     UNICODE,
@@ -27,7 +27,7 @@ from gcs_sysid.setup_help.layouts import (
     legend,
     rotor_table,
 )
-from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
+from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard, given_answers
 from gcs_sysid.strict_json import json_text
 
 
@@ -51,7 +51,7 @@ def _check(options: argparse.Namespace) -> int:
     return 1 if worst(findings) is Sign.PROBLEM else 0
 
 
-def _picture(airframe: Airframe, findings: Sequence[Finding]) -> str:
+def _picture(airframe: Airframe, findings: Sequence[SetupFinding]) -> str:
     """Name, drawing, numbers and findings."""
     pen = _pen(sys.stdout.encoding)
     said = as_text(findings, terminal_width() or 80, unicode=pen is UNICODE)
@@ -88,14 +88,14 @@ def _new(options: argparse.Namespace) -> int:
     return 0
 
 
-def _given(options: argparse.Namespace) -> Given:
+def _given(options: argparse.Namespace) -> GivenAnswers:
     scales: dict[AnchorName, float | None] = {
         "mass": options.mass,
         "k_T": options.k_t,
         "T_max": options.t_max,
     }
     scale = next(((name, value) for name, value in scales.items() if value is not None), None)
-    return Given(
+    return GivenAnswers(
         layout=options.layout,
         arm=None if options.arm is None else arm_lengths(options.arm),
         rotors=tuple(rotor(text) for text in options.rotor),
@@ -108,7 +108,7 @@ def _given(options: argparse.Namespace) -> Given:
     )
 
 
-def _asked(given: Given) -> tuple[AirframeAnswers, Path | None]:
+def _asked(given: GivenAnswers) -> tuple[AirframeAnswers, Path | None]:
     """Ask for what is missing; the path is None when the user says no at the end."""
 
     def ask(question: str) -> str:

@@ -14,9 +14,9 @@ from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
-from gcs_sysid.fleet.batch import AIRFRAME_FILE, Batch, Tally, find_logs, nearest_airframe
+from gcs_sysid.fleet.batch import AIRFRAME_FILE, BatchRun, BatchTally, find_logs, nearest_airframe
 from gcs_sysid.fleet.jobs import Job
-from gcs_sysid.fleet.limits import Limits, analyze_within
+from gcs_sysid.fleet.limits import LogLimits, analyze_within
 from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
 from gcs_sysid.model.airframe import Airframe
@@ -34,13 +34,13 @@ def run(options: argparse.Namespace) -> int:
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)
     stop = threading.Event()
-    work = functools.partial(analyze_within, Limits(options.log_timeout, options.log_memory))
+    work = functools.partial(analyze_within, LogLimits(options.log_timeout, options.log_memory))
     pool: Pool
     if options.scheduler is not None:
         pool = ClusterPool(options.scheduler, work)
     else:
         pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)), work)
-    batch = Batch(jobs, store, pool, _shower(), stop.is_set)
+    batch = BatchRun(jobs, store, pool, _shower(), stop.is_set)
     rows = batch.tally.rows
     deliveries = Deliveries()
     with on_signals(stop.set):
@@ -86,17 +86,17 @@ def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airf
     return {log: known[file] for log, file in files.items()}
 
 
-def _summary(tally: Tally) -> str:
+def _summary(tally: BatchTally) -> str:
     counts = [f"{count} {word}" for word, count in tally.verdicts.items() if count]
     kept = f" ({tally.kept} done before)" if tally.kept else ""
     return f"{len(tally.rows)} of {tally.total} logs{kept}: {', '.join(counts) or 'none done'}"
 
 
-def _shower() -> Callable[[table.Row, Tally], None]:
+def _shower() -> Callable[[table.Row, BatchTally], None]:
     """Reports failures as they come and, on a terminal, progress."""
     start, terminal = time.monotonic(), sys.stderr.isatty()
 
-    def show(row: table.Row, tally: Tally) -> None:
+    def show(row: table.Row, tally: BatchTally) -> None:
         # Blanks, not an escape sequence: older consoles of Windows print those.
         clear = f"\r{' ' * (shutil.get_terminal_size().columns - 1)}\r" if terminal else ""
         if row["verdict"] is None:
@@ -111,7 +111,7 @@ def _shower() -> Callable[[table.Row, Tally], None]:
     return show
 
 
-def _left(seconds: float, tally: Tally) -> str:
+def _left(seconds: float, tally: BatchTally) -> str:
     done = len(tally.rows) - tally.kept
     if not done:
         return ""

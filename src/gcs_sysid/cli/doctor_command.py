@@ -6,7 +6,7 @@ import sys
 from gcs_sysid.cli.output import show, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.setup_help.checks import (
-    Finding,
+    SetupFinding,
     Sign,
     as_text,
     can_show,
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
         findings += _links(options)
     except ImportError as error:
         # With a package missing, reported above, links cannot be checked.
-        findings.append(Finding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
+        findings.append(SetupFinding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
     if options.json:
         report = {"findings": [finding.as_json() for finding in findings]}
         show(json_text(report, 2))
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if worst(findings) is Sign.PROBLEM else 0
 
 
-def _summary(findings: list[Finding]) -> str:
+def _summary(findings: list[SetupFinding]) -> str:
     problems, warnings = (
         sum(finding.sign is sign for finding in findings) for sign in (Sign.PROBLEM, Sign.WARNING)
     )
@@ -45,7 +45,7 @@ def _summary(findings: list[Finding]) -> str:
     return "ready" + (f"; warnings: {warnings} (see ->)" if warnings else "")
 
 
-def _links(options: argparse.Namespace) -> list[Finding]:
+def _links(options: argparse.Namespace) -> list[SetupFinding]:
     """Serial devices, ports, and vehicles received; its modules need the packages checked
     before.
     """

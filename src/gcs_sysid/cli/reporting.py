@@ -31,9 +31,9 @@ from gcs_sysid.session.analysis import Observer, analyze_log
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
-from gcs_sysid.twin.held_out_flight import TwinFlight, fly_own_flight
+from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
-from gcs_sysid.twin.twin_text import twin_svg
+from gcs_sysid.twin.twin_flight import TwinFlight, twin_svg
 
 _LONGEST_TWIN = 1800.0
 """s of flight that the twin of a report is flown along; half an hour at 250 Hz takes 30 MB."""

@@ -28,7 +28,7 @@ from gcs_sysid.control.loop_margins import frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
     BAND,
-    Tuning,
+    TuningStudy,
     document_of,
     joined_vehicle,
     parameter_text,
@@ -174,7 +174,7 @@ def _autopilot(
     return cast(Autopilot, named)
 
 
-def bode_svg(tuning: Tuning) -> str:
+def bode_svg(tuning: TuningStudy) -> str:
     """The diagram of the gains now and proposed."""
     width = _LEFT + 3 * (_COLUMN + _GAP)
     height = _TOP + _UPPER + _GAP + _LOWER + 60.0
@@ -205,7 +205,7 @@ def bode_svg(tuning: Tuning) -> str:
     return picture + "\n"
 
 
-def _curves(tuning: Tuning, loop: RateLoop, stroke: str) -> Iterator[str]:
+def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[str]:
     omega = frequencies(loop, _POINTS)
     omega = omega[(omega >= _LOW) & (omega <= _HIGH)]
     loops = open_loops(tuning.dynamics, loop, omega)

@@ -11,7 +11,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.twin.held_out_flight import as_exact, fly_held_out
-from gcs_sysid.twin.twin_text import twin_svg, twin_table
+from gcs_sysid.twin.twin_flight import twin_svg, twin_table
 
 
 def run(options: argparse.Namespace) -> int:

@@ -183,12 +183,12 @@ def read_loop(
     Raises:
         InputError: a parameter makes no sense.
     """
-    reader = _Reader(parameters)
+    reader = _ParameterReader(parameters)
     loop = _px4(reader, rotors) if autopilot == "px4" else _ardupilot(reader, rotors)
     return replace(loop, assumed=tuple(reader.assumed))
 
 
-class _Reader:
+class _ParameterReader:
     """Parameters with defaults, which remembers what was not there."""
 
     def __init__(self, parameters: Mapping[str, float]) -> None:
@@ -205,7 +205,7 @@ class _Reader:
         return value
 
 
-def _px4(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
+def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     gains = []
     for name, (P, I, D, angle) in zip(_PX4_AXES, _PX4_USUAL, strict=True):  # noqa: E741
         K = reader.get(f"MC_{name}RATE_K", 1.0)
@@ -233,7 +233,7 @@ def _px4(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
     )
 
 
-def _ardupilot(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
+def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     gains, filters = [], []
     for name, usual in zip(_ARDUPILOT_AXES, _ARDUPILOT_USUAL, strict=True):
         prefix = f"ATC_RAT_{name}_"
@@ -265,7 +265,7 @@ def _ardupilot(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
     )
 
 
-def _rate(reader: _Reader, name: str, usual: float) -> float:
+def _rate(reader: _ParameterReader, name: str, usual: float) -> float:
     rate = reader.get(name, usual)
     if rate < 50.0:
         raise InputError(f"{name} = {rate:g}: a rate loop runs at 50 Hz or more")

@@ -59,7 +59,7 @@ class AxisStudy:
 
 
 @dataclass(frozen=True)
-class Tuning:
+class TuningStudy:
     """Margins of the gains that a vehicle has and of those proposed.
 
     Attributes:
@@ -97,7 +97,7 @@ def study(
     delay: tuple[float, float] | None = None,
     draws: int = 100,
     seed: int = 1,
-) -> Tuning:
+) -> TuningStudy:
     """Judge the gains that a vehicle has, and propose gains.
 
     Args:
@@ -129,7 +129,7 @@ def study(
     notes = list(dynamics.notes)
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
-    return Tuning(vehicle, dynamics, late, origin, now, proposed, studies, tuple(notes))
+    return TuningStudy(vehicle, dynamics, late, origin, now, proposed, studies, tuple(notes))
 
 
 def _delay(
@@ -202,7 +202,7 @@ def axis_studies(dynamics: HoverDynamics, loop: RateLoop) -> tuple[AxisStudy, ..
     )
 
 
-def document_of(tuning: Tuning) -> dict[str, Any]:
+def document_of(tuning: TuningStudy) -> dict[str, Any]:
     """The study as `--json` writes it."""
     dynamics = tuning.dynamics
     plant = {}
@@ -261,7 +261,7 @@ def _banded(values: Array) -> dict[str, float | None]:
     return {k: float(v) if np.isfinite(v) else None for k, v in numbers.items()}
 
 
-def tuning_text(tuning: Tuning) -> str:
+def tuning_text(tuning: TuningStudy) -> str:
     """The study as lines for a terminal."""
     loop = tuning.proposed
     lines = [
@@ -298,7 +298,7 @@ def _interval(values: Array, digits: int) -> str:
     return f"{values[0]:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
-def _gain_table(tuning: Tuning) -> list[str]:
+def _gain_table(tuning: TuningStudy) -> list[str]:
     proposed = tuning.proposed.as_parameters()
     now = {} if tuning.now is None else tuning.now.as_parameters()
     lines = [f"{'parameter':18}{'now':>12}{'proposed':>12}"]
@@ -308,7 +308,7 @@ def _gain_table(tuning: Tuning) -> list[str]:
     return lines
 
 
-def parameter_text(tuning: Tuning, suffix: str) -> str:
+def parameter_text(tuning: TuningStudy, suffix: str) -> str:
     """The proposed gains as a file that a ground station loads.
 
     Args:

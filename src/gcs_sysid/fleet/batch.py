@@ -30,7 +30,7 @@ _HEAD = 4096
 
 
 @dataclass
-class Tally:
+class BatchTally:
     """How far a batch has come.
 
     Attributes:
@@ -48,7 +48,7 @@ class Tally:
     )
 
 
-class Batch:
+class BatchRun:
     """Runs jobs whose documents are not there yet.
 
     Args:
@@ -64,14 +64,14 @@ class Batch:
         jobs: list[Job],
         store: Store,
         pool: Pool,
-        show: Callable[[Row, Tally], None],
+        show: Callable[[Row, BatchTally], None],
         stopped: Callable[[], bool],
     ) -> None:
         self._jobs, self._store, self._pool = jobs, store, pool
         self._show, self._stopped = show, stopped
         self._copies: dict[str, list[Task]] = {}
         self._made: set[str] = set()
-        self.tally = Tally(len(jobs))
+        self.tally = BatchTally(len(jobs))
 
     def run(self) -> list[Row]:
         """Do them; the rows of all that are done at the end.

@@ -24,7 +24,7 @@ _GRACE = 10.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class LogLimits:
     """Of one log.
 
     Attributes:
@@ -41,7 +41,7 @@ class OverTime(BaseException):
 
 
 def analyze_within(
-    limits: Limits, task: Task, work: Callable[[Task], Document] = analyze
+    limits: LogLimits, task: Task, work: Callable[[Task], Document] = analyze
 ) -> Document:
     """As `analyze`, within limits.
 
@@ -68,7 +68,7 @@ def analyze_within(
 
 
 @contextlib.contextmanager
-def within(limits: Limits) -> Iterator[None]:
+def within(limits: LogLimits) -> Iterator[None]:
     """Have what is done meanwhile end in `OverTime` or `MemoryError` beyond the limits."""
     with _within_memory(limits.megabytes), _within_time(limits.seconds):
         yield

@@ -33,7 +33,7 @@ Scatter = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Change:
+class FlightChange:
     """A flight that differs from those before it.
 
     Attributes:
@@ -63,11 +63,11 @@ class Flight:
     number: int
     row: Row
     result: Result
-    change: Change | None
+    change: FlightChange | None
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class FleetVehicle:
     """A vehicle's flights in the order of time, and how its parameters scatter between them."""
 
     name: str
@@ -86,7 +86,7 @@ class Vehicle:
         return [self.flights[a:b] for a, b in pairwise(cuts) if b > a]
 
 
-def vehicles_of(rows: Iterable[Row]) -> tuple[list[Vehicle], list[Row]]:
+def vehicles_of(rows: Iterable[Row]) -> tuple[list[FleetVehicle], list[Row]]:
     """Sort a table's rows into vehicles and their flights.
 
     Flights come in the order in which they were recorded; those without a time come last, by path.
@@ -110,7 +110,7 @@ def _when(row: Row) -> tuple[bool, datetime, str]:
     return recorded is None, recorded or datetime.min, row["path"]
 
 
-def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
+def _vehicle(name: str, rows: Sequence[Row]) -> FleetVehicle:
     results = [result_of(row) for row in rows]
     level = FALSE_ALARM_RATE / max(len(rows) - 1, 1)
     scatter = scatter_of(results, level)
@@ -126,10 +126,10 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
                 if difference.p_holm is not None and difference.p_holm < level
             )
             if found:
-                change = Change(first + 1, place, comparison, found)
+                change = FlightChange(first + 1, place, comparison, found)
                 first = place
         flights.append(Flight(place + 1, row, result, change))
-    return Vehicle(name, tuple(flights), scatter)
+    return FleetVehicle(name, tuple(flights), scatter)
 
 
 def scatter_of(results: Sequence[Result], level: float) -> Scatter:

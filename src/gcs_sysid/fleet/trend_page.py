@@ -7,7 +7,7 @@ from importlib import resources
 
 from gcs_sysid import __version__
 from gcs_sysid.fleet.batch_table import Row
-from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle, is_sound, mean
+from gcs_sysid.fleet.trend import FEWEST, FleetVehicle, Flight, FlightChange, is_sound, mean
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
@@ -45,7 +45,7 @@ _FEW = (
 WIDTH, HEIGHT = 360, 190
 
 
-def render(title: str, vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> str:
+def render(title: str, vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> str:
     """The page as HTML text; the same table gives the same text."""
     style = "".join(
         (resources.files(package) / name).read_text(encoding="utf-8")
@@ -94,7 +94,7 @@ def render(title: str, vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> st
     return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
-def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
+def _overview(vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> Markup:
     changed = [vehicle for vehicle in vehicles if vehicle.changed]
     flights = sum(len(vehicle.flights) for vehicle in vehicles)
     words = f"{_count(len(vehicles), 'vehicle')}, {_count(flights, 'flight')}. "
@@ -132,7 +132,7 @@ def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
     )
 
 
-def _changes_text(vehicle: Vehicle) -> str:
+def _changes_text(vehicle: FleetVehicle) -> str:
     return "; ".join(
         f"flight {flight.number}: {names_text([d.name for d in flight.change.differences])}"
         for flight in vehicle.changed
@@ -140,7 +140,7 @@ def _changes_text(vehicle: Vehicle) -> str:
     ) or ("no change seen" if len(vehicle.flights) > 1 else PAGE.nothing)
 
 
-def _vehicle(place: int, vehicle: Vehicle) -> Markup:
+def _vehicle(place: int, vehicle: FleetVehicle) -> Markup:
     figures = [trend_figure(vehicle, name) for name in shown_names(vehicle)]
     changes = [row for flight in vehicle.changed for row in _change_rows(flight)]
     columns = [
@@ -194,7 +194,7 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
     return out
 
 
-def _span(change: Change) -> str:
+def _span(change: FlightChange) -> str:
     if change.first == change.last:
         return f"flight {change.first}"
     return f"flights {change.first} to {change.last}"
@@ -211,7 +211,7 @@ def value_text(name: str, estimate: Estimate | None) -> str:
     return number_figures(estimate.value, half, estimate.unit, PAGE, exponent=exponent).measure
 
 
-def _flights(vehicle: Vehicle) -> Markup:
+def _flights(vehicle: FleetVehicle) -> Markup:
     rows: list[list[Child]] = []
     for flight in vehicle.flights:
         row, scale = flight.row, flight.result.scale
@@ -258,7 +258,7 @@ def _count(count: int, word: str) -> str:
     return f"{count} {word}{'s' if count != 1 else ''}"
 
 
-def shown_names(vehicle: Vehicle) -> list[str]:
+def shown_names(vehicle: FleetVehicle) -> list[str]:
     """Parameters that at least one flight determines, and that were not given."""
     return [
         name
@@ -276,7 +276,7 @@ def _drawn(estimate: Estimate | None) -> bool:
     )
 
 
-def trend_figure(vehicle: Vehicle, name: str) -> Markup:
+def trend_figure(vehicle: FleetVehicle, name: str) -> Markup:
     """The parameter of this name with its 95 % intervals, and the mean between changes."""
     known = [
         (flight, flight.result.parameters[name])

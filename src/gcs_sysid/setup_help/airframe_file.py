@@ -17,7 +17,7 @@ from gcs_sysid.model.airframe import (
     parse_airframe,
 )
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.setup_help.checks import Finding, Sign
+from gcs_sysid.setup_help.checks import SetupFinding, Sign
 from gcs_sysid.setup_help.layouts import (
     USUAL_ARM,
     layout_rotors,
@@ -166,7 +166,7 @@ def scale_doubt(name: str, value: float) -> str | None:
     return f"{name} = {value:g} {unit} is very {kind}; {_SLIPS[name]}"
 
 
-def check_airframe(airframe: Airframe) -> list[Finding]:
+def check_airframe(airframe: Airframe) -> list[SetupFinding]:
     """Judge an airframe that can be read.
 
     Returns:
@@ -175,19 +175,19 @@ def check_airframe(airframe: Airframe) -> list[Finding]:
     return [_size(airframe), _symmetry(airframe), _order(airframe), _scale(airframe)]
 
 
-def _size(airframe: Airframe) -> Finding:
+def _size(airframe: Airframe) -> SetupFinding:
     doubt = arm_doubt(airframe.arm)
     if doubt:
-        return Finding("size", Sign.WARNING, doubt, ["x and y of [[rotor]] are in m"])
+        return SetupFinding("size", Sign.WARNING, doubt, ["x and y of [[rotor]] are in m"])
     text = f"{len(airframe.rotors)} rotors, {airframe.arm:.4g} m from the center on average"
-    return Finding("size", Sign.OK, text)
+    return SetupFinding("size", Sign.OK, text)
 
 
-def _symmetry(airframe: Airframe) -> Finding:
+def _symmetry(airframe: Airframe) -> SetupFinding:
     x, y, spin = airframe.geometry
     off = math.hypot(x.mean(), y.mean())
     if off > 0.05 * airframe.arm:
-        return Finding(
+        return SetupFinding(
             "symmetry",
             Sign.WARNING,
             f"the rotors' midpoint is ({x.mean():.3g}, {y.mean():.3g}) m from the origin",
@@ -195,14 +195,14 @@ def _symmetry(airframe: Airframe) -> Finding:
         )
     turning = f"{int((spin > 0).sum())} ccw and {int((spin < 0).sum())} cw"
     if spin.sum() != 0:
-        return Finding(
+        return SetupFinding(
             "symmetry", Sign.WARNING, f"{turning}: usually half turn each way",
             ["look at each propeller from above"],
         )  # fmt: skip
-    return Finding("symmetry", Sign.OK, f"midpoint of the rotors at the origin, {turning}")
+    return SetupFinding("symmetry", Sign.OK, f"midpoint of the rotors at the origin, {turning}")
 
 
-def _order(airframe: Airframe) -> Finding:
+def _order(airframe: Airframe) -> SetupFinding:
     topic = "motor order"
     rotors = airframe.rotors
     named = same_order(rotors)
@@ -210,10 +210,10 @@ def _order(airframe: Airframe) -> Finding:
         usual = layout_rotors(named[0], USUAL_ARM)
         spins, expected = [r.spin for r in rotors], [r.spin for r in usual]
         if spins == expected:
-            return Finding(topic, Sign.OK, f"as {' and '.join(named)}")
+            return SetupFinding(topic, Sign.OK, f"as {' and '.join(named)}")
         if spins == [r.spin for r in reversed_spins(usual)]:
             text = f"as {' and '.join(named)}, with every spin the other way"
-            return Finding(
+            return SetupFinding(
                 topic,
                 Sign.WARNING,
                 text,
@@ -221,34 +221,34 @@ def _order(airframe: Airframe) -> Finding:
             )
         odd = [i for i, (a, b) in enumerate(zip(spins, expected, strict=True), 1) if a != b]
         wrong = ", ".join(map(str, odd))
-        return Finding(
+        return SetupFinding(
             topic, Sign.WARNING, f"as {' and '.join(named)}, but the spin of motor {wrong} differs",
             ["look at each propeller from above"],
         )  # fmt: skip
     places = same_places(rotors)
     if places:
-        return Finding(
+        return SetupFinding(
             topic,
             Sign.WARNING,
             f"the rotors are placed as in {' and '.join(places)}, but numbered differently",
             ["check with the autopilot's motor test: a wrong order fits no flight"],
         )
-    return Finding(topic, Sign.OK, "custom layout; check it with the autopilot's motor test")
+    return SetupFinding(topic, Sign.OK, "custom layout; check it with the autopilot's motor test")
 
 
-def _scale(airframe: Airframe) -> Finding:
+def _scale(airframe: Airframe) -> SetupFinding:
     anchor = airframe.anchor()
     if anchor is None:
-        return Finding(
+        return SetupFinding(
             "scale", Sign.WARNING, "not set",
             ["weigh the vehicle: mass = KG in the file, or --mass KG each time"],
         )  # fmt: skip
     name, value = anchor
     doubt = scale_doubt(name, value)
     if doubt:
-        return Finding("scale", Sign.WARNING, doubt)
+        return SetupFinding("scale", Sign.WARNING, doubt)
     wanted = airframe.wanted_input
     if wanted is not None and not wanted.fits(name):
         text = f"{name} cannot set the scale with rotor_input {airframe.rotor_input!r}"
-        return Finding("scale", Sign.PROBLEM, text, ["give the mass instead"])
-    return Finding("scale", Sign.OK, f"{name} = {value:g} {ANCHORS[name]}")
+        return SetupFinding("scale", Sign.PROBLEM, text, ["give the mass instead"])
+    return SetupFinding("scale", Sign.OK, f"{name} = {value:g} {ANCHORS[name]}")

@@ -32,7 +32,7 @@ _PLAIN_MARKS = {Sign.OK: "+", Sign.WARNING: "!", Sign.PROBLEM: "x"}
 
 
 @dataclass(frozen=True)
-class Finding:
+class SetupFinding:
     """One thing that was looked at.
 
     Attributes:
@@ -66,13 +66,13 @@ def can_show(text: str, encoding: str | None = None) -> bool:
     return True
 
 
-def worst(findings: Iterable[Finding]) -> Sign:
+def worst(findings: Iterable[SetupFinding]) -> Sign:
     """The gravest of the signs; ok where there is none."""
     order = list(Sign)
     return max((finding.sign for finding in findings), key=order.index, default=Sign.OK)
 
 
-def as_text(findings: Iterable[Finding], width: int, *, unicode: bool) -> str:
+def as_text(findings: Iterable[SetupFinding], width: int, *, unicode: bool) -> str:
     """Findings as lines: a mark and a word for the sign, then what was found and what to do.
 
     Args:
@@ -112,7 +112,9 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(found)
 
 
-def check_python(version: str = platform.python_version(), requires: str | None = None) -> Finding:
+def check_python(
+    version: str = platform.python_version(), requires: str | None = None
+) -> SetupFinding:
     """Python against what the package asks for.
 
     Args:
@@ -127,11 +129,11 @@ def check_python(version: str = platform.python_version(), requires: str | None 
     least = requires.removeprefix(">=").strip()
     text = f"{version} on {platform.system()} {platform.machine()}"
     if _numbers(version) < _numbers(least):
-        return Finding(
+        return SetupFinding(
             "Python", Sign.PROBLEM, f"{text}; {least} or newer is needed",
             ["install it from python.org, then reinstall gcs-sysid"],
         )  # fmt: skip
-    return Finding("Python", Sign.OK, text)
+    return SetupFinding("Python", Sign.OK, text)
 
 
 def _installed_version(name: str) -> str | None:
@@ -144,7 +146,7 @@ def _installed_version(name: str) -> str | None:
 def check_packages(
     requirements: Sequence[str] | None = None,
     installed: Callable[[str], str | None] = _installed_version,
-) -> Finding:
+) -> SetupFinding:
     """The packages against what this one asks for.
 
     Args:
@@ -155,7 +157,7 @@ def check_packages(
         try:
             requirements = importlib.metadata.requires(PACKAGE) or []
         except importlib.metadata.PackageNotFoundError:
-            return Finding(
+            return SetupFinding(
                 "packages", Sign.WARNING, "gcs-sysid runs from its source tree, not installed",
                 ["python -m pip install ."],
             )  # fmt: skip
@@ -175,10 +177,10 @@ def check_packages(
     if lacking:
         asked = " ".join(f'"{name}>={least}"' if least else name for name, least, _ in lacking)
         text = "; ".join(f"{name} {what}" for name, _, what in lacking)
-        return Finding(
+        return SetupFinding(
             "packages", Sign.PROBLEM, text, [f"{python_command()} -m pip install {asked}"]
         )
-    return Finding("packages", Sign.OK, ", ".join(good))
+    return SetupFinding("packages", Sign.OK, ", ".join(good))
 
 
 def python_command() -> str:
@@ -197,12 +199,12 @@ def check_terminal(
     size: tuple[int, int] | None = None,
     encoding: str | None = None,
     environment: Mapping[str, str] = os.environ,
-) -> Finding:
+) -> SetupFinding:
     """Whether the live screen can be shown here. None: see for yourself."""
     if is_terminal is None:
         is_terminal = sys.stdout.isatty() and sys.stdin.isatty()
     if not is_terminal:
-        return Finding(
+        return SetupFinding(
             "terminal", Sign.WARNING, "not a terminal (a pipe or a file): live and demo "
             "print lines",
             ["run it in a terminal window to see the screen"],
@@ -219,7 +221,7 @@ def check_terminal(
     if term == "dumb":
         words.append("TERM=dumb")
         advice.append("use another terminal, or --headless: this one cannot position the cursor")
-    return Finding("terminal", Sign.WARNING if advice else Sign.OK, ", ".join(words), advice)
+    return SetupFinding("terminal", Sign.WARNING if advice else Sign.OK, ", ".join(words), advice)
 
 
 def _unicode_advice() -> str:
@@ -238,7 +240,7 @@ def _colors(environment: Mapping[str, str]) -> str:
     return "number of colors unknown"
 
 
-def check_recordings(folder: Path = Path("logs")) -> Finding:
+def check_recordings(folder: Path = Path("logs")) -> SetupFinding:
     """Whether a recording can be written where `live` puts it."""
     place = folder if folder.exists() else folder.parent
     full = folder.resolve()
@@ -253,12 +255,12 @@ def check_recordings(folder: Path = Path("logs")) -> Finding:
             "change to a writable folder, or use --record FILE.tlog",
             "or do not record: --no-record",
         ]
-        return Finding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)
+        return SetupFinding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)
     text = f"{full}, {free / 2**30:.1f} GiB free"
     if free < _FREE_BYTES:
         advice = ["free some space, or use --record FILE.tlog elsewhere"]
-        return Finding("recordings", Sign.WARNING, f"{text}; an hour takes 0.1 GiB", advice)
-    return Finding("recordings", Sign.OK, text)
+        return SetupFinding("recordings", Sign.WARNING, f"{text}; an hour takes 0.1 GiB", advice)
+    return SetupFinding("recordings", Sign.OK, text)
 
 
 _TOPIC = "serial"
@@ -268,7 +270,7 @@ _GROUPS = ("dialout", "uucp")
 
 def check_serial(
     devices: "Sequence[SerialDevice]", system: str = platform.system()
-) -> list[Finding]:
+) -> list[SetupFinding]:
     """One finding for each device, or one for there being none.
 
     Args:
@@ -279,22 +281,22 @@ def check_serial(
         text = "no serial device (not needed for a network link)"
         missing = missing_group(_usual_group()) if system == "Linux" else None
         advice = _permission_lines(missing) if missing else [_how_named(system)]
-        return [Finding(_TOPIC, Sign.WARNING if missing else Sign.OK, text, advice)]
+        return [SetupFinding(_TOPIC, Sign.WARNING if missing else Sign.OK, text, advice)]
     return [_judge(device, system) for device in devices]
 
 
-def _judge(device: "SerialDevice", system: str) -> Finding:
+def _judge(device: "SerialDevice", system: str) -> SetupFinding:
     kind = device.description or ("USB" if device.usb else "on-board port")
     topic = f"{_TOPIC} {device.name}"
     start = _start_command(device.name)
     if system != "Linux":
         # Nothing to be allowed there: a port that cannot be opened is taken.
-        return Finding(topic, Sign.OK, kind, [start, _how_named(system)])
+        return SetupFinding(topic, Sign.OK, kind, [start, _how_named(system)])
     if os.access(device.name, os.R_OK | os.W_OK):
-        return Finding(topic, Sign.OK, f"{kind}, access allowed", [start])
+        return SetupFinding(topic, Sign.OK, f"{kind}, access allowed", [start])
     sign = Sign.PROBLEM if device.usb else Sign.WARNING
     advice = _permission_lines(_owning_group(device.name))
-    return Finding(topic, sign, f"{kind}, no permission to open it", advice)
+    return SetupFinding(topic, sign, f"{kind}, no permission to open it", advice)
 
 
 def _start_command(name: str) -> str:

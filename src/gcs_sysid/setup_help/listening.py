@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gcs_sysid.errors import LinkError
 from gcs_sysid.inspection.derived_facts import rotor_count
-from gcs_sysid.setup_help.checks import Finding, Sign, quoted
+from gcs_sysid.setup_help.checks import SetupFinding, Sign, quoted
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
 from gcs_sysid.telemetry.receiver import Receiver
@@ -42,7 +42,7 @@ class Ear:
         return str(self.link.url)
 
 
-def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[Finding]]:
+def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[SetupFinding]]:
     """Open links to listen on.
 
     Returns:
@@ -57,15 +57,15 @@ def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[Finding]]:
         except LinkError as error:
             findings.append(_not_open(topic, url, error))
         else:
-            findings.append(Finding(topic, Sign.OK, f"free ({use})" if use else "open"))
+            findings.append(SetupFinding(topic, Sign.OK, f"free ({use})" if use else "open"))
     return ears, findings
 
 
-def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
+def _not_open(topic: str, url: LinkUrl, error: LinkError) -> SetupFinding:
     # Windows calls a port that is kept exclusively a matter of permission.
     taken = getattr(error.__cause__, "errno", None) in (errno.EADDRINUSE, errno.EACCES)
     if not (taken and url.kind == "udpin" and url.port >= 1024):
-        return Finding(topic, Sign.PROBLEM, str(error))
+        return SetupFinding(topic, Sign.PROBLEM, str(error))
     holder = holder_of_udp_port(url.port)
     advice = [] if holder else [_who_has(url.port)]
     advice += [
@@ -73,7 +73,7 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
         "QGroundControl: Application Settings, MAVLink, localhost:14445",
         "MAVProxy: output add 127.0.0.1:14445",
     ]
-    return Finding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
+    return SetupFinding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
 
 
 def _who_has(port: int, system: str = platform.system()) -> str:
@@ -107,7 +107,7 @@ def listen(
             ear.link.close()
 
 
-def received(ears: Sequence[Ear], seconds: float) -> list[Finding]:
+def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
     """A finding for every vehicle found, with the command to start; or one that there is none."""
     findings = []
     for ear in ears:
@@ -116,7 +116,7 @@ def received(ears: Sequence[Ear], seconds: float) -> list[Finding]:
             count = ear.selector.frames[vehicle.address]
             text = f"{vehicle} on {ear.url}, {count} messages in {seconds:g} s"
             findings.append(
-                Finding("vehicle", Sign.OK, text, [start_command(vehicle, ear.url, several)])
+                SetupFinding("vehicle", Sign.OK, text, [start_command(vehicle, ear.url, several)])
             )
     others = [
         f"{system} on {ear.url}"
@@ -135,7 +135,7 @@ def received(ears: Sequence[Ear], seconds: float) -> list[Finding]:
         "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
         "without a vehicle: gcs-sysid demo",
     ]
-    return [Finding("vehicle", Sign.WARNING, text, advice)]
+    return [SetupFinding("vehicle", Sign.WARNING, text, advice)]
 
 
 def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> str:

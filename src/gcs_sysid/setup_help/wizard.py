@@ -46,7 +46,7 @@ _SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
 
 
 @dataclass
-class Given:
+class GivenAnswers:
     """What options give already; None and empty: to be asked for."""
 
     layout: str | None = None
@@ -66,7 +66,7 @@ class Given:
         return placed and self.output is not None
 
 
-def given_answers(given: Given) -> AirframeAnswers:
+def given_answers(given: GivenAnswers) -> AirframeAnswers:
     """The answers, of options alone.
 
     Raises:
@@ -82,7 +82,7 @@ def given_answers(given: Given) -> AirframeAnswers:
     )  # fmt: skip
 
 
-def _given_rotors(given: Given) -> tuple[tuple[Rotor, ...], str]:
+def _given_rotors(given: GivenAnswers) -> tuple[tuple[Rotor, ...], str]:
     if given.rotors:
         if given.layout is not None or given.arm is not None:
             raise InputError("--rotor gives the positions; leave out --layout and --arm")
@@ -152,7 +152,7 @@ class Wizard:
         self._say = say
         self._pen = pen
 
-    def answers(self, given: Given) -> AirframeAnswers:
+    def answers(self, given: GivenAnswers) -> AirframeAnswers:
         """Ask for what is missing, showing the rotors on the way."""
         if given.rotors or (given.layout is not None and given.arm is not None):
             rotors, origin = _given_rotors(given)
@@ -225,7 +225,7 @@ class Wizard:
             if self.yes("  Keep it?", default=False):
                 return value
 
-    def _rotors(self, given: Given) -> tuple[tuple[Rotor, ...], str]:
+    def _rotors(self, given: GivenAnswers) -> tuple[tuple[Rotor, ...], str]:
         layout = given.layout or self._layout()
         if layout == _OWN:
             return self._own_rotors(), "Custom layout."
@@ -353,7 +353,7 @@ class Wizard:
             question = "Another one"
         return found
 
-    def _name(self, given: Given) -> str:
+    def _name(self, given: GivenAnswers) -> str:
         fallback = given.output.stem if given.output and given.output.stem != "-" else "my-vehicle"
         question = f"Name of the vehicle (Enter: {fallback})"
         return self._until(question, lambda text: plain_name(text or fallback))

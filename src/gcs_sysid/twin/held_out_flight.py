@@ -8,9 +8,9 @@ again, to the first part of the flight as in the validation, and judged on the r
 
 import filecmp
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +28,9 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.twin.measured_flight import FlightRecorder
-from gcs_sysid.twin.prediction_errors import HORIZONS, Accuracy, Growth, Part, Twin, judge
+from gcs_sysid.twin.prediction_errors import HORIZONS, FlightPart, Twin, judge
+from gcs_sysid.twin.twin_flight import TwinFlight
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-SCHEMA = "gcs-sysid-twin/1"
 SAMPLES = 48
 """Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
 _SETTLING, _SETTLING_SHARE = 5.0, 0.4
@@ -42,81 +39,6 @@ that may be left out for it. With the gyro's bias taken from later, errors on em
 a bias of 0.01 rad/s are level from 5 s on."""
 _SAME = 1e-9
 """Difference of the validation's R2 below which two results are of the same data."""
-
-
-@dataclass(frozen=True)
-class TwinFlight:
-    """The identified model flown beside the vehicle.
-
-    Attributes:
-        result: flown; for a result of the same flight, the fit to its first part.
-        source: the result that was given.
-        log: that it was flown along.
-        same_flight: whether the given result is from this log.
-        judged: (start, end) of the parts of the log that were judged, s.
-        accuracy: length of the stretches in s -> quantity -> errors and band.
-        growth: of the errors over the longest stretches.
-        notes: remarks on the numbers.
-    """
-
-    result: Result
-    source: str
-    log: str
-    same_flight: bool
-    judged: tuple[tuple[float, float], ...]
-    accuracy: dict[float, dict[str, Accuracy]]
-    growth: Growth
-    notes: tuple[str, ...] = ()
-
-    @property
-    def held_out(self) -> str:
-        """In words, the part of the log that the model has not seen."""
-        spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in self.judged)
-        if self.same_flight:
-            return (
-                f"{spans}; the result is from this same flight, so the model is refitted to the "
-                "data before them"
-            )
-        return f"{spans}: the result is from another flight"
-
-    def as_json(self) -> dict[str, Any]:
-        """As `twin --json` writes it."""
-        return {
-            "schema": SCHEMA,
-            "result": self.source,
-            "log": self.log,
-            "same_flight": self.same_flight,
-            "held_out": [list(span) for span in self.judged],
-            "verdict": self.result.verdict,
-            "rotor_input": self.result.rotor_input,
-            "parameters": {name: e.as_json() for name, e in self.result.parameters.items()},
-            "horizons": [
-                {"seconds": seconds, **{name: a.as_json() for name, a in each.items()}}
-                for seconds, each in self.accuracy.items()
-            ],
-            "growth": {
-                "t": self.growth.t.tolist(),
-                "rms": {name: values.tolist() for name, values in self.growth.rms.items()},
-                "guess": {name: values.tolist() for name, values in self.growth.guess.items()},
-            },
-            "notes": list(self.notes),
-        }
-
-    def plot(self) -> "Figure":
-        """Draw the growth of the errors with matplotlib.
-
-        Raises:
-            InputError: matplotlib is not installed.
-        """
-        from gcs_sysid.twin.twin_text import plot_growth
-
-        return plot_growth(self)
-
-    def __repr__(self) -> str:
-        """The table of `gcs-sysid twin`."""
-        from gcs_sysid.twin.twin_text import twin_table
-
-        return twin_table(self)
 
 
 def fly_held_out(
@@ -222,14 +144,14 @@ def _flown(
         flown = analyze_log(
             log, as_exact(vehicle), wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )
-        before, rest = _settled(times, since, cut), Part(cut, np.inf)
+        before, rest = _settled(times, since, cut), FlightPart(cut, np.inf)
         judged = [(rest, before)]
         spans = ((cut, float(times[-1])),)
         if flown.verdict != "identified":
             notes.append(f"the fit to the first part alone is {flown.verdict}")
     else:
         middle = float(times[len(times) // 2])
-        first, second = _settled(times, since, middle), Part(middle, np.inf)
+        first, second = _settled(times, since, middle), FlightPart(middle, np.inf)
         judged = [(first, second), (second, first)]
         spans = ((first.since, float(times[-1])),)
         notes.append("noise and disturbances of each half of the log are taken from the other half")
@@ -254,10 +176,10 @@ def _flown(
     return TwinFlight(flown, result.source, str(log), same, spans, accuracy, growth, tuple(notes))
 
 
-def _settled(times: Array, since: float, until: float) -> Part:
+def _settled(times: Array, since: float, until: float) -> FlightPart:
     """The part of a flight from when the filters have settled, up to a time."""
     begin = max(float(times[0]), since)
-    return Part(begin + min(_SETTLING, _SETTLING_SHARE * (until - begin)), until)
+    return FlightPart(begin + min(_SETTLING, _SETTLING_SHARE * (until - begin)), until)
 
 
 def is_same_flight(result: Result, whole: Result, log: Path) -> bool:

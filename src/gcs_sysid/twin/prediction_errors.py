@@ -84,7 +84,7 @@ class Growth:
 
 
 @dataclass(frozen=True)
-class Part:
+class FlightPart:
     """A part of a flight: to be judged, or to estimate the noise.
 
     Attributes:
@@ -137,7 +137,7 @@ class Twin:
         """Of a disturbance known at the start."""
         self._left: dict[tuple[int, int], Array] = {}
 
-    def choose_average(self, part: Part) -> None:
+    def choose_average(self, part: FlightPart) -> None:
         """Take the average of the past that predicts best over a tenth of a second."""
         record = self._record
         ahead = max(1, round(_JUDGED_AT / record.dt))
@@ -155,7 +155,7 @@ class Twin:
                 power[i] += ((left[at + ahead] - mean) ** 2).sum()
         self.averaged = candidates[int(np.argmin(power))]
 
-    def choose_carried(self, part: Part) -> None:
+    def choose_carried(self, part: FlightPart) -> None:
         """Carry a disturbance on as predicts best in a part of the flight."""
         runs = self._record.runs(part.since, part.until)
         self.carried = choose_carried(
@@ -169,7 +169,7 @@ class Twin:
             self._left[key] = self._record.one_step(self._model, run)[0]
         return self._left[key]
 
-    def starts(self, part: Part, seconds: float, overlap: int = 1) -> tuple[Array, int]:
+    def starts(self, part: FlightPart, seconds: float, overlap: int = 1) -> tuple[Array, int]:
         """First samples of the stretches of a length in a part of the flight, and their steps."""
         record = self._record
         steps = max(1, round(seconds / record.dt))
@@ -180,7 +180,7 @@ class Twin:
         ]
         return np.concatenate([np.empty(0, np.int64), *found]).astype(np.int64), steps
 
-    def errors(self, part: Part, seconds: float, overlap: int = 1) -> _Errors:
+    def errors(self, part: FlightPart, seconds: float, overlap: int = 1) -> _Errors:
         """Fly every stretch of a length; of those for the noise no ensemble is flown."""
         record = self._record
         starts, steps = self.starts(part, seconds, overlap)
@@ -282,7 +282,7 @@ def basic_model(model: FlightModel) -> FlightModel:
 
 
 def judge(
-    twin: Twin, judged: Sequence[tuple[Part, Part]], has_velocity: bool
+    twin: Twin, judged: Sequence[tuple[FlightPart, FlightPart]], has_velocity: bool
 ) -> tuple[dict[float, dict[str, Accuracy]], Growth | None]:
     """Compare the twin's errors with their bands.
 

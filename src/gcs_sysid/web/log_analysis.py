@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid.argument_types import with_given
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.limits import MEGABYTE, Limits, OverTime, within
+from gcs_sysid.fleet.limits import MEGABYTE, LogLimits, OverTime, within
 from gcs_sysid.health.assessment import beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
@@ -38,7 +38,7 @@ def limited() -> Iterator[None]:
     Raises:
         InputError: it does.
     """
-    limits = Limits()
+    limits = LogLimits()
     try:
         with within(limits):
             yield

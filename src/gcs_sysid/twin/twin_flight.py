@@ -1,21 +1,22 @@
-"""A twin's flight as a table, as an SVG picture, and as a figure in notebooks."""
+"""A twin's flight: its errors, as JSON, as a table, as an SVG picture, as a figure in notebooks."""
 
 import math
 import textwrap
+from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.results.number_format import significant
-from gcs_sysid.twin.prediction_errors import QUANTITIES, Accuracy
+from gcs_sysid.results.result import Result
+from gcs_sysid.twin.prediction_errors import QUANTITIES, Accuracy, Growth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gcs_sysid.twin.held_out_flight import TwinFlight
-
+SCHEMA = "gcs-sysid-twin/1"
 _SHOWN = {
     "rates": (180.0 / math.pi, "deg/s"),
     "attitude": (180.0 / math.pi, "deg"),
@@ -32,7 +33,78 @@ _RULES = (
 )
 
 
-def twin_table(twin: "TwinFlight") -> str:
+@dataclass(frozen=True)
+class TwinFlight:
+    """The identified model flown beside the vehicle.
+
+    Attributes:
+        result: flown; for a result of the same flight, the fit to its first part.
+        source: the result that was given.
+        log: that it was flown along.
+        same_flight: whether the given result is from this log.
+        judged: (start, end) of the parts of the log that were judged, s.
+        accuracy: length of the stretches in s -> quantity -> errors and band.
+        growth: of the errors over the longest stretches.
+        notes: remarks on the numbers.
+    """
+
+    result: Result
+    source: str
+    log: str
+    same_flight: bool
+    judged: tuple[tuple[float, float], ...]
+    accuracy: dict[float, dict[str, Accuracy]]
+    growth: Growth
+    notes: tuple[str, ...] = ()
+
+    @property
+    def held_out(self) -> str:
+        """In words, the part of the log that the model has not seen."""
+        spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in self.judged)
+        if self.same_flight:
+            return (
+                f"{spans}; the result is from this same flight, so the model is refitted to the "
+                "data before them"
+            )
+        return f"{spans}: the result is from another flight"
+
+    def as_json(self) -> dict[str, Any]:
+        """As `twin --json` writes it."""
+        return {
+            "schema": SCHEMA,
+            "result": self.source,
+            "log": self.log,
+            "same_flight": self.same_flight,
+            "held_out": [list(span) for span in self.judged],
+            "verdict": self.result.verdict,
+            "rotor_input": self.result.rotor_input,
+            "parameters": {name: e.as_json() for name, e in self.result.parameters.items()},
+            "horizons": [
+                {"seconds": seconds, **{name: a.as_json() for name, a in each.items()}}
+                for seconds, each in self.accuracy.items()
+            ],
+            "growth": {
+                "t": self.growth.t.tolist(),
+                "rms": {name: values.tolist() for name, values in self.growth.rms.items()},
+                "guess": {name: values.tolist() for name, values in self.growth.guess.items()},
+            },
+            "notes": list(self.notes),
+        }
+
+    def plot(self) -> "Figure":
+        """Draw the growth of the errors with matplotlib.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        return plot_growth(self)
+
+    def __repr__(self) -> str:
+        """The table of `gcs-sysid twin`."""
+        return twin_table(self)
+
+
+def twin_table(twin: TwinFlight) -> str:
     """The errors as lines of text."""
     lines = [
         f"{twin.source or 'result'} along {twin.log}",
@@ -74,7 +146,7 @@ _DECADES = 1e-4
 """Of an axis' largest value, where it begins at the latest."""
 
 
-def twin_svg(twin: "TwinFlight") -> str:
+def twin_svg(twin: TwinFlight) -> str:
     """Error growth of model and guess, and the band, a panel each; complete, nothing is loaded."""
     names = list(twin.growth.rms)
     width = _LEFT + len(names) * (_PANEL + _GAP)
@@ -102,7 +174,7 @@ def twin_svg(twin: "TwinFlight") -> str:
     return "\n".join([*out, "</svg>", ""])
 
 
-def _panel(twin: "TwinFlight", name: str, left: float) -> list[str]:
+def _panel(twin: TwinFlight, name: str, left: float) -> list[str]:
     scale, unit = _SHOWN[name]
     t, model, guess = twin.growth.t, twin.growth.rms[name], twin.growth.guess[name]
     bands = [
@@ -158,7 +230,7 @@ def _panel(twin: "TwinFlight", name: str, left: float) -> list[str]:
     return out
 
 
-def plot_growth(twin: "TwinFlight") -> "Figure":
+def plot_growth(twin: TwinFlight) -> "Figure":
     """The same with matplotlib.
 
     Raises:
