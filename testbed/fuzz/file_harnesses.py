@@ -17,7 +17,7 @@ from gcs_sysid.results.result import SCHEMA
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import airframe_text, checked
 from gcs_sysid.setup_help.layouts import ASCII
-from gcs_sysid.setup_help.wizard import Given, Wizard
+from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key
 from gcs_sysid.telemetry.track_collector import Recording
@@ -136,7 +136,7 @@ def check_wizard(data: bytes) -> None:
         return typed.pop(0)
 
     with one_line_errors():
-        answers = Wizard(ask, lambda text: None, ASCII).answers(Given())
+        answers = Wizard(ask, lambda text: None, ASCII).answers(GivenAnswers())
         text = airframe_text(answers)
         try:
             made = checked(text, "the wizard's file")
