@@ -248,10 +248,10 @@ def test_compare_writes_over_it_when_told(tmp_path, monkeypatch, capsys):
 
 
 def test_devices_are_written_to_and_never_replaced(tmp_path):
-    from gcs_sysid.cli.output import check_json, write_json
+    from gcs_sysid.cli.output import check_outputs, write_text
 
-    check_json("/dev/null", force=False)
-    write_json("/dev/null", {}, force=False)
+    check_outputs("/dev/null", force=False)
+    write_text("/dev/null", "{}", force=False)
     assert Path("/dev/null").is_char_device()
     with pytest.raises(InputError, match="cannot write"):
         write_whole(tmp_path / "a\0b", "x", replace=False)

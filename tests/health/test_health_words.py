@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.health_command import health_text
+from gcs_sysid.cli.health_table import health_text
 from gcs_sysid.health.advice import advice_of
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.program import run
-from gcs_sysid.health import assessment, reader_process
+from gcs_sysid.health import assessment, reader_process, whole_analysis
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.session import analysis
 from gcs_sysid.telemetry import tlog
@@ -46,8 +45,8 @@ def beside(monkeypatch):
     """Has every log read by another process, which does what is told before its own."""
 
     def beside(*before):
-        monkeypatch.setattr(analyze_command, "_LONG_LOG", 0)
-        monkeypatch.setattr(analyze_command, "_processors", lambda: 2)
+        monkeypatch.setattr(whole_analysis, "_LONG_LOG", 0)
+        monkeypatch.setattr(whole_analysis, "_processors", lambda: 2)
         code = "\n".join([_SMALL_WINDOWS, *before, _MAIN])
         monkeypatch.setattr(reader_process, "COMMAND", [sys.executable, "-P", "-c", code])
 
@@ -198,7 +197,7 @@ def test_where_no_process_can_be_started_one_does_it(flight, tmp_path, beside, m
 _ANALYSIS = """
 import signal
 import sys
-from gcs_sysid.cli import analyze_command
+from gcs_sysid.health import whole_analysis
 from gcs_sysid.cli.program import run
 from gcs_sysid.health import reader_process
 from gcs_sysid.telemetry import log_relay
@@ -211,15 +210,15 @@ class Shown(reader_process.ReaderProcess):
 if __name__ == "__main__":
     # A shell has what it starts in the background ignore this one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    analyze_command._LONG_LOG = 0
-    analyze_command._processors = lambda: 2
+    whole_analysis._LONG_LOG = 0
+    whole_analysis._processors = lambda: 2
     reader_process.ReaderProcess = Shown
     hang = "import time; from gcs_sysid.health import reader_main; "
     hang += "reader_main.open_log = lambda *_: time.sleep(1000); reader_main.main()"
     if sys.argv[2] == "hangs":
         reader_process.COMMAND = [sys.executable, "-P", "-c", hang]
     else:  # and nothing is read here
-        log_relay.open_log = analyze_command.health_of_log = None
+        log_relay.open_log = whole_analysis.health_of_log = None
     sys.exit(run(["analyze", sys.argv[1], "--airframe", "paper"]))
 """
 

@@ -1,7 +1,6 @@
 """`gcs-sysid compare`: has the vehicle changed?"""
 
 import argparse
-import sys
 import textwrap
 from pathlib import Path
 
@@ -20,18 +19,13 @@ _WIDTH = 100
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the results do not allow an answer."""
-    output.check_json(options.json, force=options.force)
+    output.check_outputs(options.json, force=options.force)
     comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
-    deliveries = output.Deliveries()
-    if options.json != "-":
-        deliveries.give(lambda: output.show(report(comparison)))
-    deliveries.give(
-        lambda: output.write_json(options.json, comparison.as_json(), force=options.force)
-    )
-    deliveries.check()
+    document = (options.json, lambda: output.as_json(comparison.as_json()))
+    output.deliver(report(comparison), document, force=options.force)
     if comparison.verdict != "cannot_tell":
         return 0
-    print("gcs-sysid: cannot compare: no parameter is identified in both", file=sys.stderr)
+    output.say("gcs-sysid: cannot compare: no parameter is identified in both")
     return 1
 
 

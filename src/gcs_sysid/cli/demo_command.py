@@ -97,7 +97,7 @@ def _default_mass(options: argparse.Namespace) -> None:
             done = subprocess.run(command, capture_output=True, check=False)
             if done.returncode == 0:
                 options.mass = output.read_truth(str(truth))["mass"]
-                print(f"weighed: {options.mass:g} kg", file=sys.stderr)
+                output.say(f"weighed: {options.mass:g} kg")
 
 
 def _emulator_options(options: argparse.Namespace) -> list[str]:

@@ -1,11 +1,10 @@
 """`gcs-sysid export`: an identified vehicle as a file that a simulator loads."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
-from gcs_sysid.cli.output import print_file, progress_bar, save
+from gcs_sysid.cli.output import print_file, progress_bar, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
 from gcs_sysid.exports.file_format import Format
@@ -34,14 +33,14 @@ def run(options: argparse.Namespace) -> int:
         if options.ensemble is not None:
             return _ensemble(options, vehicle, target, path)
     except MissingError as error:
-        print(f"gcs-sysid: {options.result}: {error}", file=sys.stderr)
+        say(f"gcs-sysid: {options.result}: {error}")
         return 1
     if path is None:
         print_file(text)
     else:
-        save(path, text, force=options.force)
+        write_whole(path, text, replace=options.force)
     for note in target.notes(vehicle):
-        print(f"gcs-sysid: note: {note}", file=sys.stderr)
+        say(f"gcs-sysid: note: {note}")
     return 0
 
 
@@ -60,7 +59,7 @@ def _signals(options: argparse.Namespace) -> int:
     table = recorder.table(result, airframe)
     if not len(table["t"]):
         why = "; ".join(result.reasons)
-        print(f"gcs-sysid: {log}: no signals to write: {why}", file=sys.stderr)
+        say(f"gcs-sysid: {log}: no signals to write: {why}")
         return 1
     write_whole(target, write(table), replace=options.force)
     print(f"{target}: {len(table['t'])} rows of {len(table)} columns")
@@ -85,7 +84,7 @@ def _ensemble(
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
     for place, one in zip(places, drawn, strict=True):
-        save(place, target.write(one), force=options.force)
+        write_whole(place, target.write(one), replace=options.force)
     for note in target.notes(vehicle):
-        print(f"gcs-sysid: note: {note}", file=sys.stderr)
+        say(f"gcs-sysid: note: {note}")
     return 0

@@ -87,14 +87,11 @@ def run(options: argparse.Namespace) -> int:
     if options.target is None:
         raise InputError("give a LOG (.tlog, .ulg, .bin, .bbl) or a link's URL")
     is_log = _is_log(options.target)
-    output.check_json(options.json, force=options.force)
+    output.check_outputs(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
-    deliveries = output.Deliveries()
-    if options.json != "-":
-        width = min(shutil.get_terminal_size((80, 24)).columns, WIDEST)
-        deliveries.give(lambda: output.show(report(found, width)))
-    deliveries.give(lambda: output.write_json(options.json, found.as_json(), force=options.force))
-    deliveries.check()
+    width = min(shutil.get_terminal_size((80, 24)).columns, WIDEST)
+    document = (options.json, lambda: output.as_json(found.as_json()))
+    output.deliver(report(found, width), document, force=options.force)
     return 0 if found.is_received else 1
 
 

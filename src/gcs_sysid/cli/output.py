@@ -4,6 +4,7 @@ and the signals that end a command before its time.
 
 import contextlib
 import errno
+import functools
 import io
 import os
 import shutil
@@ -145,25 +146,44 @@ def open_output(path: str, *, force: bool) -> TextIO:
         raise InputError(f"{path}: cannot write: {reason}") from error
 
 
-def check_json(path: str | None, *, force: bool) -> None:
-    """See beforehand whether `write_json` can write.
+def check_outputs(*paths: str | None, force: bool) -> None:
+    """See beforehand whether `write_text` can write there; None: nothing is asked for.
 
     Raises:
-        InputError: as of `write_json`.
+        InputError: as of `write_text`.
     """
-    if path is not None and path != "-" and not is_device(path):
-        check_target(Path(path), replace=force)
+    for path in paths:
+        if path is not None and path != "-" and not is_device(path):
+            check_target(Path(path), replace=force)
 
 
-def write_json(path: str | None, document: object, *, force: bool) -> None:
-    """Write a document whole or not at all: to a file, to standard output for `-`; not for None.
+def deliver(
+    text: str, *files: tuple[str | None, Callable[[], str]], force: bool, stdout: bool = True
+) -> None:
+    """Give all that a command has: a text, unless a file goes to standard output, and files.
+
+    Args:
+        text: for people.
+        files: path, `-` for standard output or None for none, and what makes the content.
+        force: whether files that are there may be replaced.
+        stdout: whether the text is wanted at all.
 
     Raises:
-        InputError: the file cannot be written, or is there already and must not be overwritten.
+        InputError: something cannot be written; the rest is.
+        OSError: who read it has gone.
     """
-    if path is None:
-        return
-    write_text(path, json_text(document, 2) + "\n", force=force)
+    deliveries = Deliveries()
+    if stdout and text and all(path != "-" for path, _ in files):
+        deliveries.give(lambda: show(text))
+    for path, content in files:
+        if path is not None:
+            deliveries.give(functools.partial(write_text, path, content(), force=force))
+    deliveries.check()
+
+
+def as_json(document: object) -> str:
+    """A document as the text of a file."""
+    return json_text(document, 2) + "\n"
 
 
 def write_text(path: str, text: str, *, force: bool) -> None:
@@ -173,7 +193,7 @@ def write_text(path: str, text: str, *, force: bool) -> None:
         InputError: the file cannot be written, or is there already and is not to be overwritten.
     """
     if path == "-":
-        show(text.rstrip("\n"))
+        print_file(text)
     elif is_device(path):
         try:
             with open_output(path, force=force) as file:
@@ -190,15 +210,6 @@ def is_device(path: str) -> bool:
     """Whether it is there and no file, as a pipe or /dev/null: nothing takes the place of those."""
     place = Path(path)
     return place.exists() and not place.is_file() and not place.is_dir()
-
-
-def save(path: Path, text: str, *, force: bool) -> None:
-    """Write a file; over another one only if forced.
-
-    Raises:
-        InputError: it cannot be written, or is there already.
-    """
-    write_whole(path, text, replace=force)
 
 
 def print_file(text: str) -> None:

@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from html import escape
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.followed_session import coach_options
-from gcs_sysid.cli.output import TEXT_WIDTH, Deliveries, check_json, print_file, save, show
+from gcs_sysid.cli.output import TEXT_WIDTH, check_outputs, deliver
 from gcs_sysid.coach.flight_plan import HOVER, Plan, Step, make_plan
 from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
@@ -45,8 +44,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where no plan within the limits is enough."""
     if options.json == options.svg == "-":
         raise InputError("--json and --svg cannot both go to standard output: give one a file")
-    for path in (options.json, options.svg):
-        check_json(path, force=options.force)
+    check_outputs(options.json, options.svg, force=options.force)
     airframe = airframe_of(options)
     own = airframe.anchor()
     assert own is not None
@@ -66,23 +64,13 @@ def run(options: argparse.Namespace) -> int:
     known = prior_vehicle(airframe, rotor_input)
     coach = coach_options(options)
     plan = make_plan(airframe.name, known, judge, coach.target, coach.limits)
-    deliveries = Deliveries()
-    if options.json != "-" and options.svg != "-":
-        deliveries.give(lambda: show(plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°"))))
-    if options.svg:
-        deliveries.give(lambda: _write(options.svg, plan_svg(plan), options))
-    if options.json:
-        document = json_text(plan.as_json(), 1) + "\n"
-        deliveries.give(lambda: _write(options.json, document, options))
-    deliveries.check()
+    deliver(
+        plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°")),
+        (options.svg, lambda: plan_svg(plan)),
+        (options.json, lambda: json_text(plan.as_json(), 1) + "\n"),
+        force=options.force,
+    )
     return 0 if plan.enough else 1
-
-
-def _write(path: str, text: str, options: argparse.Namespace) -> None:
-    if path == "-":
-        print_file(text)
-    else:
-        save(Path(path), text, force=options.force)
 
 
 def plan_text(plan: Plan, *, unicode: bool = True) -> str:

@@ -35,40 +35,65 @@ from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight, twin_svg
 
-_LONGEST_TWIN = 1800.0
-"""s of flight that the twin of a report is flown along; half an hour at 250 Hz takes 30 MB."""
 
+@dataclass(frozen=True)
+class ReportJob:
+    """A report to be made.
 
-class Reporter:
-    """Looks on while one log is analyzed; as a context, the observer to hand over.
-
-    Args:
-        options: of the command line.
+    Attributes:
+        log: that it is of; may still be growing.
+        target: file to write.
         airframe: with its anchor.
+        vehicle: system and component; None: the first autopilot found.
         truth: of an emulated vehicle.
-
-    Raises:
-        InputError: the report cannot be of this, or not be written there.
+        command: that makes it.
+        start: s after the first record, from which the log is analyzed.
+        force: whether a file that is there may be replaced.
     """
 
-    history_interval = 0.5
-    """s between the instants of the estimates' history."""
+    log: Path
+    target: Path
+    airframe: Airframe
+    vehicle: tuple[int, int | None] | None
+    truth: Mapping[str, float] | None
+    command: tuple[str, ...]
+    start: float = 0.0
+    force: bool = False
 
-    def __init__(
-        self, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
-    ) -> None:
+    @classmethod
+    def of_options(
+        cls, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
+    ) -> "ReportJob":
+        """The report that `analyze --report` asks for.
+
+        Raises:
+            InputError: it cannot be of this, or not be written there.
+        """
         if len(options.logs) != 1:
             raise InputError("--report takes one LOG; analyze them one by one")
         if options.report in ("", "-"):
             raise InputError("--report needs a file name, such as flight.html")
+        (log,), target = map(Path, options.logs), Path(options.report)
         others = [options.json if options.json != "-" else None, options.truth, options.airframe]
-        sources = tuple(Path(name) for name in (*options.logs, *others) if name)
-        check_target(Path(options.report), replace=options.force, sources=sources)
-        self._options = options
-        self._airframe = airframe
-        self._truth = truth
-        self._recorder = Recorder(len(airframe.rotors))
-        self._flight = FlightRecorder(_LONGEST_TWIN)
+        sources = (log, *(Path(name) for name in others if name))
+        check_target(target, replace=options.force, sources=sources)
+        return cls(
+            log, target, airframe, options.vehicle, truth, options.argv, options.start,
+            options.force,
+        )  # fmt: skip
+
+
+class Reporter:
+    """Looks on while a log is analyzed; as a context, the observer to hand over."""
+
+    history_interval = 0.5
+    """s between the instants of the estimates' history."""
+
+    def __init__(self, job: ReportJob) -> None:
+        self._job = job
+        self._recorder = Recorder(len(job.airframe.rotors))
+        # Half an hour at 250 Hz takes 30 MB.
+        self._flight = FlightRecorder(longest=1800.0)
 
     def __enter__(self) -> Observer:
         return _Both(self._recorder, self._flight)
@@ -91,33 +116,27 @@ class Reporter:
         Raises:
             InputError: the file cannot be written, or has come into being meanwhile.
         """
-        options = self._options
-        (log,) = map(Path, options.logs)
-        progress = output.progress_bar(f"{log}, telemetry")
-        inspection = inspect_log(log, options.vehicle, progress).as_json()
+        job = self._job
+        progress = output.progress_bar(f"{job.log}, telemetry")
+        inspection = inspect_log(job.log, job.vehicle, progress).as_json()
+        provenance = provenance_of(job.command, job.log)
         data = gather(
-            result,
-            self._recorder,
-            inspection,
-            self._airframe,
-            provenance_of(options.argv, log),
-            self._truth,
-            health,
+            result, self._recorder, inspection, job.airframe, provenance, job.truth, health
         )
-        twin = self._twin(result, log)
+        twin = self._twin(result)
         if twin is not None:
-            shown = replace(twin, source="the fit to the first part", log=log.name)
+            shown = replace(twin, source="the fit to the first part", log=job.log.name)
             data = replace(data, twin=twin.as_json(), twin_picture=twin_svg(shown))
-        write_whole(Path(options.report), render(data), replace=options.force)
+        write_whole(job.target, render(data), replace=job.force)
 
-    def _twin(self, result: Result, log: Path) -> TwinFlight | None:
+    def _twin(self, result: Result) -> TwinFlight | None:
         """The model beside the vehicle; None where it cannot fly, or nothing was held out."""
         if result.verdict == "refused":
             return None
-        options = self._options
+        job = self._job
         try:
             return fly_own_flight(
-                result, self._flight, log, self._airframe, options.vehicle, options.start
+                result, self._flight, job.log, job.airframe, job.vehicle, job.start
             )
         except (NoAnswerError, InputError):
             return None
@@ -145,27 +164,6 @@ class _Both:
             each.end(chain)
 
 
-@dataclass(frozen=True)
-class ReportJob:
-    """A report to be made.
-
-    Attributes:
-        recording: that it is of; may still be growing.
-        target: file to write, not there yet.
-        airframe: with the anchor in force.
-        vehicle: system and component; None: the first autopilot found.
-        truth: of an emulated vehicle.
-        command: that would make it again.
-    """
-
-    recording: Path
-    target: Path
-    airframe: Airframe
-    vehicle: tuple[int, int] | None
-    truth: Mapping[str, float] | None
-    command: tuple[str, ...]
-
-
 def have_written(job: ReportJob) -> None:
     """Have another process write a report, and wait for it.
 
@@ -191,24 +189,13 @@ def write(job: ReportJob) -> None:
     """
     # What is recorded meanwhile must not come in between analysis and figures.
     with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
-        log = Path(folder) / job.recording.name
-        shutil.copyfile(job.recording, log)
-        options = argparse.Namespace(
-            logs=[str(log)],
-            report=str(job.target),
-            json=None,
-            truth=None,
-            airframe=None,
-            force=False,
-            vehicle=job.vehicle,
-            start=0.0,
-            argv=job.command,
-        )
-        reporter = Reporter(options, job.airframe, job.truth)
+        log = Path(folder) / job.log.name
+        shutil.copyfile(job.log, log)
+        reporter = Reporter(replace(job, log=log))
         with reporter as observer:
             history = ChainOptions(history_interval=reporter.history_interval)
             found = analyze_log(log, job.airframe, job.vehicle, history, observer=observer)
-            reporter.write(replace(found, source=str(job.recording)))
+            reporter.write(replace(found, source=str(job.log)))
 
 
 def main() -> int:

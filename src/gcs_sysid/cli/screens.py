@@ -8,11 +8,12 @@ from pathlib import Path
 from gcs_sysid.cli import output
 from gcs_sysid.cli.airframe_choice import SCALE_OPTIONS
 from gcs_sysid.cli.headless import Session, say_until_end
-from gcs_sysid.cli.output import on_signals, save, say_addresses
+from gcs_sysid.cli.output import on_signals, say_addresses
 from gcs_sysid.cli.reporting import ReportJob, have_written
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.exports.formats import FORMATS
+from gcs_sysid.files import write_whole
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
@@ -94,7 +95,7 @@ def export_result(target: str, result: Result) -> str:
     vehicle = assemble(result)
     text = FORMATS[target].write(vehicle)
     path = unused_path(Path(f"{vehicle.name}{FORMATS[target].suffix}"))
-    save(path, text, force=False)
+    write_whole(path, text, replace=False)
     missing = "; see its header for what is missing" if FORMATS[target].notes(vehicle) else ""
     return f"Exported to {path}{missing}"
 

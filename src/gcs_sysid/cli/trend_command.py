@@ -1,9 +1,9 @@
 """`gcs-sysid trend`: a fleet's vehicles over their flights, as a page."""
 
 import argparse
-import sys
 from pathlib import Path
 
+from gcs_sysid.cli.output import say
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.fleet import batch_table as table
@@ -25,5 +25,5 @@ def run(options: argparse.Namespace) -> int:
     write_whole(target, render(name.name, vehicles, unused), replace=options.force)
     if vehicles:
         return 0
-    print(f"gcs-sysid: {file}: no log identified any parameter", file=sys.stderr)
+    say(f"gcs-sysid: {file}: no log identified any parameter")
     return 1

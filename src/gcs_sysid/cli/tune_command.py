@@ -8,7 +8,6 @@ the attitude loop closed. The band holds 95 % of the draws.
 
 import argparse
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -16,14 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from gcs_sysid.cli.airframe_choice import beside_result
-from gcs_sysid.cli.output import (
-    Deliveries,
-    check_json,
-    is_device,
-    show,
-    write_json,
-    write_text,
-)
+from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
 from gcs_sysid.control.loop_margins import frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
@@ -63,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             return _effectiveness(options, vehicle)
         return _gains(options, vehicle)
     except MissingError as error:
-        print(f"gcs-sysid: {options.result}: {error}", file=sys.stderr)
+        say(f"gcs-sysid: {options.result}: {error}")
         return 1
 
 
@@ -71,8 +63,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
     """See beforehand whether all that is asked for can be written."""
     if (options.to is None) != (options.output is None):
         raise InputError("--to and -o go together: give both, or neither")
-    for path in (options.json, options.output, options.bode):
-        check_json(path, force=options.force)
+    check_outputs(options.json, options.output, options.bode, force=options.force)
     if (options.json, options.output, options.bode).count("-") > 1:
         raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {"px4-params": (".params",), "ardupilot-param": (".param", ".parm")}.get(options.to)
@@ -108,17 +99,14 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
         )
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
-    deliveries = Deliveries()
-    if "-" not in (options.json, options.output, options.bode):
-        deliveries.give(lambda: show(tuning_text(tuning)))
-    deliveries.give(lambda: write_json(options.json, document_of(tuning), force=options.force))
-    if options.bode is not None:
-        picture = bode_svg(tuning)
-        deliveries.give(lambda: write_text(options.bode, picture, force=options.force))
-    if options.to is not None:
-        text = parameter_text(tuning, ".params" if autopilot == "px4" else ".param")
-        deliveries.give(lambda: write_text(options.output, text, force=options.force))
-    deliveries.check()
+    suffix = ".params" if autopilot == "px4" else ".param"
+    deliver(
+        tuning_text(tuning),
+        (options.json, lambda: as_json(document_of(tuning))),
+        (options.bode, lambda: bode_svg(tuning)),
+        (options.output, lambda: parameter_text(tuning, suffix)),
+        force=options.force,
+    )
     return 0
 
 
@@ -129,7 +117,7 @@ def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int
     target = FORMATS[_INDI[options.to]]
     write_text(options.output, target.write(vehicle), force=options.force)
     for note in target.notes(vehicle):
-        print(f"gcs-sysid: note: {note}", file=sys.stderr)
+        say(f"gcs-sysid: note: {note}")
     return 0
 
 

@@ -1,7 +1,6 @@
 """`gcs-sysid twin`: does the identified model fly like the vehicle?"""
 
 import argparse
-import sys
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
@@ -17,25 +16,21 @@ from gcs_sysid.twin.twin_flight import twin_svg, twin_table
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when result or log do not allow an answer."""
     log = Path(options.log)
-    output.check_json(options.json, force=options.force)
-    if options.picture is not None:
-        output.check_json(options.picture, force=options.force)
+    output.check_outputs(options.json, options.picture, force=options.force)
     airframe = _airframe(options, log)
     try:
         result = _result(options, airframe)
         bar = output.progress_bar(str(log))
         twin = fly_held_out(result, log, airframe, options.vehicle, bar, options.seed)
     except NoAnswerError as error:
-        print(f"gcs-sysid: {error}", file=sys.stderr)
+        output.say(f"gcs-sysid: {error}")
         return 1
-    deliveries = output.Deliveries()
-    if options.json != "-":
-        deliveries.give(lambda: output.show(twin_table(twin)))
-    deliveries.give(lambda: output.write_json(options.json, twin.as_json(), force=options.force))
-    if options.picture is not None:
-        picture = twin_svg(twin)
-        deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
-    deliveries.check()
+    output.deliver(
+        twin_table(twin),
+        (options.json, lambda: output.as_json(twin.as_json())),
+        (options.picture, lambda: twin_svg(twin)),
+        force=options.force,
+    )
     return 0
 
 

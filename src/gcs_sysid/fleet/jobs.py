@@ -10,11 +10,8 @@ from typing import Any
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_mapping, split_session
-from gcs_sysid.health.assessment import HoverRecords, beside_analysis
-from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 
 FAILURE = "gcs-sysid/failure/1"
@@ -102,13 +99,8 @@ def analyze(task: Task) -> Document:
     made: Document
     try:
         options = ChainOptions(history_interval=None, offline=job.offline)
-        records = HoverRecords()
-        result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
-        made = result.as_json()
-        found = records.health(str(job.log), HealthOptions(job.airframe))
-        health = beside_analysis(found, result)
-        if health.reported:
-            made["health"] = document_of(health)
+        log, name = Path(task.path), str(job.log)
+        made = analyze_whole(log, job.airframe, job.vehicle, options, name=name).as_json()
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise

@@ -10,15 +10,15 @@ from typing import Any
 from gcs_sysid.argument_types import with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.limits import MEGABYTE, LogLimits, OverTime, within
-from gcs_sysid.health.assessment import beside_analysis, health_of_log
+from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Health, HealthOptions
+from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
 from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.health_picture import health_picture
 from gcs_sysid.report.page import render
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text
@@ -68,34 +68,38 @@ def analyze(
     recorder = Recorder(len(airframe.rotors))
     try:
         options = ChainOptions(history_interval=HISTORY_INTERVAL)
-        found = analyze_log(
+        found = analyze_whole(
             log,
             airframe,
             options=options,
             progress=lambda share: on_progress("identifying", 0.6 * share),
             observer=recorder,
+            name=name,
         )
-        result = replace(found, source=name)
+        found = replace(found, result=replace(found.result, source=name))
         inspection = inspect_log(
             log, None, lambda share: on_progress("inspecting telemetry", 0.6 + 0.3 * share)
         ).as_json()
         on_progress("writing the report", 0.9)
         data = gather(
-            result, recorder, inspection, airframe, provenance_of(_command(request, name), log)
+            found.result,
+            recorder,
+            inspection,
+            airframe,
+            provenance_of(_command(request, name), log),
         )
         (folder / REPORT).write_text(render(data), encoding="utf-8")
     finally:
         recorder.close()
-    on_progress("analyzing the hover", 0.95)
-    document = result.as_json()
-    hover = beside_analysis(_health(log, name, airframe), result)
-    if hover.available:
-        picture = health_picture(document_of(hover))
+    if found.health.available:
+        picture = health_picture(document_of(found.health))
         (folder / PICTURE).write_text(picture, encoding="utf-8")
-    if hover.reported:
-        document["health"] = document_of(hover)
-    (folder / RESULT).write_text(json_text(document, 2) + "\n", encoding="utf-8")
-    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": hover.available}
+    (folder / RESULT).write_text(json_text(found.as_json(), 2) + "\n", encoding="utf-8")
+    return {
+        "verdict": found.result.verdict,
+        "reasons": list(found.result.reasons),
+        "health": found.health.available,
+    }
 
 
 def health(
@@ -112,7 +116,7 @@ def health(
     shutil.copyfile(log, copy)
     on_progress("analyzing the hover", 0.3)
     try:
-        found = _health(copy, name, airframe)
+        found = replace(health_of_log(copy, HealthOptions(airframe)), source=name)
     finally:
         copy.unlink()
     if found.contradicted:
@@ -121,10 +125,6 @@ def health(
         raise InputError("no health yet: the vehicle has not hovered long enough in this recording")
     (folder / PICTURE).write_text(health_picture(document_of(found)), encoding="utf-8")
     return {"advice": list(found.advice), "seconds": found.seconds}
-
-
-def _health(log: Path, name: str, airframe: Airframe) -> Health:
-    return replace(health_of_log(log, HealthOptions(airframe)), source=name)
 
 
 def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
