@@ -13,10 +13,6 @@ from typing import Any
 
 from gcs_sysid.errors import InputError
 
-_MOST_DOTS = 1000
-"""In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
-_MOST_SQUARES = 10_000_000
-"""Sum over the lines of dots squared, which takes tomllib 0.2 s."""
 _WRITER_WITHIN = 2.0
 """s after which a pipe without a writer is given up."""
 _STRICT = ("strict", "surrogateescape")
@@ -163,10 +159,11 @@ def parse_toml(text: str, where: str, what: str) -> dict[str, Any]:
     Raises:
         InputError: it is not valid, or would take for ever to read.
     """
-    dots = [line.count(".") for line in text.splitlines()]
-    if max(dots, default=0) > _MOST_DOTS:
-        raise InputError(f"{where}: not {what}: a line with more than {_MOST_DOTS} dots")
-    if sum(n * n for n in dots) > _MOST_SQUARES:
+    # tomllib needs the cube of a dotted key's parts; 64 rotors in a line have some 200 dots.
+    dots, most = [line.count(".") for line in text.splitlines()], 1000
+    if max(dots, default=0) > most:
+        raise InputError(f"{where}: not {what}: a line with more than {most} dots")
+    if sum(n * n for n in dots) > 10_000_000:  # takes 0.2 s
         raise InputError(f"{where}: not {what}: too many lines with hundreds of dots")
     # Loaded here: every command would pay for it at its start.
     import tomllib

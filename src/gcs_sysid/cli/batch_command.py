@@ -21,8 +21,6 @@ from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
 from gcs_sysid.model.airframe import Airframe
 
-_INTERRUPTED = 130
-
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no log allows an answer, 2 when none can be read."""
@@ -58,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             f"{len(jobs) - len(rows)}",
             file=sys.stderr,
         )
-        return _INTERRUPTED
+        return 130  # as after Ctrl-C
     verdicts = batch.tally.verdicts
     if verdicts["identified"] or verdicts["partial"]:
         return 0

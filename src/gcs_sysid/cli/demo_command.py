@@ -19,9 +19,6 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.link import TcpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
-_TRUTH_WAIT = 15.0
-"""s that the emulator may take to start."""
-
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
@@ -120,7 +117,8 @@ def _wait_for_truth(
     emulator: "subprocess.Popen[bytes]", file: Path, said: TextIO
 ) -> dict[str, float]:
     """The emulator writes the truth before it flies; its refusal becomes ours."""
-    deadline = time.monotonic() + _TRUTH_WAIT
+    within = 15.0  # s
+    deadline = time.monotonic() + within
     while not file.exists():
         if emulator.poll() is not None:
             said.seek(0)
@@ -128,6 +126,6 @@ def _wait_for_truth(
             why = lines[-1].removeprefix("sim-bridge: error: ") if lines else "no reason given"
             raise GcsSysidError(f"the emulator did not start: {why}")
         if time.monotonic() > deadline:
-            raise GcsSysidError("the emulator did not start within 15 s")
+            raise GcsSysidError(f"the emulator did not start within {within:g} s")
         time.sleep(0.02)
     return output.read_truth(str(file))

@@ -14,8 +14,6 @@ from gcs_sysid.results.health_view import cg_facts, health_fact
 from gcs_sysid.results.number_format import PLAIN, significant
 
 _NAME = 20
-_WINDY = 2e-3
-"""m by wind that are worth a line."""
 
 
 def health_text(health: Health) -> str:
@@ -33,7 +31,7 @@ def _head(health: Health) -> Iterator[str]:
     for name, size, way, alike in cg_facts(document):
         yield _line(name, f"{size} {way} of the center ({alike})")
     yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
-    if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
+    if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
         yield _line("  wind contribution", _as_flown(health.by_wind))
     for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
         yield from _fact(document, key)

@@ -75,8 +75,6 @@ _NAME = 14
 """Columns of the names at the left."""
 _TIE = "\u00a0"
 """A space at which lines do not break."""
-_OTHERS_NAMED = 6
-_FLIGHTS_NAMED = 8
 
 
 def run(options: argparse.Namespace) -> int:
@@ -180,10 +178,9 @@ def _entry(name: str, text: str, width: int) -> list[str]:
 def _head(found: Inspection, width: int) -> list[str]:
     lines = [found.source, f"{_KINDS[found.kind]}, {found.duration:.1f} s"]
     if found.flights:
-        spans = [f"{start:.0f}-{end:.0f} s" for start, end in found.flights[:_FLIGHTS_NAMED]]
-        more = [f"{len(found.flights) - _FLIGHTS_NAMED} more"] * (
-            len(found.flights) > _FLIGHTS_NAMED
-        )
+        most = 8
+        spans = [f"{start:.0f}-{end:.0f} s" for start, end in found.flights[:most]]
+        more = [f"{len(found.flights) - most} more"] if len(found.flights) > most else []
         count = "1 flight" if len(found.flights) == 1 else f"{len(found.flights)} flights"
         text = f"in the air {found.in_air:.1f} s, {count}: {', '.join(spans + more)}"
         lines += textwrap.wrap(text + _RECOGNIZED_BY[found.flight_told_by], width)
@@ -244,11 +241,11 @@ def _percent(value: float) -> str:
 
 def _others(messages: Mapping[str, Mapping[str, float | None]]) -> str:
     by_count = sorted(messages.items(), key=lambda item: -(item[1]["count"] or 0.0))
-    named = []
-    for name, entry in by_count[:_OTHERS_NAMED]:
+    most, named = 6, []
+    for name, entry in by_count[:most]:
         rate = entry["rate"]
         named.append(name if rate is None else f"{name}{_TIE}{_short(rate)}{_TIE}Hz")
-    more = ["..."] if len(by_count) > _OTHERS_NAMED else []
+    more = ["..."] if len(by_count) > most else []
     kinds = "1 kind" if len(by_count) == 1 else f"{len(by_count)} kinds"
     return f"{kinds}: {', '.join(named + more)}"
 

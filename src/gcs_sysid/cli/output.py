@@ -27,14 +27,11 @@ if TYPE_CHECKING:
 
 TEXT_WIDTH = 79
 """Columns of texts that are printed the same everywhere."""
-_MAX_TRUTH_BYTES = 1_000_000
 BY_SIGNAL = 128
 """Added to the signal's number: the exit status of a command that was ended at once."""
 _AGAIN = ("SIGINT", "SIGBREAK")
 """A user at the keyboard insists. Other signals come twice by themselves: a terminal that closes,
 or a service that is stopped, may send several."""
-_MOST_WAITING = 64
-"""Results that wait for a slow reader; then the oldest goes, which is the one least missed."""
 
 
 class Deliveries:
@@ -115,7 +112,7 @@ def read_truth(path: str) -> dict[str, float]:
     Raises:
         InputError: the file cannot be read or is no such JSON.
     """
-    table = parse_json(read_text(Path(path), _MAX_TRUTH_BYTES, "the truth file"), path)
+    table = parse_json(read_text(Path(path), 1_000_000, "the truth file"), path)
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
     numbers = {
@@ -320,7 +317,8 @@ class JsonLines:
         self.when_gone: Callable[[], None] = lambda: None
         self._path = path
         self._file: TextIO | None = open_output(path, force=force) if path else None
-        self._waiting: deque[Result] = deque(maxlen=_MOST_WAITING)
+        # Of those that wait for a slow reader the oldest goes: it is the one least missed.
+        self._waiting: deque[Result] = deque(maxlen=64)
         self._wake = threading.Condition()
         self._closing = False
         self._error: OSError | None = None

@@ -28,11 +28,7 @@ from gcs_sysid.setup_help.checks import can_show
 from gcs_sysid.strict_json import json_text
 
 _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
-_COLUMNS = 32
-_SHOWN = 4.0
-"""s of a maneuver that its small picture shows."""
 _AXES = ("roll", "pitch", "yaw", "climb")
-_GAINS = 4
 _FOOT = (
     "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
     "250 Hz). In flight the coach uses the measured data."
@@ -112,7 +108,7 @@ def _wrapped(text: str, begin: str = "", indent: int = 0) -> list[str]:
 def _gains(step: Step) -> str:
     return ", ".join(
         gain_words(name, step.now.get(name), share)
-        for name in step.names[:_GAINS]
+        for name in step.names[:4]
         for share in (step.expected[name],)
         if share is not None
     )
@@ -123,7 +119,7 @@ def _widths(plan: Plan) -> str:
 
 
 def _waves(manoeuvre: Manoeuvre) -> Iterator[tuple[str, Array]]:
-    t = np.linspace(0.0, _SHOWN, _COLUMNS)
+    t = np.linspace(0.0, 4.0, 32)  # s shown, in columns
     for axis, wave in zip(_AXES, manoeuvre.angles(t).T, strict=True):
         if wave.any():
             yield axis, wave / np.abs(wave).max()

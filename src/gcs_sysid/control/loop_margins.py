@@ -16,11 +16,8 @@ from gcs_sysid.control.rate_loops import RateLoop
 
 _LOWEST = 0.2
 """rad/s, of the frequencies that margins are read off; all crossovers lie above."""
-_POINTS = 400
 _SECONDS = 16.0
 """s, half the period of the square wave whose response is the step response."""
-_SHOWN = 3.0
-"""s of it that count for the peak: no overshoot comes later."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Margins:
         return float(np.min(self.phase)), float(np.min(self.gain))
 
 
-def frequencies(loop: RateLoop, points: int = _POINTS) -> Array:
+def frequencies(loop: RateLoop, points: int = 400) -> Array:
     """(w,) rad/s up to just below half the loop rate."""
     return np.geomspace(_LOWEST, 0.98 * np.pi * loop.rate, points)
 
@@ -124,7 +121,7 @@ class StepResponse:
     @property
     def overshoot(self) -> Array:
         """(N,) share of the step by which the peak exceeds it; never below zero."""
-        shown = self.values[:, self.t <= _SHOWN]
+        shown = self.values[:, self.t <= 3.0]  # no overshoot comes later
         out: Array = np.maximum(shown.max(axis=1) - 1.0, 0.0)
         return out
 

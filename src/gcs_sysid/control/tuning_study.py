@@ -35,8 +35,6 @@ IDENTIFIED_DELAY = "identified, from command to rotor"
 _ALIKE = ("mass", "Ixx", "Iyy", "Izz")
 _APART = 0.1
 """Relative difference beyond which two results are not of one flight."""
-_LIKELY_DELAY = 0.05
-"""s: a rotor delay beyond is one of telemetry."""
 BAND = (2.5, 97.5)
 """Percentiles of the draws, shown as the band."""
 
@@ -141,7 +139,7 @@ def _delay(
     if found is not None:
         # Commands are stamped before they act; that they are held for a period is half of one.
         late = -found.value - 0.5 * loop.period
-        if -loop.period < late < _LIKELY_DELAY:
+        if -loop.period < late < 0.05:  # beyond, it is one of telemetry
             return (max(late, 0.0), found.std or 0.0), IDENTIFIED_DELAY
     return ASSUMED_DELAY, "assumed"
 

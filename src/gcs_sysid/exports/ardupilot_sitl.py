@@ -21,8 +21,6 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 _TURNING = math.radians(400.0)
 _YAW = 0.05
-_ANGLE = 15.0
-"""deg, refAngle: the tilt at which refSpd is held."""
 
 
 def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
@@ -57,8 +55,9 @@ def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
         rows.append(("refRotRate", number(_TURNING * size / damping), "damping"))
     drag = vehicle.get("linear_drag")
     if drag:
-        speed = vehicle["mass"] * GRAVITY * math.tan(math.radians(_ANGLE)) / drag
-        rows += [("refAngle", number(_ANGLE), "deg"), ("refSpd", number(speed), "m/s")]
+        tilt = 15.0  # deg, at which refSpd is held
+        speed = vehicle["mass"] * GRAVITY * math.tan(math.radians(tilt)) / drag
+        rows += [("refAngle", number(tilt), "deg"), ("refSpd", number(speed), "m/s")]
     for i, rotor in enumerate(vehicle.rotors, 1):
         x, y = rotor.x - vehicle["cg_x"], rotor.y - vehicle["cg_y"]
         rows.append((f"motor{i}_position", f"[{number(x)}, {number(y)}, 0]", "m from the CG"))

@@ -33,8 +33,6 @@ _LAYOUTS = {
     ),
 }  # fmt: skip
 """SIH_VEHICLE_TYPE -> its rotors: x over SIH_L_PITCH, y over SIH_L_ROLL, spin."""
-_CLOSE = 0.02
-"""Of the arm: rotors further from SIH's layout are not flown by it."""
 
 
 def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
@@ -79,9 +77,9 @@ def _layout(vehicle: ExportedVehicle) -> tuple[int, float, float]:
             continue
         pitch_arm, roll_arm = np.abs(own[:, :2]).max(axis=0) / np.abs(unit[:, :2]).max(axis=0)
         wanted = unit * [pitch_arm, roll_arm, 1.0]
-        # The order of motors is SIH's own.
+        # The order of motors is SIH's own. A rotor off by more than 2 % of the arm is not flown.
         apart = np.abs(own[:, None] - wanted).max(axis=2)
-        if (apart.min(axis=0) < _CLOSE * arm).all():
+        if (apart.min(axis=0) < 0.02 * arm).all():
             return kind, float(roll_arm), float(pitch_arm)
     raise InputError(
         "px4-sih: SIH flies a symmetrical quad X (front right turns counter-clockwise) or hexa "

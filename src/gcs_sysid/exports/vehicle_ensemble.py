@@ -8,8 +8,6 @@ from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, c
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import INERTIA, REGISTRY
 
-_TRIES = 50
-"""Times the wanted number that is drawn before it is given up: nearly all draws are bodies."""
 _FOLLOWING = "from "
 """Prefix of the origin of a value derived from two others, which is computed from the draws."""
 
@@ -32,7 +30,7 @@ def drawn_vehicles(vehicle: ExportedVehicle, count: int, seed: int) -> list[Expo
     random = np.random.default_rng(seed)
     names, root = _root(vehicle)
     out: list[ExportedVehicle] = []
-    for _ in range(_TRIES * max(count, 1)):
+    for _ in range(50 * max(count, 1)):  # nearly all draws are bodies
         if len(out) == count:
             return out
         shift = dict(zip(names, root @ random.standard_normal(len(names)), strict=True))

@@ -24,8 +24,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import Document, Task, analyze
 from gcs_sysid.processes import ONE_THREAD
 
-_LOOK = 0.2
-"""s between looks whether to stop."""
 _GONE = "the Dask scheduler is gone; run the same command again for the rest"
 
 
@@ -230,7 +228,7 @@ def complete(pool: Pool, tasks: Iterator[Task], stopped: Callable[[], bool]) -> 
             flying[pool.submit(alone)] = alone
         if not flying:
             return
-        done, _ = wait(flying, timeout=_LOOK, return_when=FIRST_COMPLETED)
+        done, _ = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
         for future in done:
             task = flying.pop(future)
             error = CancelledError() if future.cancelled() else future.exception()

@@ -14,7 +14,6 @@ from gcs_sysid.strict_json import json_text
 RESULTS = "results"
 TABLE = "fleet.parquet"
 _NAME = re.compile(r".*-([0-9a-f]{16})\.json")
-_MOST_LETTERS = 60
 
 
 class Store:
@@ -56,7 +55,7 @@ class Store:
         """Where a task's document is, from the folder; of the first name that its log had."""
         known = self._names.get(task.key)
         if known is None:
-            stem = re.sub(r"[^A-Za-z0-9._-]+", "_", log_file(task.job.log).stem)[:_MOST_LETTERS]
+            stem = re.sub(r"[^A-Za-z0-9._-]+", "_", log_file(task.job.log).stem)[:60]
             known = f"{stem or 'log'}-{task.key}.json"
         return f"{RESULTS}/{known}"
 

@@ -23,8 +23,6 @@ from gcs_sysid.results.result import Result, Scale
 
 FEWEST = 4
 """Fewest flights for an estimate of their scatter."""
-_MEDIAN = 0.45493642311957283
-"""Of chi squared with one degree of freedom."""
 _FREEDOM = 0.55
 """Degrees of freedom that a difference brings to the median (a test counts false alarms)."""
 
@@ -160,7 +158,8 @@ def _variance(known: Sequence[Estimate], level: float) -> float:
     own = [_std(a) ** 2 + _std(b) ** 2 for a, b in pairwise(known)]
     freedom = max(_FREEDOM * len(found), 1.0)
     caution = (student_limit(freedom, level) / normal_limit(level)) ** 2
-    return max(0.5 * (caution * median(found) / _MEDIAN - median(own)), 0.0)
+    middle = normal_limit(0.5) ** 2  # the median of chi squared with one degree of freedom
+    return max(0.5 * (caution * median(found) / middle - median(own)), 0.0)
 
 
 def result_of(row: Row) -> Result:

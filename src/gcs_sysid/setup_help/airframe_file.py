@@ -135,11 +135,7 @@ def write_new(path: Path, text: str) -> None:
         raise InputError(f"{path}: cannot write: {reason}") from error
 
 
-_USUAL_ARM = (0.03, 2.0)
-_USUAL_MASS = (0.02, 100.0)
-_USUAL_K_T = (1e-9, 1e-2)
-_USUAL_T_MAX = (0.05, 1000.0)
-_USUAL = {"mass": _USUAL_MASS, "k_T": _USUAL_K_T, "T_max": _USUAL_T_MAX}
+_USUAL = {"arm": (0.03, 2.0), "mass": (0.02, 100.0), "k_T": (1e-9, 1e-2), "T_max": (0.05, 1000.0)}
 _SLIPS = {
     "mass": "enter kg, not grams",
     "k_T": "enter N s^2: thrust over (rad/s)^2, not over rpm^2",
@@ -149,7 +145,7 @@ _SLIPS = {
 
 def arm_doubt(meters: float) -> str | None:
     """Why a distance from the center to a motor looks wrong; None: it does not."""
-    low, high = _USUAL_ARM
+    low, high = _USUAL["arm"]
     if low <= meters <= high:
         return None
     kind = "long" if meters > high else "short"

@@ -100,8 +100,6 @@ PACKAGE = "gcs-sysid"
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?\s*(?:>=\s*([0-9][0-9.]*))?")
 _SMALLEST = (80, 24)
 """Columns and lines that the live screen needs."""
-_FREE_BYTES = 500 * 2**20
-"""A recording at 250 Hz takes some 100 MB an hour."""
 
 
 def _numbers(version: str) -> tuple[int, ...]:
@@ -257,7 +255,7 @@ def check_recordings(folder: Path = Path("logs")) -> SetupFinding:
         ]
         return SetupFinding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)
     text = f"{full}, {free / 2**30:.1f} GiB free"
-    if free < _FREE_BYTES:
+    if free < 500 * 2**20:  # a recording at 250 Hz takes some 100 MB an hour
         advice = ["free some space, or use --record FILE.tlog elsewhere"]
         return SetupFinding("recordings", Sign.WARNING, f"{text}; an hour takes 0.1 GiB", advice)
     return SetupFinding("recordings", Sign.OK, text)

@@ -137,12 +137,8 @@ ASCII = Pen(ccw=" ccw", cw=" cw", arm=".", center="+", front="^")
 UNICODE_SIGNS = "".join((UNICODE.ccw, UNICODE.cw, UNICODE.arm, UNICODE.center, UNICODE.front))
 """What a terminal must be able to show for `UNICODE`."""
 
-_HALF_HEIGHT, _HALF_WIDTH = 6, 18
-"""Lines and columns from the center to the outermost rotor, at most."""
 _ASPECT = 2.0
 """A character is about so much taller than wide."""
-_MARGIN = 7
-"""Columns for the labels beside the outermost rotors."""
 
 
 def draw(rotors: tuple[Rotor, ...], pen: Pen) -> str:
@@ -154,11 +150,12 @@ def draw(rotors: tuple[Rotor, ...], pen: Pen) -> str:
     """
     reach_x = max(abs(r.x) for r in rotors)
     reach_y = max(abs(r.y) for r in rotors)
+    most_lines, most_columns, margin = 6, 18, 7  # from the center outwards; labels beside
     lines_per_meter = min(
-        _HALF_HEIGHT / max(reach_x, 1e-6), _HALF_WIDTH / _ASPECT / max(reach_y, 1e-6)
+        most_lines / max(reach_x, 1e-6), most_columns / _ASPECT / max(reach_y, 1e-6)
     )
     height = max(1, round(reach_x * lines_per_meter))
-    width = round(reach_y * lines_per_meter * _ASPECT) + _MARGIN
+    width = round(reach_y * lines_per_meter * _ASPECT) + margin
     canvas = [[" "] * (2 * width + 1) for _ in range(2 * height + 1)]
     ends = [
         (height - round(r.x * lines_per_meter), width + round(r.y * lines_per_meter * _ASPECT))

@@ -24,10 +24,6 @@ USUAL_PORTS = {
 }
 """UDP port -> what it is for."""
 
-_TRICOPTER = 3
-_SLICE = 0.05
-"""s of waiting on one link before the next has its turn."""
-
 
 @dataclass
 class Ear:
@@ -96,12 +92,13 @@ def listen(
         seconds: how long.
         clock: any steady clock, s.
     """
+    turn = 0.05  # s for all links
     receivers = [(Receiver(ear.link), ear.selector) for ear in ears]
     end = clock() + seconds
     try:
         while receivers and clock() < end:
             for receiver, selector in receivers:
-                selector.listen(FrameBlock.of(receiver.poll(_SLICE / len(receivers))))
+                selector.listen(FrameBlock.of(receiver.poll(turn / len(receivers))))
     finally:
         for ear in ears:
             ear.link.close()
@@ -142,7 +139,7 @@ def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> st
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
     # The type in its heartbeat gives no order of motors, and for many a hexa not even the number;
     # its parameters do, once they may be requested.
-    reported = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
+    reported = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != 3
     frame = "--airframe auto --arm M" if reported else "--airframe FILE.toml"
     which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
     return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"

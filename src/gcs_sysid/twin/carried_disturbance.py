@@ -29,8 +29,6 @@ _AHEAD = (0.3, 1.0)
 _LEAST = 0.3
 """Nats over these lengths, by which the power of the errors must fall: of noise alone nothing is
 carried (20 draws of 12 s in the tests)."""
-_EVERY = 0.02
-"""s between the instants at which they are compared."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,8 @@ def choose_carried(lefts: Sequence[Array], dt: float) -> Carried:
     """
     memory, fading, rms = np.zeros(3), np.zeros(3), np.zeros(3)
     ahead = [round(seconds / dt) for seconds in _AHEAD]
-    stride, first = max(1, round(_EVERY / dt)), round(max(_MEMORIES) / dt)
+    # Compared every 20 ms.
+    stride, first = max(1, round(0.02 / dt)), round(max(_MEMORIES) / dt)
     there = [left for left in lefts if len(left) > first + ahead[-1] + stride]
     if not there:
         return NOTHING_CARRIED

@@ -37,8 +37,6 @@ _SETTLING, _SETTLING_SHARE = 5.0, 0.4
 """s in which the complementary filter finds the attitude, and the share of a part of the flight
 that may be left out for it. With the gyro's bias taken from later, errors on emulated flights with
 a bias of 0.01 rad/s are level from 5 s on."""
-_SAME = 1e-9
-"""Difference of the validation's R2 below which two results are of the same data."""
 
 
 def fly_held_out(
@@ -207,7 +205,7 @@ def _alike(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
         return False
     pairs = [(x, second[axis]) for axis, x in first.items()]
     numbers = [(x, y) for x, y in pairs if isinstance(x, float) and isinstance(y, float)]
-    return bool(numbers) and all(abs(x - y) <= _SAME for x, y in numbers)
+    return bool(numbers) and all(abs(x - y) <= 1e-9 for x, y in numbers)
 
 
 def as_exact(airframe: Airframe) -> Airframe:

@@ -16,10 +16,6 @@ from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock
 
-_SETTLED = 5.0
-"""Time constants after which a motor's past is forgotten."""
-_FILTER_SETTLED = 1.5
-"""Periods of its cutoff that the gyro's low-pass needs to settle."""
 _BIAS_LAG = 60.0
 """s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that
 while the vehicle turns fast; what is left of an error after this time is a tenth, about."""
@@ -156,9 +152,11 @@ class FlightRecorder:
         t, x = np.concatenate(self._t), np.concatenate(self._rows).astype(np.float64)
         rates, attitude = _with_later_bias(t, x[:, 10:13], x[:, :3], x[:, 3:7], self._dt)
         rotors = _acting(t, x[:, 13:], self._dt, self.delay, self.gyro_cutoff)
-        settling = _SETTLED * motor_lag if self.rotor_input.motors else 0.0
+        # A motor's past is forgotten after five time constants, that of the gyro's low-pass after
+        # one and a half periods of its cutoff.
+        settling = 5.0 * motor_lag if self.rotor_input.motors else 0.0
         if self.gyro_cutoff is not None:
-            settling += _FILTER_SETTLED / self.gyro_cutoff
+            settling += 1.5 / self.gyro_cutoff
         return MeasuredFlight(
             t, rates, attitude, x[:, 7:10], rotors, self._dt, self.rotor_input, settling
         )

@@ -31,10 +31,6 @@ QUANTITIES = ("rates", "attitude", "velocity")
 UNITS = {"rates": "rad/s", "attitude": "rad", "velocity": "m/s"}
 _ROTATION = tuple(f.name for f in fields(FlightModel) if f.name in THETA)
 """Fields of the flight model that turn it and are not of the basic one."""
-_MOST_AVERAGED = 0.1
-"""s of the past that the state at the start may be averaged over, at most."""
-_JUDGED_AT = 0.1
-"""s ahead at which an average is chosen."""
 _OVERLAP = 4
 """Stretches of the part that gives the noise begin this often in a length."""
 
@@ -140,8 +136,8 @@ class Twin:
     def choose_average(self, part: FlightPart) -> None:
         """Take the average of the past that predicts best over a tenth of a second."""
         record = self._record
-        ahead = max(1, round(_JUDGED_AT / record.dt))
-        most = max(1, int(_MOST_AVERAGED / record.dt))
+        span = 0.1  # s ahead at which it is chosen, and of the past at most
+        ahead, most = max(1, round(span / record.dt)), max(1, int(span / record.dt))
         candidates = [2**k for k in range(int(np.log2(most)) + 1)]
         power = np.zeros(len(candidates))
         for run in record.runs(part.since, part.until):
