@@ -10,7 +10,7 @@ is left out: it vanishes in hover where as many rotors turn either way.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -65,15 +65,8 @@ class HoverDynamics:
 
     def first(self, count: int) -> "HoverDynamics":
         """The nominal vehicle and the first draws: `count` altogether."""
-        return HoverDynamics(
-            self.effectiveness[:count],
-            self.reaction[:count],
-            self.damping[:count],
-            self.lag[:count],
-            self.delay[:count],
-            self.hover[:count],
-            self.notes,
-        )
+        arrays = {f.name: getattr(self, f.name)[:count] for f in fields(self) if f.name != "notes"}
+        return replace(self, **arrays)
 
     def response(self, omega: Array, period: float = 0.0) -> Array:
         """(N, w, 3, 3) body rates over normalized torques.

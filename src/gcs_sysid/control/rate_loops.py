@@ -29,11 +29,28 @@ from gcs_sysid.model.airframe import Rotor
 Autopilot = Literal["px4", "ardupilot"]
 AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot")
 AXES = ("roll", "pitch", "yaw")
-_PX4_AXES = ("ROLL", "PITCH", "YAW")
-_ARDUPILOT_AXES = ("RLL", "PIT", "YAW")
-_PX4_USUAL = ((0.15, 0.2, 0.003, 6.5), (0.15, 0.2, 0.003, 6.5), (0.2, 0.1, 0.0, 2.8))
-_ARDUPILOT_USUAL = ((0.135, 0.135, 0.0036, 4.5), (0.135, 0.135, 0.0036, 4.5), (0.18, 0.018, 0, 4.5))
-"""Defaults of P, I, D and the attitude gain on each axis."""
+_AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
+    "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
+}  # fmt: skip
+_GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
+    "px4": {
+        "P": "MC_{}RATE_P", "I": "MC_{}RATE_I", "D": "MC_{}RATE_D", "FF": "MC_{}RATE_FF",
+        "attitude": "MC_{}_P",
+    },
+    "ardupilot": {
+        "P": "ATC_RAT_{}_P", "I": "ATC_RAT_{}_I", "D": "ATC_RAT_{}_D", "FF": "ATC_RAT_{}_FF",
+        "attitude": "ATC_ANG_{}_P",
+    },
+}  # fmt: skip
+"""Fields of `AxisGains` -> the parameter of an axis."""
+_USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
+    "px4": ((0.15, 0.2, 0.003, 0.0, 6.5), (0.15, 0.2, 0.003, 0.0, 6.5), (0.2, 0.1, 0.0, 0.0, 2.8)),
+    "ardupilot": (
+        (0.135, 0.135, 0.0036, 0.0, 4.5), (0.135, 0.135, 0.0036, 0.0, 4.5),
+        (0.18, 0.018, 0.0, 0.0, 4.5),
+    ),
+}  # fmt: skip
+"""Defaults of the same, in the same order, on each axis."""
 _NEGLIGIBLE = 1e-3
 """Entries of PX4's mixer below are zero."""
 
@@ -101,26 +118,11 @@ class RateLoop:
     def as_parameters(self) -> dict[str, float]:
         """The gains as the autopilot's parameters, by name; K of PX4 is 1."""
         out: dict[str, float] = {}
-        for axis, gains in enumerate(self.gains):
+        for axis, gains in zip(_AXIS_NAMES[self.autopilot], self.gains, strict=True):
             if self.autopilot == "px4":
-                name = _PX4_AXES[axis]
-                out |= {
-                    f"MC_{name}RATE_K": 1.0,
-                    f"MC_{name}RATE_P": gains.P,
-                    f"MC_{name}RATE_I": gains.I,
-                    f"MC_{name}RATE_D": gains.D,
-                    f"MC_{name}RATE_FF": gains.FF,
-                    f"MC_{name}_P": gains.attitude,
-                }
-            else:
-                name = _ARDUPILOT_AXES[axis]
-                out |= {
-                    f"ATC_RAT_{name}_P": gains.P,
-                    f"ATC_RAT_{name}_I": gains.I,
-                    f"ATC_RAT_{name}_D": gains.D,
-                    f"ATC_RAT_{name}_FF": gains.FF,
-                    f"ATC_ANG_{name}_P": gains.attitude,
-                }
+                out[f"MC_{axis}RATE_K"] = 1.0
+            for field, name in _GAIN_NAMES[self.autopilot].items():
+                out[name.format(axis)] = getattr(gains, field)
         return out
 
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
@@ -205,19 +207,23 @@ class _ParameterReader:
         return value
 
 
+def _gains(
+    reader: _ParameterReader, autopilot: Autopilot
+) -> tuple[AxisGains, AxisGains, AxisGains]:
+    """Gains of roll, pitch and yaw; PX4's K multiplies P, I and D."""
+    names = _GAIN_NAMES[autopilot]
+    out = []
+    for axis, usual in zip(_AXIS_NAMES[autopilot], _USUAL_GAINS[autopilot], strict=True):
+        K = reader.get(f"MC_{axis}RATE_K", 1.0) if autopilot == "px4" else 1.0
+        known = {
+            field: reader.get(name.format(axis), value) * (K if field in "PID" else 1.0)
+            for (field, name), value in zip(names.items(), usual, strict=True)
+        }
+        out.append(AxisGains(**known))
+    return out[0], out[1], out[2]
+
+
 def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
-    gains = []
-    for name, (P, I, D, angle) in zip(_PX4_AXES, _PX4_USUAL, strict=True):  # noqa: E741
-        K = reader.get(f"MC_{name}RATE_K", 1.0)
-        gains.append(
-            AxisGains(
-                K * reader.get(f"MC_{name}RATE_P", P),
-                K * reader.get(f"MC_{name}RATE_I", I),
-                K * reader.get(f"MC_{name}RATE_D", D),
-                reader.get(f"MC_{name}_P", angle),
-                reader.get(f"MC_{name}RATE_FF", 0.0),
-            )
-        )
     cutoff = reader.get("IMU_DGYRO_CUTOFF", 30.0)
     return RateLoop(
         "px4",
@@ -229,26 +235,16 @@ def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         (0.0, 0.0, reader.get("MC_YAW_TQ_CUTOFF", 2.0)),
         reader.get("THR_MDL_FAC", 0.0, 1.0),
         px4_mixer(*_px4_rotors(reader.parameters, rotors)),
-        (gains[0], gains[1], gains[2]),
+        _gains(reader, "px4"),
     )
 
 
 def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
-    gains, filters = [], []
-    for name, usual in zip(_ARDUPILOT_AXES, _ARDUPILOT_USUAL, strict=True):
-        prefix = f"ATC_RAT_{name}_"
-        gains.append(
-            AxisGains(
-                reader.get(prefix + "P", usual[0]),
-                reader.get(prefix + "I", usual[1]),
-                reader.get(prefix + "D", usual[2]),
-                reader.get(f"ATC_ANG_{name}_P", usual[3]),
-                reader.get(prefix + "FF", 0.0),
-            )
-        )
+    filters = []
+    for name in _AXIS_NAMES["ardupilot"]:
         cutoffs = (20.0, 2.5 if name == "YAW" else 0.0, 20.0)
         filters.append(
-            [reader.get(prefix + f"FLT{x}", f) for x, f in zip("TED", cutoffs, strict=True)]
+            [reader.get(f"ATC_RAT_{name}_FLT{x}", f) for x, f in zip("TED", cutoffs, strict=True)]
         )
     target, error, derivative = (tuple(f) for f in zip(*filters, strict=True))
     return RateLoop(
@@ -261,7 +257,7 @@ def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         (0.0, 0.0, 0.0),
         reader.get("MOT_THST_EXPO", 0.65, 1.0),
         ardupilot_mixer(rotors),
-        (gains[0], gains[1], gains[2]),
+        _gains(reader, "ardupilot"),
     )
 
 

@@ -163,8 +163,8 @@ def joined_vehicle(vehicle: ExportedVehicle, other: ExportedVehicle) -> Exported
                 f"the two results have {name} = {one.value:.4g} and {two.value:.4g}: give two of "
                 "one flight, with the same scale"
             )
-    known = {n: q for n, q in other.known.items() if not q.origin.startswith("from ")}
-    known |= {n: q for n, q in vehicle.known.items() if not q.origin.startswith("from ")}
+    known = {n: q for n, q in other.known.items() if not q.derived}
+    known |= {n: q for n, q in vehicle.known.items() if not q.derived}
     complete(known)
     return replace(vehicle, known=known)
 

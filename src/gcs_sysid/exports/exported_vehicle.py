@@ -54,6 +54,11 @@ class KnownEstimate(Estimate):
     value: float
     origin: str = ""
 
+    @property
+    def derived(self) -> bool:
+        """Whether it follows from two others, and is computed again where these change."""
+        return self.origin.startswith("from ")
+
 
 @dataclass(frozen=True)
 class ExportedVehicle:

@@ -8,9 +8,6 @@ from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, c
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import INERTIA, REGISTRY
 
-_FOLLOWING = "from "
-"""Prefix of the origin of a value derived from two others, which is computed from the draws."""
-
 
 def drawn_vehicles(vehicle: ExportedVehicle, count: int, seed: int) -> list[ExportedVehicle]:
     """Vehicles drawn from the covariance of one, each a possible rigid body.
@@ -47,7 +44,7 @@ def _root(vehicle: ExportedVehicle) -> tuple[list[str], np.ndarray]:
     known = {
         name: quantity.std
         for name, quantity in vehicle.known.items()
-        if quantity.std and not quantity.origin.startswith(_FOLLOWING)
+        if quantity.std and not quantity.derived
     }
     names = list(known)
     covariance = np.diag([float(std) ** 2 for std in known.values()])
@@ -76,7 +73,7 @@ def _shifted(vehicle: ExportedVehicle, shift: dict[str, float]) -> ExportedVehic
     """The vehicle with values moved; None where there can be no such thing."""
     known: dict[str, KnownEstimate] = {}
     for name, quantity in vehicle.known.items():
-        if quantity.origin.startswith(_FOLLOWING):
+        if quantity.derived:
             continue
         value = quantity.value + shift.get(name, 0.0)
         sign = REGISTRY[name].sign if name in REGISTRY else "positive"
