@@ -117,26 +117,28 @@ COMMANDS = (
         "parameter.",
         (
             airframe("default paper", "paper"),
-            SPEED.but(choices=("1", "max"), help="1: real time; max: as fast as possible"),
+            SPEED.but("1: real time; max: as fast as possible", choices=("1", "max")),
             option(
                 "--mission",
+                None,
+                "what the emulator flies: the article's maneuvers, every axis at once, or "
+                "hover alone (default all-axes)",
                 choices=("paper", "all-axes", "hover"),
                 default="all-axes",
-                help="what the emulator flies: the article's maneuvers, every axis at once, or "
-                "hover alone (default all-axes)",
             ),
             option(
                 "--noise",
+                None,
+                "sensor noise (default mems)",
                 choices=("none", "paper", "white", "mems"),
                 default="mems",
-                help="sensor noise (default mems)",
             ),
-            option("--sigma", type=not_negative, help="noise of paper and white, rad and rad/s"),
-            RATE.but(help="message rate of IMU and rotors (default 250)"),
-            SEED.but(metavar="N", help="seed of all randomness (default 1)"),
-            DURATION.but(help="length of the flight"),
-            option("--mass-step", metavar="T:FACTOR", help="change the mass in flight"),
-            RECORD.but(help="record the flight to a .tlog"),
+            option("--sigma", None, "noise of paper and white, rad and rad/s", type=not_negative),
+            RATE.but("message rate of IMU and rotors (default 250)"),
+            SEED.but("seed of all randomness (default 1)", metavar="N"),
+            DURATION.but("length of the flight"),
+            option("--mass-step", "T:FACTOR", "change the mass in flight"),
+            RECORD.but("record the flight to a .tlog"),
             *DISPLAY,
             COACH,
         ),
@@ -147,10 +149,10 @@ COMMANDS = (
         "Identifies live from a MAVLink link, such as udpin:0.0.0.0:14550, udpout:HOST:PORT, "
         "tcp:HOST:PORT or /dev/ttyUSB0.",
         (
-            option("url", metavar="URL", help="such as udpin:0.0.0.0:14550"),
+            option("url", "URL", "such as udpin:0.0.0.0:14550"),
             airframe(REPORTED),
             RECORD,
-            option("--no-record", action="store_true", help="do not record"),
+            option("--no-record", None, "do not record", action="store_true"),
             *LINK,
             VEHICLE,
             DURATION,
@@ -165,34 +167,33 @@ COMMANDS = (
         "Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of ArduPilot, "
         ".bbl of Betaflight, INAV or Indiflight.",
         (
-            LOGS.but(
-                help=".tlog, .ulg, .bin, .bbl, .csv or .parquet file; several: each by itself"
-            ),
+            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv or .parquet file; several: each by itself"),
             CSV,
             airframe(REPORTED),
             JSON,
-            option("--report", metavar="FILE.html", help="write an HTML report with figures"),
+            option("--report", "FILE.html", "write an HTML report with figures"),
             FORCE,
             *SPAN,
             VEHICLE,
             TRUTH,
             option(
                 "--added-mass",
+                "KG",
+                "set the scale from two flights, the second with KG of added mass",
                 type=mass,
-                metavar="KG",
-                help="set the scale from two flights, the second with KG of added mass",
             ),
             OFFLINE.but(
-                help="filter error or maximum likelihood over the whole record, with the "
+                "filter error or maximum likelihood over the whole record, with the "
                 "Cramer-Rao bound (slower)"
             ),
             option(
                 "--method",
-                choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
-                default="forward",
-                help="forward: whitened rows, or the window for slow data (default); forward-td, "
+                None,
+                "forward: whitened rows, or the window for slow data (default); forward-td, "
                 "forward-window: a tracking differentiator or the window throughout; others: the "
                 "article's method and variants, for study",
+                choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
+                default="forward",
             ),
         ),
     ),
@@ -206,7 +207,7 @@ COMMANDS = (
             CSV,
             airframe(),
             VEHICLE,
-            SPEED.but(choices=("1", "10", "max"), help="initial speed (default 1)"),
+            SPEED.but("initial speed (default 1)", choices=("1", "10", "max")),
             TRUTH,
             TARGET,
             *DISPLAY,
@@ -220,12 +221,7 @@ COMMANDS = (
         "link it requests streams as live does, and restores the rates.",
         (
             # Left out by `inspect --json LOG`, see the command.
-            option(
-                "target",
-                nargs="?",
-                metavar="LOG|URL",
-                help="a log, or a link such as udpin:0.0.0.0:14550",
-            ),
+            option("target", "LOG|URL", "a log, or a link such as udpin:0.0.0.0:14550", nargs="?"),
             CSV,
             JSON_INSTEAD,
             FORCE,
@@ -235,18 +231,17 @@ COMMANDS = (
                 None,
                 option(
                     "--rotors",
+                    "N",
+                    "number of rotors, if neither --airframe nor the vehicle type defines it",
                     type=count(3, 32),
-                    metavar="N",
-                    help="number of rotors, if neither --airframe nor the vehicle type defines it",
                 ),
             ),
             Group(
                 "link",
                 (
                     DURATION.but(
+                        "listen for S seconds after the first message of the vehicle (default 10)",
                         default=10.0,
-                        help="listen for S seconds after the first message of the vehicle "
-                        "(default 10)",
                     ),
                     *LINK,
                 ),
@@ -260,38 +255,38 @@ COMMANDS = (
         "parameters from any log with a hover, at any message rate. Without --airframe the rotor "
         "positions come from the log.",
         (
-            LOGS.but(help=".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
+            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
             CSV,
             layout(
                 "default: by the vehicle's parameters or type",
                 None,
                 option(
                     "--battery-mass",
+                    "KG",
+                    "battery mass: shows how far to move it to center the CG",
                     type=mass,
-                    metavar="KG",
-                    help="battery mass: shows how far to move it to center the CG",
                 ),
             ),
             VEHICLE,
             BASELINE.but(
-                metavar="HEALTH.json",
-                help="earlier flight, written by --json, to find a rotor that has weakened since "
+                "earlier flight, written by --json, to find a rotor that has weakened since "
                 "(default: the first of several logs)",
+                metavar="HEALTH.json",
             ),
             option(
                 "--unchanged",
+                None,
+                "nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
                 action="store_true",
-                help="nothing was moved or loaded since the baseline: a weak rotor is detected "
-                "sooner",
             ),
-            JSON.but(help="write the findings; - is stdout"),
+            JSON.but("write the findings; - is stdout"),
             option(
                 "--params",
-                metavar="FILE",
-                help="suggested autopilot parameters: .params for QGroundControl, .param for "
+                "FILE",
+                "suggested autopilot parameters: .params for QGroundControl, .param for "
                 "Mission Planner; nothing is sent to a vehicle",
             ),
-            option("--picture", metavar="FILE.svg", help="the vehicle from above, on a page"),
+            option("--picture", "FILE.svg", "the vehicle from above, on a page"),
             FORCE,
         ),
     ),
@@ -303,14 +298,15 @@ COMMANDS = (
             airframe(),
             option(
                 "--rotor-input",
+                None,
+                "rotor telemetry to plan for (default: the airframe's, else speed)",
                 choices=tuple(RotorInput),
-                help="rotor telemetry to plan for (default: the airframe's, else speed)",
             ),
             JSON_INSTEAD.but(
-                help="print JSON instead of text, or also write it to FILE; sim-bridge --mission "
+                "print JSON instead of text, or also write it to FILE; sim-bridge --mission "
                 "FILE flies it"
             ),
-            option("--svg", metavar="FILE", help="write a picture of the motion"),
+            option("--svg", "FILE", "write a picture of the motion"),
             FORCE,
             COACH,
         ),
@@ -323,38 +319,38 @@ COMMANDS = (
         "drawn from its covariance. With --signals, the aligned signals and residuals of a log as "
         "a table.",
         (
-            RESULT.but(metavar="RESULT.json|LOG", help="written by --json; with --signals, a log"),
-            option("--to", choices=EXPORT_TARGETS, help="target format"),
+            RESULT.but("written by --json; with --signals, a log", metavar="RESULT.json|LOG"),
+            option("--to", None, "target format", choices=EXPORT_TARGETS),
             OUTPUT,
-            FORCE.but(help="overwrite FILE"),
+            FORCE.but("overwrite FILE"),
             Group(
                 "signals of a flight, instead of a vehicle",
                 (
                     option(
                         "--signals",
-                        metavar="FILE",
-                        help="write aligned signals and residuals of LOG, as .csv, .parquet or "
+                        "FILE",
+                        "write aligned signals and residuals of LOG, as .csv, .parquet or "
                         ".mcap, for PlotJuggler, Foxglove or MATLAB; needs --airframe and a scale",
                     ),
                     CSV,
                     VEHICLE,
-                    OneOf(tuple(each.but(help=_AS_ANALYZE) for each in (MASS, K_T, T_MAX))),
+                    OneOf(tuple(each.but(_AS_ANALYZE) for each in (MASS, K_T, T_MAX))),
                 ),
             ),
             NAME,
             option(
                 "--ensemble",
+                "N",
+                "N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
                 type=DRAWS,
-                metavar="N",
-                help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
             ),
-            SEED.but(help="seed of --ensemble (default 1)"),
+            SEED.but("seed of --ensemble (default 1)"),
             other_values(
                 SET.but(
+                    "a value from elsewhere, SI, such as rotor_speed_max=900 or Ixy=0; may be "
+                    "repeated",
                     type=setting,
                     metavar="NAME=VALUE",
-                    help="a value from elsewhere, SI, such as rotor_speed_max=900 or Ixy=0; may be "
-                    "repeated",
                 )
             ),
         ),
@@ -369,50 +365,44 @@ COMMANDS = (
             RESULT,
             option(
                 "parameters",
-                nargs="?",
-                metavar="LOG|PARAMETERS",
-                help="log, .params or .param file with the autopilot's parameters: its gains and "
+                "LOG|PARAMETERS",
+                "log, .params or .param file with the autopilot's parameters: its gains and "
                 "filters",
+                nargs="?",
             ),
             option(
                 "--with",
-                dest="beside",
-                metavar="RESULT2.json",
-                help="second result of the same flight, from commands if the first is from rotor "
+                "RESULT2.json",
+                "second result of the same flight, from commands if the first is from rotor "
                 "speeds; supplies what the first lacks",
+                dest="beside",
             ),
-            option("--autopilot", choices=("px4", "ardupilot"), help="default: the vehicle's"),
+            option("--autopilot", None, "default: the vehicle's", choices=("px4", "ardupilot")),
             option(
                 "--delay",
+                "S[±STD]",
+                "delay from gyro sample to rotor command (default: as identified, else 5 ms)",
                 type=uncertain_delay,
-                metavar="S[±STD]",
-                help="delay from gyro sample to rotor command (default: as identified, else 5 ms)",
             ),
-            JSON.but(help="write margins and gains; - is stdout"),
-            option("--bode", metavar="FILE.svg", help="Bode diagram with the 95 %% band"),
+            JSON.but("write margins and gains; - is stdout"),
+            option("--bode", "FILE.svg", "Bode diagram with the 95 %% band"),
             option(
                 "--to",
+                None,
+                "format of -o: gains, or G1 and G2 of INDI (Indiflight, Paparazzi)",
                 choices=("px4-params", "ardupilot-param", "indi", "paparazzi"),
-                help="format of -o: gains, or G1 and G2 of INDI (Indiflight, Paparazzi)",
             ),
-            OUTPUT.but(help="file for a ground station"),
+            OUTPUT.but("file for a ground station"),
             FORCE,
-            option(
-                "--draws",
-                type=DRAWS,
-                default=100,
-                metavar="N",
-                help="vehicles drawn (default 100)",
-            ),
-            SEED.but(help="seed of the draws (default 1)"),
-            VEHICLE.but(help="whose parameters, if several are in the log"),
+            option("--draws", "N", "vehicles drawn (default 100)", type=DRAWS, default=100),
+            SEED.but("seed of the draws (default 1)"),
+            VEHICLE.but("whose parameters, if several are in the log"),
             NAME,
             other_values(
                 SET.but(
+                    "a value from elsewhere, SI, such as motor_lag=0.03+-0.005; may be repeated",
                     type=uncertain_setting,
                     metavar="NAME=VALUE[±STD]",
-                    help="a value from elsewhere, SI, such as motor_lag=0.03+-0.005; may be "
-                    "repeated",
                 )
             ),
         ),
@@ -422,9 +412,9 @@ COMMANDS = (
         "test whether a vehicle has changed",
         "Compares two results of one vehicle, parameter by parameter.",
         (
-            option("before", metavar="A.json", help="result written by --json"),
-            option("after", metavar="B.json", help="another result of the same vehicle"),
-            JSON.but(help="write the comparison; - is stdout"),
+            option("before", "A.json", "result written by --json"),
+            option("after", "B.json", "another result of the same vehicle"),
+            JSON.but("write the comparison; - is stdout"),
             FORCE,
         ),
     ),
@@ -436,19 +426,15 @@ COMMANDS = (
         "with the predicted band and with constant rates. Without --airframe, vehicle and scale "
         "are those of the result.",
         (
-            RESULT.but(
-                metavar="RESULT", help="result written by --json, or another log of the vehicle"
-            ),
-            LOG.but(help="flight to fly the model along"),
-            JSON.but(help="write the errors; - is stdout"),
-            option("--picture", metavar="FILE.svg", help="draw how the errors grow"),
+            RESULT.but("result written by --json, or another log of the vehicle", metavar="RESULT"),
+            LOG.but("flight to fly the model along"),
+            JSON.but("write the errors; - is stdout"),
+            option("--picture", "FILE.svg", "draw how the errors grow"),
             FORCE,
             airframe("default: the result's; auto: the layout in the vehicle's parameters"),
             VEHICLE,
             SEED.but(
-                default=0,
-                metavar="N",
-                help="seed of the vehicles drawn from the covariance (default 0)",
+                "seed of the vehicles drawn from the covariance (default 0)", default=0, metavar="N"
             ),
         ),
     ),
@@ -459,42 +445,40 @@ COMMANDS = (
         "Parquet table of all. Run again, it resumes. Without --airframe each log uses the nearest "
         "airframe.toml, beside it or in a folder above.",
         (
-            LOGS.but(metavar="PATH", help="a log, or a folder searched for logs"),
+            LOGS.but("a log, or a folder searched for logs", metavar="PATH"),
             CSV,
-            OUTPUT.but(metavar="DIR", required=True, help="folder for results and table"),
-            FORCE.but(help="redo every log and overwrite existing files"),
+            OUTPUT.but("folder for results and table", metavar="DIR", required=True),
+            FORCE.but("redo every log and overwrite existing files"),
             OneOf(
                 (
                     option(
                         "--workers",
+                        "N",
+                        "number of processes (default: one per processor)",
                         type=count(1, 1024),
-                        metavar="N",
-                        help="number of processes (default: one per processor)",
                     ),
                     option(
-                        "--scheduler",
-                        metavar="URL",
-                        help="run on a Dask cluster, such as tcp://10.0.0.1:8786",
+                        "--scheduler", "URL", "run on a Dask cluster, such as tcp://10.0.0.1:8786"
                     ),
                 )
             ),
             option(
                 "--log-timeout",
+                "S",
+                "time limit for one log (default 1800)",
                 type=between(0.01, 1e6, "s"),
                 default=1800.0,
-                metavar="S",
-                help="time limit for one log (default 1800)",
             ),
             option(
                 "--log-memory",
+                "MB",
+                "memory limit for one log, on Linux (default 4000)",
                 type=between(10.0, 1e6, "MB"),
                 default=4000.0,
-                metavar="MB",
-                help="memory limit for one log, on Linux (default 4000)",
             ),
             airframe("default: the nearest airframe.toml"),
             VEHICLE,
-            OFFLINE.but(help="maximum likelihood over whole records (slower)"),
+            OFFLINE.but("maximum likelihood over whole records (slower)"),
         ),
     ),
     Command(
@@ -503,9 +487,9 @@ COMMANDS = (
         "Writes an HTML page of a batch: the parameters of every vehicle over its flights, and "
         "where they changed.",
         (
-            option("fleet", metavar="DIR|FILE.parquet", help="output of batch"),
-            OUTPUT.but(metavar="FILE.html", required=True, help="output file"),
-            FORCE.but(help="overwrite FILE"),
+            option("fleet", "DIR|FILE.parquet", "output of batch"),
+            OUTPUT.but("output file", metavar="FILE.html", required=True),
+            FORCE.but("overwrite FILE"),
         ),
     ),
     Command(
@@ -517,11 +501,11 @@ COMMANDS = (
         (
             option(
                 "address",
+                "[HOST:]PORT",
+                "address to serve on (default 8000, this machine only)",
                 nargs="?",
                 type=web_address,
                 default=LOCAL_PAGE,
-                metavar="[HOST:]PORT",
-                help="address to serve on (default 8000, this machine only)",
             ),
         ),
     ),
@@ -536,44 +520,36 @@ COMMANDS = (
                 "Writes an airframe file. Asks for what the options do not give; with --layout and "
                 "--arm (or --rotor) and --output it asks nothing.",
                 (
-                    option(
-                        "--layout", choices=LAYOUTS, metavar="NAME", help=", ".join(LAYOUTS[::2])
-                    ),
+                    option("--layout", "NAME", ", ".join(LAYOUTS[::2]), choices=LAYOUTS),
                     ARM.but(
+                        "m from the center to each motor; X,Y for a quad X that is not square",
                         type=None,
                         metavar="M",
-                        help="m from the center to each motor; X,Y for a quad X that is not square",
                     ),
                     option(
                         "--rotor",
+                        "SPIN:X,Y",
+                        "a motor of a custom layout, such as cw:0.2,-0.2: m forward and "
+                        "right; repeat in motor order",
                         action="append",
                         default=[],
-                        metavar="SPIN:X,Y",
-                        help="a motor of a custom layout, such as cw:0.2,-0.2: m forward and "
-                        "right; repeat in motor order",
                     ),
-                    option(
-                        "--spin",
-                        metavar="LIST",
-                        help="reversed, or the spin of each motor: ccw,ccw,cw,cw",
-                    ),
+                    option("--spin", "LIST", "reversed, or the spin of each motor: ccw,ccw,cw,cw"),
                     OneOf(
                         (
-                            MASS.but(type=mass, metavar="KG", help="weighed mass"),
-                            K_T.but(type=positive, metavar="N_S2", help="known k_T"),
-                            T_MAX.but(type=positive, metavar="N", help="known thrust of a rotor"),
+                            MASS.but("weighed mass", type=mass, metavar="KG"),
+                            K_T.but("known k_T", type=positive, metavar="N_S2"),
+                            T_MAX.but("known thrust of a rotor", type=positive, metavar="N"),
                         )
                     ),
                     option(
                         "--imu",
-                        metavar="X,Y,Z",
-                        help="IMU position, m forward, right, down of the center: --imu=-0.02,0,0",
+                        "X,Y,Z",
+                        "IMU position, m forward, right, down of the center: --imu=-0.02,0,0",
                     ),
-                    PRIOR.but(help="prior; may be repeated"),
-                    NAME.but(metavar=None, help="name of the vehicle (default: the file's name)"),
-                    OUTPUT.but(
-                        metavar="FILE.toml", help="output file, must not exist; - is stdout"
-                    ),
+                    PRIOR.but("prior; may be repeated"),
+                    NAME.but("name of the vehicle (default: the file's name)", metavar=None),
+                    OUTPUT.but("output file, must not exist; - is stdout", metavar="FILE.toml"),
                 ),
             ),
             Command(
@@ -582,12 +558,9 @@ COMMANDS = (
                 "Draws the rotors of an airframe and lists what looks wrong.",
                 (
                     option(
-                        "file",
-                        metavar="FILE",
-                        type=Path,
-                        help="airframe file, or a built-in airframe's name",
+                        "file", "FILE", "airframe file, or a built-in airframe's name", type=Path
                     ),
-                    option("--json", action="store_true", help="findings as JSON"),
+                    option("--json", None, "findings as JSON", action="store_true"),
                 ),
             ),
         ),
@@ -598,10 +571,10 @@ COMMANDS = (
         "Checks versions, ports, serial devices, terminal and recording folder, and listens for "
         "vehicles. Sends nothing. Exit status 1 if there is a problem.",
         (
-            option("urls", nargs="*", metavar="URL", help="also listen here, such as /dev/ttyUSB0"),
+            option("urls", "URL", "also listen here, such as /dev/ttyUSB0", nargs="*"),
             BAUD,
-            DURATION.but(default=3.0, help="listen for S seconds (default 3); nothing is sent"),
-            option("--json", action="store_true", help="findings as JSON on standard output"),
+            DURATION.but("listen for S seconds (default 3); nothing is sent", default=3.0),
+            option("--json", None, "findings as JSON on standard output", action="store_true"),
         ),
     ),
     Command(
@@ -611,7 +584,7 @@ COMMANDS = (
         "zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion fish > "
         "~/.config/fish/completions/gcs-sysid.fish; PowerShell, in $PROFILE: gcs-sysid completion "
         "powershell | Out-String | Invoke-Expression",
-        (option("shell", choices=SHELLS, metavar="|".join(SHELLS), help="shell"),),
+        (option("shell", "|".join(SHELLS), "shell", choices=SHELLS),),
     ),
 )
 

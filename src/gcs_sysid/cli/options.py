@@ -37,14 +37,24 @@ class Option:
     names: tuple[str, ...]
     settings: Mapping[str, Any]
 
-    def but(self, **settings: Any) -> "Option":
-        """The same with other settings."""
-        return Option(self.names, {**self.settings, **settings})
+    def but(self, help: str | None = None, **settings: Any) -> "Option":
+        """The same with another help or other settings."""
+        told = {} if help is None else {"help": help}
+        return Option(self.names, {**self.settings, **told, **settings})
 
 
-def option(*names: str, **settings: Any) -> Option:
-    """An option with its settings."""
-    return Option(names, settings)
+def option(names: str, metavar: str | None, help: str, **settings: Any) -> Option:
+    """An option.
+
+    Args:
+        names: as typed, such as "-o, --output"; of an argument, the name that its value goes by.
+        metavar: what stands for its value in the help; None: its name or choices.
+        help: in a phrase.
+        settings: the rest of what `ArgumentParser.add_argument` takes.
+    """
+    if metavar is not None:
+        settings["metavar"] = metavar
+    return Option(tuple(names.split(", ")), {"help": help, **settings})
 
 
 @dataclass(frozen=True)
@@ -66,74 +76,60 @@ LOCAL_PAGE = ("127.0.0.1", 8000)
 """Where a page is served by default."""
 
 # What is read.
-LOG = option("log", metavar="LOG", help="a .tlog, .ulg, .bin, .bbl or .csv file")
-LOGS = option("logs", nargs="+", metavar="LOG")
-RESULT = option("result", metavar="RESULT.json", help="written by --json")
+LOG = option("log", "LOG", "a .tlog, .ulg, .bin, .bbl or .csv file")
+LOGS = option("logs", "LOG", "", nargs="+")
+RESULT = option("result", "RESULT.json", "written by --json")
 CSV = option(
     "--csv",
-    metavar="MAPPING.toml",
-    help="what the columns of .csv and .parquet LOGs mean (default: columns.toml beside them)",
+    "MAPPING.toml",
+    "what the columns of .csv and .parquet LOGs mean (default: columns.toml beside them)",
 )
 VEHICLE = option(
     "--vehicle",
+    "SYSID[:COMPID]",
+    "if there are several (default: the first autopilot received)",
     type=vehicle_address,
-    metavar="SYSID[:COMPID]",
-    help="if there are several (default: the first autopilot received)",
 )
-TRUTH = option("--truth", metavar="FILE", help="true parameters, shown beside the estimates")
-BASELINE = option(
-    "--baseline", metavar="RESULT.json", help="earlier result to compare with on the screen"
-)
+TRUTH = option("--truth", "FILE", "true parameters, shown beside the estimates")
+BASELINE = option("--baseline", "RESULT.json", "earlier result to compare with on the screen")
 
 # What is written.
-JSON = option("--json", metavar="FILE", help="write the result; - is stdout")
+JSON = option("--json", "FILE", "write the result; - is stdout")
 JSON_INSTEAD = option(
-    "--json",
-    nargs="?",
-    const="-",
-    metavar="FILE",
-    help="print JSON instead of text, or also write it to FILE",
+    "--json", "FILE", "print JSON instead of text, or also write it to FILE", nargs="?", const="-"
 )
-FORCE = option("--force", action="store_true", help="overwrite existing files")
-OUTPUT = option("-o", "--output", metavar="FILE", help="output file; - is stdout")
-RECORD = option("--record", metavar="FILE", help="default: a dated .tlog under logs/")
+FORCE = option("--force", None, "overwrite existing files", action="store_true")
+OUTPUT = option("-o, --output", "FILE", "output file; - is stdout")
+RECORD = option("--record", "FILE", "default: a dated .tlog under logs/")
 
 # The vehicle and its scale.
-AIRFRAME = option("--airframe", metavar="NAME|FILE")
+AIRFRAME = option("--airframe", "NAME|FILE", "")
 ARM = option(
     "--arm",
-    type=GIVEN["arm"],
-    metavar="M[±STD]",
-    help="mean distance of the rotors from the center, m; here and below "
+    "M[±STD]",
+    "mean distance of the rotors from the center, m; here and below "
     "+- adds a standard deviation: 0.25+-0.003 or 0.25+-1%% (default 1%%)",
+    type=GIVEN["arm"],
 )
 MASS = option(
-    "--mass",
-    type=GIVEN["mass"],
-    metavar="KG[±STD]",
-    help="weighed mass as the scale (default +-0.5%%)",
+    "--mass", "KG[±STD]", "weighed mass as the scale (default +-0.5%%)", type=GIVEN["mass"]
 )
-K_T = option(
-    "--k-t",
-    type=GIVEN["k_T"],
-    metavar="N_S2[±STD]",
-    help="known k_T as the scale (default +-2%%)",
-)
+K_T = option("--k-t", "N_S2[±STD]", "known k_T as the scale (default +-2%%)", type=GIVEN["k_T"])
 T_MAX = option(
     "--t-max",
+    "N[±STD]",
+    "known thrust of a rotor at full command (default +-2%%)",
     type=GIVEN["T_max"],
-    metavar="N[±STD]",
-    help="known thrust of a rotor at full command (default +-2%%)",
 )
 PRIOR = option(
     "--prior",
+    "NAME=VALUE±STD",
+    "prior, such as k_M=6.1e-6+-1e-7 from a bench test; may be repeated",
     type=prior,
     action=AppendNamed,
     default=[],
-    metavar="NAME=VALUE±STD",
-    help="prior, such as k_M=6.1e-6+-1e-7 from a bench test; may be repeated",
 )
-NAME = option("--name", metavar="NAME", help="name of the vehicle (default: the airframe's)")
+NAME = option("--name", "NAME", "name of the vehicle (default: the airframe's)")
 
 
 def layout(unnamed: str = "", default: str | None = None, *more: Option) -> Group:
@@ -146,7 +142,7 @@ def layout(unnamed: str = "", default: str | None = None, *more: Option) -> Grou
     """
     words = "built-in name (paper, px4-quad-x, ...) or .toml file"
     words += f" ({unnamed})" if unnamed else ""
-    airframe = AIRFRAME.but(default=default, help=words)
+    airframe = AIRFRAME.but(words, default=default)
     return Group("vehicle and scale", (airframe, ARM, OneOf((MASS, K_T, T_MAX)), *more))
 
 
@@ -165,71 +161,69 @@ def other_values(setting: Option) -> Group:
         "values that the flight did not identify",
         (
             setting,
-            AIRFRAME.but(help="supplies [prior], scale, and rotors if the result has none"),
-            ARM.but(
-                type=positive, metavar="M", help="mean distance of the rotors from the center, m"
-            ),
+            AIRFRAME.but("supplies [prior], scale, and rotors if the result has none"),
+            ARM.but("mean distance of the rotors from the center, m", type=positive, metavar="M"),
         ),
     )
 
 
-SET = option("--set", action=AppendNamed, default=[])
+SET = option("--set", None, "", action=AppendNamed, default=[])
 
 # A link.
-BAUD = option("--baud", type=baud, metavar="N", help="baud rate of serial ports")
+BAUD = option("--baud", "N", "baud rate of serial ports", type=baud)
 RATE = option(
     "--rate",
+    "HZ",
+    "message rate to request (default 250)",
     type=between(1.0, 2000.0, "Hz"),
     default=250.0,
-    metavar="HZ",
-    help="message rate to request (default 250)",
 )
 LINK = (
-    BAUD.but(help="serial baud rate (default 115200); limits the message rates"),
-    option("--listen-only", action="store_true", help="send nothing"),
+    BAUD.but("serial baud rate (default 115200); limits the message rates"),
+    option("--listen-only", None, "send nothing", action="store_true"),
     RATE,
     option(
         "--signing-key",
-        metavar="FILE",
-        help="MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
+        "FILE",
+        "MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
         "unsigned frames are rejected",
     ),
 )
-DURATION = option("--duration", type=positive, metavar="S", help="stop after S seconds")
+DURATION = option("--duration", "S", "stop after S seconds", type=positive)
 
 # A session: where it is shown, what its coach aims at.
 DISPLAY = (
-    option("--headless", action="store_true", help="print instead of the screen"),
-    option("--pilot", action="store_true", help="begin with the coach in large print"),
+    option("--headless", None, "print instead of the screen", action="store_true"),
+    option("--pilot", None, "begin with the coach in large print", action="store_true"),
     OneOf(
         (
             option(
                 "--speak",
+                None,
+                "announce maneuvers, link and verdict by spd-say, espeak-ng or say, else the bell",
                 action="store_true",
-                help="announce maneuvers, link and verdict by spd-say, espeak-ng or say, else the "
-                "bell",
             ),
-            option("--bell", action="store_true", help="ring the terminal's bell for them"),
+            option("--bell", None, "ring the terminal's bell for them", action="store_true"),
         )
     ),
     option(
         "--web",
+        "[HOST:]PORT",
+        "serve a page for browsers (default 8000, this machine only)",
         nargs="?",
         type=web_address,
         const=LOCAL_PAGE,
-        metavar="[HOST:]PORT",
-        help="serve a page for browsers (default 8000, this machine only)",
     ),
-    JSON.but(help="snapshots, one per line; - is stdout"),
+    JSON.but("snapshots, one per line; - is stdout"),
     FORCE,
     BASELINE,
 )
 TARGET = option(
     "--target",
+    "P%",
+    "target 95 %% interval, relative to the value (default 2%%)",
     type=percentage,
     default=0.02,
-    metavar="P%",
-    help="target 95 %% interval, relative to the value (default 2%%)",
 )
 COACH = Group(
     "flight coach",
@@ -237,47 +231,47 @@ COACH = Group(
         TARGET,
         option(
             "--max-tilt",
+            "DEG",
+            "roll and pitch limit (default 20)",
             type=between(5.0, 45.0, "degrees"),
             default=20.0,
-            metavar="DEG",
-            help="roll and pitch limit (default 20)",
         ),
         option(
             "--max-rate",
+            "DEG_S",
+            "rate limit of each axis (default 150)",
             type=between(30.0, 600.0, "deg/s"),
             default=150.0,
-            metavar="DEG_S",
-            help="rate limit of each axis (default 150)",
         ),
         option(
             "--max-height",
+            "M",
+            "climb and descent, 0.2 to 1; 0: none (default 1)",
             type=climb,
             default=1.0,
-            metavar="M",
-            help="climb and descent, 0.2 to 1; 0: none (default 1)",
         ),
     ),
 )
 
 # How something is computed.
-SPEED = option("--speed", default="1")
-SEED = option("--seed", type=int, default=1)
+SPEED = option("--speed", None, "", default="1")
+SEED = option("--seed", None, "", type=int, default=1)
 DRAWS = count(1, 10_000)
 """Parse function of how many vehicles are drawn from a covariance."""
 SPAN = (
     option(
         "--start",
+        "S",
+        "use the log from S seconds after its beginning (default 0)",
         type=not_negative,
         default=0.0,
-        metavar="S",
-        help="use the log from S seconds after its beginning (default 0)",
     ),
     option(
         "--end",
+        "S",
+        "use the log up to S seconds after its beginning (default: all of it)",
         type=positive,
         default=math.inf,
-        metavar="S",
-        help="use the log up to S seconds after its beginning (default: all of it)",
     ),
 )
-OFFLINE = option("--offline", action="store_true")
+OFFLINE = option("--offline", None, "", action="store_true")
