@@ -117,6 +117,10 @@ def test_scale_arm_and_priors_reach_the_airframe():
     assert airframe.arm == pytest.approx(0.3)
     assert airframe.priors == {"k_M": (6e-6, 1e-7)}
     assert gcs_sysid.load_airframe(airframe, k_T=1e-5).anchor() == ("k_T", 1e-5)
+    measured = gcs_sysid.load_airframe("paper", mass="1.5+-0.03", arm="0.3")
+    assert measured.anchor() == ("mass", 1.5)
+    assert measured.arm == pytest.approx(0.3)
+    assert measured.uncertainty.scale_share("mass", 1.5) == pytest.approx(0.02)
 
 
 def test_a_result_comes_back_from_its_file(analyzed, tmp_path):
@@ -152,6 +156,7 @@ def test_rotations_that_are_none_are_refused(signals):
 @pytest.mark.parametrize(
     ("name", "known", "says"),
     [
+        ("paper", {"mass": "heavy"}, "mass must be a number, got 'heavy'"),
         ("px4-quad-x", {}, "nothing sets the scale"),
         ("px4-quad-x", {"mass": 1.0, "k_T": 1e-5}, "one scale only, not mass and k_T"),
         ("px4-quad-x", {"mass": -1.0}, "mass must be a positive number"),

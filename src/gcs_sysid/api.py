@@ -14,6 +14,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gcs_sysid.argument_types import GIVEN, parse_given, with_given
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.acceleration_prediction import Model
@@ -156,7 +157,8 @@ class Known(TypedDict, total=False):
     """What may be said of an airframe beyond its file.
 
     Attributes:
-        arm: m, mean distance of the rotors that the layout is scaled to.
+        arm: m, mean distance of the rotors that the layout is scaled to; this and the next three
+            perhaps with a standard deviation, as "0.25+-0.003" or "0.25+-1%".
         mass: kg, weighed, as the scale.
         k_T: N s^2, as the scale; with measured speeds.
         T_max: N, a rotor's thrust at full command, as the scale; with commands.
@@ -164,10 +166,10 @@ class Known(TypedDict, total=False):
         uncertainty: of arm, mass, ...: number or percentage, as in a file's `[uncertainty]`.
     """
 
-    arm: float
-    mass: float
-    k_T: float
-    T_max: float
+    arm: float | str
+    mass: float | str
+    k_T: float | str
+    T_max: float | str
     priors: Mapping[str, tuple[float, float]]
     uncertainty: Mapping[str, float | str]
 
@@ -195,13 +197,14 @@ def load_airframe(
     if unknown:
         raise TypeError(f"unexpected keyword argument {min(unknown)!r}")
     out = airframe if isinstance(airframe, Airframe) else read_airframe(fspath(airframe))
-    if "arm" in known:
-        out = out.with_arm(known["arm"])
     scales = [name for name in ANCHORS if name in known]
     if len(scales) > 1:
         raise InputError(f"give one scale only, not {' and '.join(scales)} together")
-    for name in scales:
-        out = out.with_anchor(name, known[name])
+    for name in GIVEN:
+        if name in known:
+            value = known[name]
+            given = parse_given(name, value, name) if isinstance(value, str) else value
+            out = with_given(out, name, given, name)
     out = out.with_uncertainty(known.get("uncertainty", {}), "uncertainty")
     for prior, (value, std) in known.get("priors", {}).items():
         out = out.with_prior(prior, value, std)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-from gcs_sysid.errors import nearest
+from gcs_sysid.errors import InputError, nearest
 from gcs_sysid.sanitize import one_line
 
 if TYPE_CHECKING:
@@ -267,6 +267,23 @@ GIVEN: dict[GivenName, Callable[[str], Measured]] = {
 }
 """What a user gives of an airframe, perhaps with a standard deviation -> its parse function: the
 rotors' mean distance from the center in m, and what sets the scale."""
+
+
+def parse_given(name: GivenName, text: str, what: str) -> Measured:
+    """What is given of an airframe, from text that is no option's.
+
+    Args:
+        name: of what is given.
+        text: as typed.
+        what: it is called, for messages.
+
+    Raises:
+        InputError: it cannot be understood.
+    """
+    try:
+        return GIVEN[name](text)
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"{what} {error}") from error
 
 
 def with_given(airframe: "Airframe", name: GivenName, value: float, by: str) -> "Airframe":

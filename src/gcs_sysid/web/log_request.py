@@ -1,12 +1,11 @@
 """What a page asks for, checked before a process is started for it."""
 
-import argparse
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from gcs_sysid.argument_types import GIVEN, GivenName, Measured
+from gcs_sysid.argument_types import GivenName, Measured, parse_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, AnchorName, builtin_names
 from gcs_sysid.sanitize import printable
@@ -17,7 +16,12 @@ RESULT, REPORT, PICTURE = "result.json", "report.html", "health.svg"
 _MOST_ROTORS = 32
 _MOST_NAME = 120
 """Characters of a file's name that are kept."""
-_MEANING = {"mass": "mass (kg)", "k_T": "k_T (N s²)", "T_max": "T_max (N)", "arm": "arm (m)"}
+_MEANING: dict[GivenName, str] = {
+    "mass": "mass (kg)",
+    "k_T": "k_T (N s²)",
+    "T_max": "T_max (N)",
+    "arm": "arm (m)",
+}
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,5 @@ def _rotor(value: object, number: int) -> Mapping[str, Any]:
 
 
 def _number(value: object, name: GivenName) -> Measured:
-    try:
-        return GIVEN[name](_text(str(value) if isinstance(value, int | float) else value, name, 40))
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"{_MEANING[name]} {error}") from error
+    text = _text(str(value) if isinstance(value, int | float) else value, name, 40)
+    return parse_given(name, text, _MEANING[name])
