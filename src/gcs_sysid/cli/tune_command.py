@@ -7,6 +7,7 @@ the attitude loop closed. The band holds 95 % of the draws.
 """
 
 import argparse
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -33,7 +34,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
 from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
-from gcs_sysid.report.parts import Markup, element, joined
+from gcs_sysid.report.drawing import line, text
+from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 
 _OF_TARGET = {"px4-params": "px4", "ardupilot-param": "ardupilot"}
@@ -166,24 +168,23 @@ def bode_svg(tuning: TuningStudy) -> str:
     """The diagram of the gains now and proposed."""
     width = _LEFT + 3 * (_COLUMN + _GAP)
     height = _TOP + _UPPER + _GAP + _LOWER + 60.0
-    parts: list[str] = [
+    parts: list[Markup] = [
         element("rect", width="100%", height="100%", fill="#fff"),
-        _text(
+        _label(
             _LEFT, 22.0, f"Loops of {tuning.vehicle.name} with {tuning.proposed.autopilot}", size=16
         ),
     ]
     for i, (name, stroke) in enumerate((n, _STROKES[n]) for n in tuning.studies):
         parts.append(
-            _text(_LEFT + 180.0 * i, 42.0, f"{name} (band: 95 % of the interval)", fill=stroke)
+            _label(_LEFT + 180.0 * i, 42.0, f"{name} (band: 95 % of the interval)", fill=stroke)
         )
     for axis in range(3):
         parts += _grid(axis)
     for name, loop in tuning.loops.items():
         parts += _curves(tuning, loop, _STROKES[name])
-    body = joined(*(Markup(part) for part in parts))
     picture = element(
         "svg",
-        body,
+        *parts,
         xmlns="http://www.w3.org/2000/svg",
         viewBox=f"0 0 {width:.0f} {height:.0f}",
         font_family="sans-serif",
@@ -193,7 +194,7 @@ def bode_svg(tuning: TuningStudy) -> str:
     return picture + "\n"
 
 
-def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[str]:
+def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:
     omega = frequencies(loop, _POINTS)
     omega = omega[(omega >= _LOW) & (omega <= _HIGH)]
     loops = open_loops(tuning.dynamics, loop, omega)
@@ -240,46 +241,28 @@ def _points(axis: int, pairs: list[tuple[float, float]], place: object) -> str:
     return " ".join(f"{_x(axis, float(w)):.1f},{place(float(v)):.1f}" for w, v in pairs)
 
 
-def _grid(axis: int) -> Iterator[str]:
+def _grid(axis: int) -> Iterator[Markup]:
     left, right = _x(axis, _LOW), _x(axis, _HIGH)
-    yield _text(left, _TOP - 4.0, AXES[axis])
+    yield _label(left, _TOP - 4.0, AXES[axis])
     for decibels in range(-40, 41, 20):
-        yield _line(left, _upper(decibels), right, _upper(decibels), bold=decibels == 0)
+        yield _rule(left, _upper(decibels), right, _upper(decibels), bold=decibels == 0)
         if axis == 0:
-            yield _text(left - 8.0, _upper(decibels) + 4.0, f"{decibels} dB", anchor="end")
+            yield _label(left - 8.0, _upper(decibels) + 4.0, f"{decibels} dB", anchor="end")
     for degrees in range(-270, -89, 45):
-        yield _line(left, _lower(degrees), right, _lower(degrees), bold=degrees == -180)
+        yield _rule(left, _lower(degrees), right, _lower(degrees), bold=degrees == -180)
         if axis == 0:
-            yield _text(left - 8.0, _lower(degrees) + 4.0, f"{degrees}°", anchor="end")
+            yield _label(left - 8.0, _lower(degrees) + 4.0, f"{degrees}°", anchor="end")
     bottom = _TOP + _UPPER + _GAP + _LOWER
     for omega in (1.0, 10.0, 100.0):
         x = _x(axis, omega)
-        yield _line(x, _TOP, x, _TOP + _UPPER)
-        yield _line(x, _TOP + _UPPER + _GAP, x, bottom)
-        yield _text(x, bottom + 16.0, f"{omega:g}", anchor="middle")
-    yield _text(0.5 * (left + right), bottom + 34.0, "rad/s", anchor="middle")
+        yield _rule(x, _TOP, x, _TOP + _UPPER)
+        yield _rule(x, _TOP + _UPPER + _GAP, x, bottom)
+        yield _label(x, bottom + 16.0, f"{omega:g}", anchor="middle")
+    yield _label(0.5 * (left + right), bottom + 34.0, "rad/s", anchor="middle")
 
 
-def _line(x1: float, y1: float, x2: float, y2: float, *, bold: bool = False) -> Markup:
-    return element(
-        "line",
-        x1=f"{x1:.1f}",
-        y1=f"{y1:.1f}",
-        x2=f"{x2:.1f}",
-        y2=f"{y2:.1f}",
-        stroke="#555" if bold else "#ddd",
-    )
+def _rule(x1: float, y1: float, x2: float, y2: float, *, bold: bool = False) -> Markup:
+    return line(x1, y1, x2, y2, "grid", stroke="#555" if bold else "#ddd")
 
 
-def _text(
-    x: float, y: float, text: str, *, anchor: str = "start", size: int = 12, fill: str = "#222"
-) -> Markup:
-    return element(
-        "text",
-        text,
-        x=f"{x:.1f}",
-        y=f"{y:.1f}",
-        text_anchor=anchor,
-        font_size=str(size),
-        fill=fill,
-    )
+_label = functools.partial(text, size=12)
