@@ -269,6 +269,24 @@ GIVEN: dict[GivenName, Callable[[str], Measured]] = {
 rotors' mean distance from the center in m, and what sets the scale."""
 
 
+GIVEN_OPTIONS: dict[GivenName, str] = {
+    "arm": "--arm", "mass": "--mass", "k_T": "--k-t", "T_max": "--t-max",
+}  # fmt: skip
+"""The same -> the option that gives it."""
+
+
+def given_words(name: GivenName, value: float, sigma: str | None = None) -> tuple[str, str]:
+    """What gives a value on a command line: the option, and the value with its deviation.
+
+    Args:
+        name: of what is given.
+        value: as parsed, or a number.
+        sigma: given behind it; None: as parsed.
+    """
+    sigma = sigma or getattr(value, "sigma", None)
+    return GIVEN_OPTIONS[name], f"{value:.9g}" + ("" if sigma is None else f"+-{sigma}")
+
+
 def parse_given(name: GivenName, text: str, what: str) -> Measured:
     """What is given of an airframe, from text that is no option's.
 

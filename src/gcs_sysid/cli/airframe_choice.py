@@ -5,18 +5,16 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gcs_sysid.argument_types import GivenName, with_given
+from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, with_given
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
+from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
 
 if TYPE_CHECKING:  # only a log or a link needs these, which take a while to load
     from gcs_sysid.live.receiver_process import ReceiverProcess
     from gcs_sysid.live.reception import Item
     from gcs_sysid.session.reported_layout import ReportedLayout
 
-SCALE_OPTIONS: dict[GivenName, str] = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
-"""What sets the scale -> the option that gives it."""
 _NO_SCALE = (
     "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
     "--t-max VALUE with commands); IMU and rotor data alone fix ratios only"
@@ -25,8 +23,8 @@ _NO_SCALE = (
 
 def given_scale(options: argparse.Namespace) -> tuple[GivenName, float] | None:
     """What an option sets the scale to; None: none does."""
-    for name in SCALE_OPTIONS:
-        value = getattr(options, name.lower())
+    for name in ANCHORS:
+        value: float | None = getattr(options, name.lower())
         if value is not None:
             return name, value
     return None
@@ -42,7 +40,7 @@ def layout_of(options: argparse.Namespace, reported: Airframe | None = None) -> 
     if options.arm is not None:
         airframe = with_given(airframe, "arm", options.arm, "--arm")
     scale = given_scale(options)
-    return airframe if scale is None else with_given(airframe, *scale, SCALE_OPTIONS[scale[0]])
+    return airframe if scale is None else with_given(airframe, *scale, GIVEN_OPTIONS[scale[0]])
 
 
 def airframe_of(options: argparse.Namespace, reported: Airframe | None = None) -> Airframe:

@@ -5,8 +5,9 @@ import threading
 from collections.abc import Mapping
 from pathlib import Path
 
+from gcs_sysid.argument_types import given_words
 from gcs_sysid.cli import output
-from gcs_sysid.cli.airframe_choice import SCALE_OPTIONS
+from gcs_sysid.cli.airframe_choice import given_scale
 from gcs_sysid.cli.headless import Session, say_until_end
 from gcs_sysid.cli.output import on_signals, say_addresses
 from gcs_sysid.cli.reporting import ReportJob, have_written
@@ -133,22 +134,16 @@ def _command(
     """The command line that makes the same report of the finished recording."""
     words = ["gcs-sysid", "analyze", str(recording), "--airframe", str(options.airframe)]
     if options.arm is not None:
-        words += ["--arm", f"{options.arm:.9g}" + _sigma(options.arm)]
-    anchor = airframe.anchor()
+        words += given_words("arm", options.arm)
+    anchor, given = airframe.anchor(), given_scale(options)
     if anchor is not None:
-        sigmas = "".join(map(_sigma, (options.mass, options.k_t, options.t_max)))
-        words += [SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{sigmas}"]
+        sigma = None if given is None else getattr(given[1], "sigma", None)
+        words += given_words(*anchor, sigma=sigma)
     for name, value, std in options.prior:
         words += ["--prior", f"{name}={value:.9g}+-{std:.9g}"]
     if vehicle is not None:
         words += ["--vehicle", ":".join(str(part) for part in vehicle if part is not None)]
     return (*words, "--report", str(target))
-
-
-def _sigma(value: float | None) -> str:
-    """What was given behind an option's value."""
-    sigma = getattr(value, "sigma", None)
-    return "" if sigma is None else f"+-{sigma}"
 
 
 def live_actions(

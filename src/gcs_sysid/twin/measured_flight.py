@@ -7,6 +7,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.rows.rotor_signals import butterworth, steady_state
 from gcs_sysid.model import attitude as quaternions
 from gcs_sysid.model.flight_model import FlightModel, MotionState
 from gcs_sysid.model.rotor_input import RotorInput
@@ -209,21 +210,9 @@ def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | No
             [np.interp(now + delay, now, column, np.nan, np.nan) for column in rotors[part].T], 1
         )
         out[part] = stacked
-        if cutoff is not None and cutoff < 0.45 / dt:
-            inside = complete_rows(stacked)
-            out[part][inside] = _low_passed(stacked[inside], cutoff * dt)
+        inside = complete_rows(stacked)
+        if cutoff is not None and cutoff < 0.45 / dt and inside.any():
+            b, a = butterworth(cutoff * dt)
+            state = steady_state(b, a, stacked[inside][0])
+            out[part][inside], _ = lfilter(b, a, stacked[inside], state)
     return out
-
-
-def _low_passed(values: Array, cutoff: float) -> Array:
-    """Behind a second-order Butterworth low-pass, its cutoff in cycles a sample (bilinear)."""
-    if not len(values):
-        return values
-    w = math.tan(math.pi * cutoff)
-    scale = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
-    b = scale * w * w * np.array([1.0, 2.0, 1.0])
-    a = np.array([1.0, 2.0 * scale * (w * w - 1.0), scale * (1.0 - math.sqrt(2.0) * w + w * w)])
-    first = values[0]
-    settled = np.stack([(1.0 - b[0]) * first, (b[2] - a[2]) * first])
-    filtered, _ = lfilter(b, a, values, settled)
-    return filtered

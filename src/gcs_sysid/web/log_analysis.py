@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.argument_types import with_given
+from gcs_sysid.argument_types import given_words, with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.limits import MEGABYTE, LogLimits, OverTime, within
 from gcs_sysid.health.assessment import health_of_log
@@ -182,11 +182,8 @@ def _command(request: AnalysisRequest, name: str) -> tuple[str, ...]:
         request.kind, "my-airframe.toml"
     )
     words = ["gcs-sysid", "analyze", name, "--airframe", airframe]
-    options = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
-    given = [("--arm", request.arm)]
+    if request.arm is not None:
+        words += given_words("arm", request.arm)
     if request.scale is not None:
-        given.append((options[request.scale[0]], request.scale[1]))
-    for option, value in given:
-        if value is not None:
-            words += [option, f"{value:.9g}" + (f"+-{value.sigma}" if value.sigma else "")]
+        words += given_words(*request.scale)
     return (*words, "--report", f"{Path(name).stem}.html")

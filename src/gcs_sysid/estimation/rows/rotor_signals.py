@@ -134,7 +134,7 @@ class GyroLowPass:
     """
 
     def __init__(self, cutoff: float) -> None:
-        self._b, self._a = _butterworth(cutoff)
+        self._b, self._a = butterworth(cutoff)
         self._settling = int(np.ceil(_SETTLED / (4.4 * cutoff)))
         self.restart()
 
@@ -152,7 +152,7 @@ class GyroLowPass:
                 continue
             part = signals[run]
             if self._state is None:
-                self._state = _steady(self._b, self._a, part[0])
+                self._state = steady_state(self._b, self._a, part[0])
                 self._settle = self._settling
             filtered, self._state = lfilter(self._b, self._a, part, self._state)
             skip = min(self._settle, len(part))
@@ -176,7 +176,7 @@ def cutoff_of(delay: float) -> float:
     return math.sqrt(2.0) / (2.0 * math.pi * delay)
 
 
-def _butterworth(cutoff: float) -> tuple[Array, Array]:
+def butterworth(cutoff: float) -> tuple[Array, Array]:
     """(b, a) of the second-order low-pass, its cutoff in cycles a sample, by bilinear transform."""
     w = math.tan(math.pi * cutoff)
     scale = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
@@ -186,7 +186,7 @@ def _butterworth(cutoff: float) -> tuple[Array, Array]:
     )
 
 
-def _steady(b: Array, a: Array, first: Array) -> Array:
+def steady_state(b: Array, a: Array, first: Array) -> Array:
     """(2, ...) state of the filter as if the first value had always been."""
     gain = b.sum() / a.sum()
     state: Array = np.stack([(gain - b[0]) * first, (b[2] - a[2] * gain) * first])
