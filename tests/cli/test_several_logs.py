@@ -31,7 +31,7 @@ def failing(monkeypatch, module, name):
     ("command", "module", "name", "verdicts"),
     [
         ("health", health_command, "health_of_log", {"available"}),
-        ("analyze", analyze_command, "analyze_log", {"identified", "partial"}),
+        ("analyze", analyze_command, "analyze_whole", {"identified", "partial"}),
     ],
 )
 def test_a_defect_with_one_log_is_a_line(
