@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gcs_sysid.estimation.rows.rotor_signals import _butterworth
+from gcs_sysid.estimation.rows.rotor_signals import butterworth
 from gcs_sysid.signals.recursions import lfilter, recursion
 
 FILTERS = {
@@ -63,7 +63,7 @@ def test_coefficients_may_change_from_sample_to_sample(n):
 
 @pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.4])
 def test_the_gyros_low_pass_is_butterworths(cutoff):
-    np.testing.assert_allclose(_butterworth(cutoff), signal.butter(2, 2.0 * cutoff), rtol=1e-12)
+    np.testing.assert_allclose(butterworth(cutoff), signal.butter(2, 2.0 * cutoff), rtol=1e-12)
 
 
 @pytest.mark.slow
