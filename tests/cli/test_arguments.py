@@ -11,9 +11,10 @@ import pytest
 
 from gcs_sysid.argument_types import vehicle_address
 from gcs_sysid.cli.airframe_choice import airframe_of
-from gcs_sysid.cli.commands import ARTICLE_METHODS, build_parser
+from gcs_sysid.cli.commands import ARTICLE_METHODS, ROTOR_INPUTS, build_parser
 from gcs_sysid.cli.program import run
 from gcs_sysid.estimation.record import article_estimator as article
+from gcs_sysid.model.rotor_input import RotorInput
 
 ERROR = "gcs-sysid: error: "
 
@@ -290,8 +291,15 @@ def test_the_default_airframe_is_that_of_the_command(capsys):
         assert f"or .toml file ({said}" in text, command
 
 
-def test_names_of_the_articles_methods_are_the_estimators():
+def test_names_that_are_not_imported_are_those_of_their_owners():
     assert article.METHODS == ARTICLE_METHODS
+    assert tuple(RotorInput) == ROTOR_INPUTS
+
+
+def test_the_parser_needs_no_numpy():
+    code = "import sys, gcs_sysid.cli.program; print('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("False\n", "")
 
 
 @pytest.mark.parametrize(

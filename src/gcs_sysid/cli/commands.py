@@ -66,13 +66,12 @@ from gcs_sysid.cli.options import (
     option,
     other_values,
 )
-from gcs_sysid.model.rotor_input import RotorInput
 
 PROGRAM = "gcs-sysid"
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
-"""Names of `estimation.record.article_estimator.METHODS`; like the next two not imported, to start
-fast (tests compare)."""
+"""Names of `estimation.record.article_estimator.METHODS`; these and the next three are not
+imported, to start fast (tests compare)."""
 EXPORT_TARGETS = (
     "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
     "indiflight", "paparazzi",
@@ -85,6 +84,8 @@ LAYOUTS = (
     "betaflight-quad-x",
 )  # fmt: skip
 """Names of `setup_help.layouts.LAYOUTS`."""
+ROTOR_INPUTS = ("speed", "command")
+"""Values of `model.rotor_input.RotorInput`."""
 SHELLS = ("bash", "zsh", "fish", "powershell")
 
 
@@ -300,7 +301,7 @@ COMMANDS = (
                 "--rotor-input",
                 None,
                 "rotor telemetry to plan for (default: the airframe's, else speed)",
-                choices=tuple(RotorInput),
+                choices=ROTOR_INPUTS,
             ),
             JSON_INSTEAD.but(
                 "print JSON instead of text, or also write it to FILE; sim-bridge --mission "
