@@ -39,8 +39,9 @@ class Option:
 
     def but(self, help: str | None = None, **settings: Any) -> "Option":
         """The same with another help or other settings."""
-        told = {} if help is None else {"help": help}
-        return Option(self.names, {**self.settings, **told, **settings})
+        if help is not None:
+            settings["help"] = help
+        return Option(self.names, {**self.settings, **settings})
 
 
 def option(names: str, metavar: str | None, help: str, **settings: Any) -> Option:
