@@ -216,7 +216,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     noise = CommandNoise(truth.geometry, dt)
     noise.update(np.random.default_rng(7).normal(0.5, 0.02, (5000, 4)))
     added = np.stack(
-        [noise.element_moments(record.basis, record._smoother, m) for m in record.memories]
+        [noise.row_moments(record.basis, record._smoother, m) for m in record.memories]
     )
     moments, counts = record.rotation.batches, record.rotation.counts
     noisy = moments + counts[:, None, None, None] * added

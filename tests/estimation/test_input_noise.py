@@ -12,7 +12,7 @@ from gcs_sysid.estimation.record.input_noise import (
     is_sparse,
     with_sparse_readings,
 )
-from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, motor_filter
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, ActuatorDynamics, motor_filter
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import WindowSmoother, leaky
 
@@ -95,10 +95,10 @@ def test_rows_show_noise_of_speeds_as_told(memory):
     rng = np.random.default_rng(3)
     speeds = LEVEL * np.array([1.0, 1.1, 0.9, 1.0]) + STD * rng.standard_normal((n, 4))
     found = SpeedNoise(GEOMETRY, dt)
-    assert not found.moments(WindowSmoother(dt, 10), memory).any()
+    assert not found.row_moments(PLAIN, WindowSmoother(dt, 10), memory).any()
     found.update(speeds)
     smoother = WindowSmoother(dt, 10)
-    said = found.moments(smoother, memory)
+    said = found.row_moments(PLAIN, smoother, memory)
     mixer = rb.mixer(GEOMETRY)
     squares = speeds**2
     H = speeds @ GEOMETRY[2]
@@ -261,26 +261,14 @@ def test_where_a_second_stream_lies_is_counted_sample_by_sample():
     np.testing.assert_allclose(whole.covariance, together[0] / together[1] * plain.covariance)
 
 
-def test_torques_of_noise_of_commands_are_in_rows_of_motors_without_lag():
-    found = followed(CommandNoise, 0.02, std=0.01 * np.ones(4), motion=False)
-    smoother = WindowSmoother(0.02, 10)
-    said = found.moments(smoother, 0.3)
-    mixer = rb.mixer(GEOMETRY)
-    average, _ = smoother.noise_gains(0.3)
-    np.testing.assert_allclose(said[:4, :4], average * mixer.T @ found.covariance @ mixer)
-    assert not said[4:].any()
-    assert not said[:, 4:].any()
-
-
 def test_one_sample_is_its_own_level():
     found = CommandNoise(GEOMETRY, 0.02)
     found.update(np.full((1, 4), 0.4))
     assert found.level == pytest.approx((0.4, 0.0))
-    np.testing.assert_allclose(found.of_signals[1], [1.0, 0.8])
 
 
-def test_level_and_gains_of_commands_are_those_of_the_samples():
-    """Each rotor about its own mean; thrust of w^2 goes with twice the mean command."""
+def test_level_of_commands_is_that_of_the_samples():
+    """Each rotor about its own mean."""
     rng = np.random.default_rng(4)
     values = np.array([0.3, 0.4, 0.5, 0.8]) + rng.normal(size=(900, 4)) * [0.01, 0.02, 0.03, 0.1]
     found = CommandNoise(GEOMETRY, 0.02)
@@ -290,11 +278,6 @@ def test_level_and_gains_of_commands_are_those_of_the_samples():
     mean, std = found.level
     assert mean == pytest.approx(values.mean())
     assert std == pytest.approx(np.sqrt(values.var(axis=0).mean()))
-    torques, gains = found.of_signals
-    assert np.all(np.diag(torques) > 0.0)
-    mixer = rb.mixer(GEOMETRY)
-    np.testing.assert_allclose(torques, mixer.T @ found.covariance @ mixer)
-    np.testing.assert_allclose(gains, [1.0, 2.0 * values.mean()])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.3])
@@ -304,12 +287,12 @@ def test_elements_hold_white_noise_through_lag_window_and_leak(memory):
     basis = ActuatorDynamics((0.0, 0.02), (0.0, 0.05), (0.0, 1.0), motors=True, dt=dt)
     smoother = WindowSmoother(dt, half, delays=basis.delays)
     found = CommandNoise(GEOMETRY, dt)
-    assert not found.element_moments(basis, smoother, memory).any()
+    assert not found.row_moments(basis, smoother, memory).any()
     rng = np.random.default_rng(6)
     found.update(0.6 + 0.01 * rng.standard_normal((5000, 4)))
-    said = found.element_moments(basis, smoother, memory)
+    said = found.row_moments(basis, smoother, memory)
     assert said[0, 0] > 0.0
-    again = found.element_moments(basis, smoother, memory)
+    again = found.row_moments(basis, smoother, memory)
     np.testing.assert_array_equal(again, said)
     n = 400
     responses = []
@@ -326,7 +309,8 @@ def test_elements_hold_white_noise_through_lag_window_and_leak(memory):
     summed = leaky(np.array(responses), smoother.step, dt, memory)
     gains = np.array([1.0, 2.0 * found.level[0]])
     torques = np.zeros((5, 5))
-    torques[:4, :4] = found.of_signals[0]
+    mixer = rb.mixer(GEOMETRY)
+    torques[:4, :4] = mixer.T @ found.covariance @ mixer
     sets = np.outer(gains, gains)
     expected = np.einsum("ef,st,ij->esiftj", summed @ summed.T, sets, torques)
     late = expected.shape[0] * 10

@@ -13,7 +13,7 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
@@ -372,7 +372,7 @@ def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
         rows = rows_of(truth, replace(flight, speeds=speeds), WindowSmoother(DT, 20))
         moved = rows - clean
         surplus += moved.T @ moved / len(moved) / runs
-    said = follower.moments(smoother, 0.0)
+    said = follower.row_moments(PLAIN, smoother, 0.0)
     torques = [0, 1, 2, 3, rb.SIGNALS.index("dH")]
     # 20 flights of 1200 rows, half of them independent: a few percent.
     np.testing.assert_allclose(np.diag(said)[torques], np.diag(surplus)[torques], rtol=0.1)
@@ -401,7 +401,7 @@ def test_what_slow_speeds_miss_is_known_to_a_factor(truth, lost):
 
 def test_rounding_of_the_speeds_is_the_least_noise(truth):
     follower = SpeedNoise(truth.geometry, 0.05)
-    assert np.all(follower.moments(WindowSmoother(0.05, 4), 0.0) == 0.0)
+    assert np.all(follower.row_moments(PLAIN, WindowSmoother(0.05, 4), 0.0) == 0.0)
     follower.update(np.full((500, 4), 100.0))
     # A whole number of revolutions a minute: 0.105 rad/s, uniform.
     np.testing.assert_allclose(follower.std, 2 * np.pi / 60 / np.sqrt(12))

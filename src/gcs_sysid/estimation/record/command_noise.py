@@ -17,7 +17,6 @@ from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.estimation.record.input_noise import ENOUGH, THIRD_DIFFERENCE, InputNoise
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     SIGNALS,
-    WIDTH,
     ActuatorDynamics,
     motor_filter,
 )
@@ -132,19 +131,6 @@ class CommandNoise(InputNoise):
         covariance: Array = scale * self._products
         return covariance
 
-    def moments(self, smoother: Smoother, memory: float) -> Array:
-        """(WIDTH, WIDTH) what it adds to the moments of a row, as if motors had no lag.
-
-        Args:
-            smoother: that made the rows.
-            memory: s, of the leaky sum over the rows.
-        """
-        out = np.zeros((WIDTH, WIDTH))
-        average, _ = smoother.noise_gains(memory)
-        # Near half throttle thrust follows the command one to one, whatever the curve.
-        out[:4, :4] = average * self._torques
-        return out
-
     @property
     def level(self) -> tuple[float, float]:
         """Mean and standard deviation of commands, the latter about each rotor's own mean."""
@@ -153,25 +139,13 @@ class CommandNoise(InputNoise):
         return float(mean.mean()), float(variance.mean() ** 0.5)
 
     @property
-    def of_signals(self) -> tuple[Array, Array]:
-        """(4, 4) covariance of roll, pitch, thrust and yaw in one sample; (2,) gains of w, w^2."""
-        gains = np.array([1.0, 2.0 * self._sum.mean() / max(self._count, 1)])
-        return self._torques, gains
-
-    @property
     def _torques(self) -> Array:
-        """(4, 4) covariance of roll, pitch, thrust and yaw."""
+        """(4, 4) covariance of roll, pitch, thrust and yaw in one sample."""
         torques: Array = self._mixer.T @ self.covariance @ self._mixer
         return torques
 
-    def element_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """(width, width) what it adds to the moments of a row of elements.
-
-        Args:
-            basis: of the elements; always the same.
-            smoother: that made the rows; always the same.
-            memory: s, of the leaky sum over the rows.
-        """
+    def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
+        """(width, width) of rows of elements, see `InputNoise.row_moments`."""
         out = np.zeros((basis.width, basis.width))
         signals = np.zeros((SIGNALS, SIGNALS))
         signals[:4, :4] = self._torques

@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
+from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.smoothers import Smoother
 
@@ -69,6 +69,16 @@ class InputNoise(ABC):
     @abstractmethod
     def covariance(self) -> Array:
         """(rotors, rotors) of one input."""
+
+    @abstractmethod
+    def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
+        """What it adds to the moments of one row, in the form of `ActuatorDynamics.noise_at`.
+
+        Args:
+            basis: of the rows' elements; always the same.
+            smoother: that made the rows; always the same.
+            memory: s, of the leaky sum over them.
+        """
 
     @property
     def std(self) -> Array:
@@ -191,22 +201,13 @@ class SpeedNoise(InputNoise):
         least = np.maximum(ROUNDING_STD**2 - np.diag(covariance), 0.0)
         return covariance + np.diag(least)
 
-    def moments(self, smoother: Smoother, memory: float) -> Array:
-        """(WIDTH, WIDTH) what the noise adds to the moments of one row.
-
-        Args:
-            smoother: that made the rows.
-            memory: s, of the leaky sum over the rows.
-        """
+    def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
+        """(WIDTH, WIDTH) of rows [x, y], the same at all delays: `InputNoise.row_moments`."""
         out = np.zeros((WIDTH, WIDTH))
-        if self._samples == 0:
-            return out
         average, derivative = smoother.noise_gains(memory)
-        # Of Omega^2 the noise is 2 Omega times that of Omega.
-        slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
-        mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
-        out[:4, :4] = average * (mixer.T @ covariance @ mixer)
-        out[_DH, _DH] = derivative * (spin @ covariance @ spin)
+        torques, _, H = self.of_signals
+        # Averages and derivatives of a symmetric window do not hang together.
+        out[:4, :4], out[_DH, _DH] = average * torques, derivative * H
         return out
 
     @property
@@ -217,6 +218,7 @@ class SpeedNoise(InputNoise):
         """
         if self._samples == 0:
             return np.zeros((4, 4)), np.zeros(4), 0.0
+        # Of Omega^2 the noise is 2 Omega times that of Omega.
         slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
         mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
         return (

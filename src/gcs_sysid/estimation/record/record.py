@@ -55,8 +55,8 @@ cut."""
 _BATCHES, _FEWER_BATCHES = 512, 256
 """RegressionRows of commands are wide, and their batches large: fewer are kept apart."""
 
-_SignalsNoise = tuple[Array, Array, float, Array]
-"""What noise of the inputs adds to the rotors' signals, as `WhitenedRecord.noise` takes it."""
+_SignalsNoise = tuple[Array, Array, float]
+"""Covariance of the rotors' signals, as `WhitenedRecord.noise` takes it."""
 
 
 class FlightRecord:
@@ -244,12 +244,11 @@ class FlightRecord:
             self._since_noted += part[1] - part[0]
             if self._since_noted >= every:
                 self._since_noted = 0
-                if self.commands is None:
+                if self._of_speeds is not None:
                     self._note = self._signals_noise()
-                    white = self._of_speeds
-                    if white is not None and self.seconds >= self._judge_at:
-                        self._judge_gyro(white)
-                elif self.commands.is_due():
+                    if self.seconds >= self._judge_at:
+                        self._judge_gyro(self._of_speeds)
+                elif self.commands is not None and self.commands.is_due():
                     self._tune(self.commands)
             if ends_left and part[1] == ends_left[0]:
                 del ends_left[0]
@@ -355,10 +354,7 @@ class FlightRecord:
 
         (WIDTH, WIDTH) of speeds, (width, width) of commands, see `ActuatorDynamics.noise_at`.
         """
-        noise, memory = self.input_noise, self.memories[leak]
-        if isinstance(noise, CommandNoise):
-            return noise.element_moments(self.basis, self._smoother, memory)
-        return noise.moments(self._smoother, memory)
+        return self.input_noise.row_moments(self.basis, self._smoother, self.memories[leak])
 
     def whitened_noise(self, some: Sequence[int] | None = None) -> Array:
         """(bank, width, width) what known noise of the inputs adds to a whitened row.
@@ -382,11 +378,8 @@ class FlightRecord:
 
     def _signals_noise(self) -> _SignalsNoise:
         noise = self.input_noise
-        if isinstance(noise, CommandNoise):
-            torques, gains = noise.of_signals
-            return torques, np.zeros(4), 0.0, gains
         assert isinstance(noise, SpeedNoise)
-        return *noise.of_signals, np.ones(1)
+        return noise.of_signals
 
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""

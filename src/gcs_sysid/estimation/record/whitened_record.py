@@ -18,15 +18,9 @@ from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
 from gcs_sysid.estimation.fit.whitened_fit import least_power
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank, WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import Whitener, WhitenerBank, essential
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    BODY,
-    SIGNALS,
-    ActuatorDynamics,
-    motor_filter,
-)
+from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.signals.one_step import OneStep
-from gcs_sysid.signals.recursions import lfilter
 
 SHORT = 0.25
 """s, of the batches in which shocks are found."""
@@ -35,8 +29,6 @@ _LONG = 64
 """Batches that are kept apart; an even number."""
 _AT_ONCE = 256
 """Rows whitened at a time."""
-_SETTLED = 12.0
-"""Time constants after which a motor's response has ended."""
 _LEARNED = 60.0
 """s of flight, after which it is known what whiteners and delays are needed."""
 _DELAYS = 4
@@ -222,12 +214,9 @@ class WhitenedRecord:
         keep = essential(self.whiteners, (*reference.pick, *picked))
         away = np.abs(self.basis.delays - reference.unknowns[Unknown.DELAY])
         delays = np.sort(np.argsort(away, kind="stable")[:_DELAYS])
-        per_delay = self.basis.sets * SIGNALS
-        rotors = np.arange(self.basis.width - BODY).reshape(-1, per_delay)[delays].ravel()
+        rotors = np.arange(self.basis.width - BODY).reshape(-1, SIGNALS)[delays].ravel()
         columns = [*rotors.tolist(), *range(self.basis.width - BODY, self.basis.width)]
-        self.basis = ActuatorDynamics(
-            self.basis.delays[delays], half_width=None, dt=self._dt, motors=self.basis.motors
-        )
+        self.basis = ActuatorDynamics(self.basis.delays[delays], half_width=None, dt=self._dt)
         self._delays, self._columns, self._overlaps = delays.tolist(), columns, None
         self.whiteners = tuple(self.whiteners[i] for i in keep)
         self._bank = self._bank.narrowed(keep, columns)
@@ -240,37 +229,29 @@ class WhitenedRecord:
         return white[np.ix_(keep, range(white.shape[1]), columns)]
 
     def noise(
-        self,
-        average: Array,
-        across: Array,
-        slope: float,
-        gains: Array,
-        some: Sequence[int] | None = None,
+        self, average: Array, across: Array, slope: float, some: Sequence[int] | None = None
     ) -> Array:
-        """(bank, width, width) what white noise of the inputs adds to one row of elements.
+        """(bank, width, width) what white noise of measured speeds adds to one row of elements.
 
         Args:
             average: (4, 4) covariance of roll, pitch, thrust and yaw of a sample.
             across: (4,) of these with H.
             slope: variance of H.
-            gains: (sets,) of each set, over the first.
             some: whiteners; None: all.
         """
         if self._overlaps is None:
             self._overlaps = self._overlapping()
         overlaps = self._overlaps if some is None else self._overlaps[list(some)]
         of_average, of_both, of_slope = np.zeros((3, SIGNALS, SIGNALS))
-        of_average[:4, :4], of_both[:4, 4], of_slope[4, 4] = average, across, slope
-        sets = np.outer(gains, gains)
+        of_average[:4, :4], of_both[4, :4], of_slope[4, 4] = average, across, slope
         n = self.basis.width - BODY
-        mixed, of_both = overlaps[:, 1], of_both.T
-        turned = np.swapaxes(mixed, 1, 2)
+        mixed = overlaps[:, 1]
         signals = sum(
-            np.einsum("bxy,st,ij->bxsiytj", overlap, sets, covariance)
+            np.einsum("bxy,ij->bxiyj", overlap, covariance)
             for overlap, covariance in (
                 (overlaps[:, 0], of_average),
                 (mixed, of_both.T),
-                (turned, of_both),
+                (np.swapaxes(mixed, 1, 2), of_both),
                 (overlaps[:, 2], of_slope),
             )
         )
@@ -279,29 +260,22 @@ class WhitenedRecord:
         return out
 
     def _overlapping(self) -> Array:
-        """(bank, 3, elements, elements) of elements' responses to a sample, whitened.
+        """(bank, 3, delays, delays) of elements' responses to a sample, whitened.
 
         Averages with averages, averages with derivatives, derivatives with derivatives.
         """
-        h, elements = self._step.step, self.basis.elements
-        taps = np.stack([self._step.late_taps, self._step.late_slopes])  # (2, delays, length)
-        room = int(np.ceil(max(_SETTLED * self.basis.lags[-1], _RUNG_OUT) / self._dt))
-        length = (taps.shape[2] + room) // h * h
-        driven = np.zeros((length, 2, len(elements)))
-        for i, element in enumerate(elements):
-            a, b0, b1 = motor_filter(self._dt, self.basis.lags[element.lag])
-            impulse = np.zeros((length, 2))
-            impulse[: taps.shape[2]] = taps[:, self._delays[element.delay]].T
-            driven[:, :, i] = lfilter([b0, b1], [1.0, -a], impulse)[0]
-        out = np.zeros((len(self.whiteners), 3, len(elements), len(elements)))
+        h, n = self._step.step, len(self._delays)
+        taps = np.stack([self._step.late_taps, self._step.late_slopes])[:, self._delays]
+        room = int(np.ceil(_RUNG_OUT / self._dt))
+        driven = np.zeros(((taps.shape[2] + room) // h * h, 2, n))
+        driven[: taps.shape[2]] = np.moveaxis(taps, 2, 0)
+        out = np.zeros((len(self.whiteners), 3, n, n))
         for phase in range(h):
-            rows = driven[phase::h].reshape(-1, 2 * len(elements))
+            rows = driven[phase::h].reshape(-1, 2 * n)
             bank = WhitenerBank(self.whiteners)
             for start in range(0, len(rows), _AT_ONCE):
                 white = bank.update(rows[start : start + _AT_ONCE])
-                both = (np.swapaxes(white, 1, 2) @ white).reshape(
-                    len(out), 2, len(elements), 2, len(elements)
-                )
+                both = (np.swapaxes(white, 1, 2) @ white).reshape(len(out), 2, n, 2, n)
                 out[:, 0] += both[:, 0, :, 0]
                 out[:, 1] += both[:, 0, :, 1]
                 out[:, 2] += both[:, 1, :, 1]
