@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt, with_axis_damping
+from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import minimize
@@ -56,7 +56,7 @@ def test_yaw_that_is_hardly_damped_is_no_longer_a_false_inertia(seed):
     fit, moments = flown(0.0, 0.2, seed)
     assert off(fit, IZZ) > 4.0
     assert off(fit, RATIO) > 4.0
-    wider = with_axis_damping(fit, moments)
+    wider = fit.widened(axis_damping_doubt(fit, moments))
     assert off(wider, IZZ) < 2.0
     assert off(wider, RATIO) < 2.0
     assert wider.data_std[IZZ] == pytest.approx(wider.std[IZZ])

@@ -105,7 +105,8 @@ def predict(
     variance = np.zeros(3)
     if model is not None and noise is not None:
         Q = rb.forward_matrix(model.theta)[:, :4]
-        variance = np.diag(Q @ noise.moments(predictor.smoother, 0.0)[:4, :4] @ Q.T)
+        average, _ = predictor.smoother.noise_gains(0.0)
+        variance = np.diag(Q @ (average * noise.torques) @ Q.T)
     return Prediction(
         t, rates, measured, predicted, predictor.smoother.step * dt, held_out, variance
     )

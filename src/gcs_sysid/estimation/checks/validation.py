@@ -20,7 +20,7 @@ from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.fit.priors import Prior
-from gcs_sysid.estimation.fit.problem import N_X
+from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
@@ -143,15 +143,14 @@ def _whiteness(
     """Whiteness and its p-value, per axis, from the first two leaks: none, and a short one."""
     if len(gains) < 2:
         return np.full(3, np.nan), np.full(3, np.nan)
-    T = np.hstack([-Q, np.eye(3)])
+    T = residual_maker(Q)
     TP = T @ basis.map_at(at)
 
-    def power(some: Array) -> Array:
-        squares: Array = ((TP @ some) * TP).sum(axis=-1)
-        return squares
-
-    plain, summed = (by_parts(power, batches[:, leak]) for leak in (0, 1))  # (k, 3) of residuals
-    of_speeds = np.einsum("ai,lij,aj->la", T, basis.noise_at(noise[:2], at), T)
+    # (k, 3) of residuals
+    plain, summed = (
+        by_parts(lambda some: axis_power(TP, some), batches[:, leak : leak + 1]) for leak in (0, 1)
+    )
+    of_speeds = axis_power(T, basis.noise_at(noise[:2], at)[:, None])
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])

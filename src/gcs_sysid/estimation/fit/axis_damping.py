@@ -14,8 +14,6 @@ with f the factor by which colored residuals widen the covariance of theta. The 
 so it errs by -S phi, with the expected square S (P + phi phi') S'.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from gcs_sysid.arrays import Array
@@ -34,29 +32,13 @@ for _axis, _rate in enumerate("pqr"):
     _OF_AXES[_axis, _axis, rb.SIGNALS.index(_rate)] = -1.0
 
 
-def with_axis_damping(fit: RotationFit, rows: Array) -> RotationFit:
-    """A fit with the error of one damping for three axes in its covariance.
+def axis_damping_doubt(fit: RotationFit, rows: Array) -> Array:
+    """(N_THETA, N_THETA) covariance of the error that one damping for three axes makes.
 
     Args:
         fit: to commands, of rows of the window.
         rows: (WIDTH, WIDTH) moments of rows [x, y] at its coordinates, without known noise.
     """
-    doubt = axis_damping_doubt(fit, rows)
-    n = rb.N_THETA
-    extended, full = fit.extended_covariance.copy(), fit.full_covariance.copy()
-    extended[:n, :n] += doubt
-    full[:n, :n] += doubt
-    return replace(
-        fit,
-        covariance=fit.covariance + doubt,
-        full_covariance=full,
-        extended_covariance=extended,
-        data_std=np.hypot(fit.data_std, np.sqrt(np.diag(doubt))),
-    )
-
-
-def axis_damping_doubt(fit: RotationFit, rows: Array) -> Array:
-    """(N_THETA, N_THETA) covariance of that error."""
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
     Q, G = rb.forward_jacobian(theta)

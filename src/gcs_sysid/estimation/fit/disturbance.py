@@ -13,7 +13,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
-from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import scales
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
@@ -139,17 +139,8 @@ def curve_doubt(fit: RotationFit) -> Array:
     """
     if not fit.disturbance[:2].max() > RULES.detected:
         return np.zeros_like(fit.full_covariance)
-    along = along_curve(fit, RULES.curve)
-    return np.outer(along, along)
-
-
-def along_curve(fit: RotationFit, off: float) -> Array:
-    """(N_UNKNOWNS,) what all unknowns err by where a fit's thrust curve is off by so much."""
-    full = fit.full_covariance
-    if full[Unknown.CURVE, Unknown.CURVE] <= 0.0:
-        return np.zeros(len(full))
-    along: Array = full[:, Unknown.CURVE] / full[Unknown.CURVE, Unknown.CURVE] * off
-    return along
+    off = along(fit.full_covariance, Unknown.CURVE, RULES.curve)
+    return np.outer(off, off)
 
 
 def axis_floor(fit: RotationFit, axis: int) -> Array:

@@ -1,6 +1,7 @@
 """Estimates of the rotational parameters, with their uncertainty."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -115,6 +116,24 @@ class RotationFit:
         inverse = np.linalg.pinv(own / np.outer(d, d), hermitian=True)
         explained: Array = (across / d) @ inverse @ (across / d).T
         return explained
+
+    def widened(self, doubt: Array) -> Self:
+        """The same with an error that the scatter of the data does not show.
+
+        Args:
+            doubt: (k, k) its covariance, of the first k of theta, the coordinates and deviations.
+        """
+        n, k = rb.N_THETA, len(doubt)
+        extended, full = self.extended_covariance.copy(), self.full_covariance.copy()
+        extended[:k, :k] += doubt
+        full[:k, :k] += doubt[:N_UNKNOWNS, :N_UNKNOWNS]
+        return replace(
+            self,
+            covariance=self.covariance + doubt[:n, :n],
+            full_covariance=full,
+            extended_covariance=extended,
+            data_std=np.hypot(self.data_std, np.sqrt(np.diag(doubt)[:n])),
+        )
 
     @property
     def unknowns(self) -> Array:

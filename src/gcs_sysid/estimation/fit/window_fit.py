@@ -184,20 +184,4 @@ def fit_lag_places(
     basis.lag_place = places[best]
     away = np.stack([fit.unknowns - fits[best].unknowns for fit in fits])
     doubted = (away * (weight / weight.sum())[:, None]).T @ away
-    return with_lag_doubt(fits[best], places[best], doubted)
-
-
-def with_lag_doubt(fit: RotationFit, place: LagPlace, doubt: Array) -> RotationFit:
-    """A fit with its place of the lag, and the (N_UNKNOWNS, N_UNKNOWNS) covariance of its error."""
-    n = rb.N_THETA
-    extended = fit.extended_covariance.copy()
-    extended[:N_UNKNOWNS, :N_UNKNOWNS] += doubt
-    return replace(
-        fit,
-        lag_place=place,
-        lag_doubt=doubt,
-        covariance=fit.covariance + doubt[:n, :n],
-        full_covariance=fit.full_covariance + doubt,
-        extended_covariance=extended,
-        data_std=np.hypot(fit.data_std, np.sqrt(np.diag(doubt)[:n])),
-    )
+    return replace(fits[best].widened(doubted), lag_place=places[best], lag_doubt=doubted)

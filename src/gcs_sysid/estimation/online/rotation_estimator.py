@@ -12,12 +12,12 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
-from gcs_sysid.estimation.fit.axis_damping import with_axis_damping
+from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation, with_lag_doubt
+from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
 from gcs_sysid.estimation.online.fit import FitMoments
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
@@ -80,28 +80,24 @@ class RotationEstimator:
     ) -> list[RotationFit]:
         """Quick fits at some instants, from an earlier one."""
         place = start.lag_place
-        moments = [i.whitened for i in instants if i.whitened is not None]
-        if moments:
-            fits = self._whitening.follow(moments, start, prior)
-        else:
-            self._record.use_place(place)
-            fits = follow_rotation(
-                np.stack([i.rotation for i in instants]),
-                np.array([i.rows for i in instants]),
-                self._basis,
-                np.stack([i.noise for i in instants]),
-                start,
-                prior,
-            )
+        self._record.use_place(place)
+        fits = follow_rotation(
+            np.stack([i.moments for i in instants]),
+            np.array([i.rows for i in instants]),
+            instants[0].basis,
+            np.stack([i.noise for i in instants]),
+            start,
+            prior,
+        )
         if place is not None:
             commands = self._record.commands
-            fits = [
-                with_lag_doubt(
-                    fit,
-                    place,
-                    start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit)),
-                )
+            doubts = [
+                start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit))
                 for fit in fits
+            ]
+            fits = [
+                replace(fit.widened(doubt), lag_place=place, lag_doubt=doubt)
+                for fit, doubt in zip(fits, doubts, strict=True)
             ]
         return [self._completed(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
 
@@ -112,11 +108,21 @@ class RotationEstimator:
             fit: that is followed.
             left_out: shocks in whitened rows; None where there are none of these.
         """
-        followed = None
+        record, leak = self._record, fit.leak
+        window = record.rotation.total[leak].copy()
+        followed = window, record.rotation.rows, record.basis, record.noise(leak)
         if self.whitened is not None:
             assert left_out is not None
-            followed = self.whitened.instant(fit, left_out)
-        return Instant.of(self._record, fit.leak, followed)
+            followed = self.whitened.followed(fit, left_out)
+        return Instant(
+            *followed,
+            window,
+            record.rotation.rows,
+            record.momentum.total.copy(),
+            record.momentum.rows,
+            record.seconds,
+            record.mean_thrust,
+        )
 
     def moments(self, fit: RotationFit | None) -> FitMoments | None:
         """What the latest fit rests on; None of none, and of the article's."""
@@ -214,7 +220,8 @@ class RotationEstimator:
             share, _ = mean.rectified(fit.coordinates)
             for i, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
                 off[i, i] += share**2 * float((arms**2).mean()) / len(arms)
-        return with_lag_doubt(fit, record.places(self._whitening.basis.lag_place.of)[0], off)
+        place = record.places(self._whitening.basis.lag_place.of)[0]
+        return replace(fit.widened(off), lag_place=place, lag_doubt=off)
 
     def _fit_lag_places(self, start: RotationFit | None, prior: Prior | None) -> RotationFit | None:
         """Of commands, with what lags as a hypothesis."""
@@ -265,7 +272,7 @@ class RotationEstimator:
             return fit
         if sparse:
             fit = with_sparse_readings(fit, self._speed_interval, found.window)
-        return with_axis_damping(fit, found.rows[0]) if by_window else fit
+        return fit.widened(axis_damping_doubt(fit, found.rows[0])) if by_window else fit
 
     def _noise(self) -> Array:
         return np.stack([self._record.noise(i) for i in range(len(self._record.memories))])

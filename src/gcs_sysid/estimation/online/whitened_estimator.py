@@ -6,7 +6,6 @@ which verdicts are based.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,9 +20,8 @@ from gcs_sysid.estimation.checks.validation import (
     whiteness_of,
 )
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
-from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
-from gcs_sysid.estimation.fit.problem import residual_maker
+from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.shocks import find_shocks
 from gcs_sysid.estimation.fit.translation import TranslationFit
@@ -58,23 +56,6 @@ class LeftOut:
 
     moments: Array
     rows: int
-
-
-@dataclass(frozen=True)
-class WhitenedInstant:
-    """Moments at one instant.
-
-    Attributes:
-        basis: of the elements then.
-        moments: (3, width, width) with the whiteners that are followed, shocks left out.
-        rows: in them.
-        noise: (3, width, width) of the inputs in one row.
-    """
-
-    basis: ActuatorDynamics
-    moments: Array
-    rows: int
-    noise: Array
 
 
 class WhitenedEstimator:
@@ -137,27 +118,16 @@ class WhitenedEstimator:
         self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
-    def instant(self, fit: RotationFit, left_out: LeftOut) -> WhitenedInstant:
-        """The moments of now, for `follow`."""
+    def followed(
+        self, fit: RotationFit, left_out: LeftOut
+    ) -> tuple[Array, int, ActuatorDynamics, Array]:
+        """The moments of now, with the whiteners of a fit: as of `Instant`, without its shocks."""
         pick, white = self._white.places(fit.whiteners), self._white
-        return WhitenedInstant(
-            self.basis,
+        return (
             white.total[pick] - left_out.moments,
             white.rows - left_out.rows,
+            self.basis,
             self._record.whitened_noise(pick),
-        )
-
-    def follow(
-        self, instants: Sequence[WhitenedInstant], start: RotationFit, prior: Prior | None
-    ) -> list[RotationFit]:
-        """Quick fits at some instants, from an earlier one."""
-        return follow_rotation(
-            np.stack([i.moments for i in instants]),
-            np.array([i.rows for i in instants]),
-            instants[0].basis,
-            np.stack([i.noise for i in instants]),
-            start,
-            prior,
         )
 
     def validate(self, prior: Prior | None) -> Validation | None:
@@ -271,7 +241,7 @@ class WhitenedEstimator:
         own = np.diag(fit.residual_covariance)
         input_noise = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
-        rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
+        rotors = axis_power(TP, input_noise)
         left = np.maximum(own - rotors, LEAST_OWN * own)
         # Without a whitener the gyro's part is unknown: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
@@ -281,12 +251,6 @@ class WhitenedEstimator:
     @property
     def _data(self) -> WhitenedMoments:
         return self._white.moments(self._record.whitened_noise())
-
-    def _within(self, coordinates: Array) -> Array:
-        """(3,) coordinates in the window's range, which is not quite the same."""
-        basis = self._record.basis
-        within: Array = np.clip(coordinates, basis.low, basis.high)
-        return within
 
     @property
     def _hover(self) -> float:
@@ -319,10 +283,6 @@ class WhitenedEstimator:
         references = [slower(data.whiteners, i) for i in own_places]
         TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
 
-        def power(some: Array) -> Array:
-            squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
-            return squares
-
         omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
         ratio = np.array(
             [
@@ -334,7 +294,7 @@ class WhitenedEstimator:
         for pick in (own_places, references):
             batches, counts = data.of_axes(pick)[kept], data.counts[kept]
             batches, counts = grouped(batches, counts, data.grouped)
-            powers.append(by_parts(power, batches))
+            powers.append(by_parts(lambda some: axis_power(TP, some), batches))
         own, slow = powers
         return slow, ratio * own, counts
 

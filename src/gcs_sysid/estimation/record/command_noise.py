@@ -139,8 +139,8 @@ class CommandNoise(InputNoise):
         return float(mean.mean()), float(variance.mean() ** 0.5)
 
     @property
-    def _torques(self) -> Array:
-        """(4, 4) covariance of roll, pitch, thrust and yaw in one sample."""
+    def torques(self) -> Array:
+        """See `InputNoise.torques`; near half throttle thrust follows commands one to one."""
         torques: Array = self._mixer.T @ self.covariance @ self._mixer
         return torques
 
@@ -148,7 +148,7 @@ class CommandNoise(InputNoise):
         """(width, width) of rows of elements, see `InputNoise.row_moments`."""
         out = np.zeros((basis.width, basis.width))
         signals = np.zeros((SIGNALS, SIGNALS))
-        signals[:4, :4] = self._torques
+        signals[:4, :4] = self.torques
         if not signals.any():
             return out
         if memory not in self._overlaps:

@@ -15,9 +15,9 @@ from itertools import groupby
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.disturbance import RULES, along_curve
-from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Unknown
-from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.disturbance import RULES
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import Whitener, bank_for_commands
 from gcs_sysid.estimation.record.tuned_motors import TRUSTED, FirstPlace, TunedRows
@@ -309,10 +309,9 @@ class CommandRecord:
         elif found[best].fit.rotation.disturbance.max() > RULES.detected:
             # Between commands less far apart there may be others too, of a loop of another rate:
             # to rows of one step they are a disturbance.
-            along = along_curve(
-                found[best].fit.rotation, float(apart[COORDINATES][Coordinate.CURVE])
-            )
-            doubt += np.outer(along, along)
+            bent = float(apart[Unknown.CURVE])
+            off = along(found[best].fit.rotation.full_covariance, Unknown.CURVE, bent)
+            doubt += np.outer(off, off)
         # Delay and lag trade against each other within a sample: on three flights of PX4's
         # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
         doubt[np.ix_(_TIMING, _TIMING)] += self._dt**2

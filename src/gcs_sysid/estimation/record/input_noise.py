@@ -9,12 +9,11 @@ in part to the rotors, and aliases to the frequencies of the motion (see
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body
@@ -69,6 +68,11 @@ class InputNoise(ABC):
     @abstractmethod
     def covariance(self) -> Array:
         """(rotors, rotors) of one input."""
+
+    @property
+    @abstractmethod
+    def torques(self) -> Array:
+        """(4, 4) covariance of roll, pitch, thrust and yaw in one sample."""
 
     @abstractmethod
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
@@ -126,7 +130,7 @@ def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> Ro
         interval: s between readings.
         window: (WIDTH, WIDTH) moments of rows [x, y] of the symmetric window.
     """
-    powers, n = np.diag(window), rigid_body.N_THETA
+    powers = np.diag(window)
     turning = float(powers[_RATES].sum())
     if (
         not is_sparse(interval)
@@ -141,14 +145,7 @@ def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> Ro
         late,
         -late * float(fit.theta[:2].mean()) * quickness,
     )
-    extended = fit.extended_covariance + np.outer(off, off)
-    return replace(
-        fit,
-        covariance=extended[:n, :n],
-        full_covariance=extended[:N_UNKNOWNS, :N_UNKNOWNS],
-        extended_covariance=extended,
-        data_std=np.hypot(fit.data_std, np.abs(off[:n])),
-    )
+    return fit.widened(np.outer(off, off))
 
 
 def is_sparse(interval: float) -> bool:
@@ -209,6 +206,11 @@ class SpeedNoise(InputNoise):
         # Averages and derivatives of a symmetric window do not hang together.
         out[:4, :4], out[_DH, _DH] = average * torques, derivative * H
         return out
+
+    @property
+    def torques(self) -> Array:
+        """See `InputNoise.torques`."""
+        return self.of_signals[0]
 
     @property
     def of_signals(self) -> tuple[Array, Array, float]:

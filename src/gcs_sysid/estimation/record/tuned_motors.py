@@ -7,13 +7,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
-from gcs_sysid.estimation.fit.problem import residual_maker
-from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
+from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MotorRows
+from gcs_sysid.model import rigid_body as rb
 
 TRUSTED = 4.0
 """Steps of the linearization that a round goes at most: farther off the rows are not what motors
@@ -70,14 +70,9 @@ class TunedRows:
         doubt = np.zeros_like(fit.full_covariance)
         if self._is_near(fit, TRUSTED):
             return doubt
-        for place, std in (
-            (Unknown.CURVE, COORDINATE_STD[Coordinate.CURVE]),
-            (Unknown.LAG, COORDINATE_STD[Coordinate.LAG]),
-        ):
-            own = fit.full_covariance[place, place]
-            if own > 0.0:
-                along = fit.full_covariance[:, place] / own * std
-                doubt += np.outer(along, along)
+        for place in (Unknown.CURVE, Unknown.LAG):
+            off = along(fit.full_covariance, place, COORDINATE_STD[place - rb.N_THETA])
+            doubt += np.outer(off, off)
         return doubt
 
     def _is_near(self, fit: RotationFit, steps: float) -> bool:
@@ -118,8 +113,7 @@ class TunedRows:
         """(bank, 3) of the innovations of all rows, times their number."""
         fit = self.fit.rotation
         TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
-        power: Array = np.einsum("ai,bij,aj->ba", TP, self.white.total, TP)
-        return power
+        return axis_power(TP, self.white.total[:, None])
 
 
 @dataclass(frozen=True)
