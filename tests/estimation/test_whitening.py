@@ -310,7 +310,7 @@ def calm():
 @pytest.fixture
 def learnt_early(monkeypatch):
     """As if 15 s told what whiteners a flight needs, in place of a minute."""
-    monkeypatch.setattr(whitened_record, "_LEARNT", 15.0)
+    monkeypatch.setattr(whitened_record, "_LEARNED", 15.0)
 
 
 @pytest.mark.slow
@@ -338,7 +338,7 @@ def test_narrowing_does_not_depend_on_blocks(calm, learnt_early, size):
 def test_narrowing_loses_next_to_nothing(calm, monkeypatch):
     found = []
     for learnt in (15.0, 1e9):
-        monkeypatch.setattr(whitened_record, "_LEARNT", learnt)
+        monkeypatch.setattr(whitened_record, "_LEARNED", learnt)
         estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
         estimator.update(calm)
         found.append((estimator._record.whitened, estimator.fit().rotation))
