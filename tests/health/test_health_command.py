@@ -18,7 +18,7 @@ from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
 from tests.health.conftest import HOVER
 
-QUANTITY = {"value", "std", "ci95", "unit", "std_given"}
+QUANTITY = {"value", "std", "ci95", "unit", "std_given", "std_data"}
 
 
 @pytest.fixture(scope="module")

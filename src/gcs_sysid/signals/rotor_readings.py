@@ -45,6 +45,10 @@ class OddReading:
         )
 
 
+_ROUNDED = 3.0
+"""Least steps by which a reading must usually change in the time of a hold."""
+
+
 def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | None:
     """The rotor that reads otherwise than the others, if one does.
 
@@ -83,10 +87,11 @@ def held_rotor(t: Array, speeds: Array) -> tuple[int, float] | None:
         return None
     same = np.diff(speeds, axis=0) == 0.0
     others = (same.shape[1] - 1) / 2.0
+    apart = max(_FEWEST, round(_HOLDS / max(float(np.median(np.diff(t))), 1e-9)))
     worst = (0, 0.0)
     for rotor in range(same.shape[1]):
-        turning = speeds[:, rotor][speeds[:, rotor] != 0.0]
-        if not len(turning) or np.ptp(turning) == 0.0:
+        # Where it hardly changes in that time, rounding alone may hold it.
+        if not _changes(speeds[:, rotor], apart) > _ROUNDED:
             continue
         moved = (~np.delete(same, rotor, axis=1)).sum(axis=1) >= others
         held = np.concatenate([[False], same[:, rotor], [False]])
@@ -97,3 +102,11 @@ def held_rotor(t: Array, speeds: Array) -> tuple[int, float] | None:
         share = float((t[ends] - t[begins])[long & alone].sum()) / max(float(t[-1] - t[0]), 1e-9)
         worst = max(worst, (rotor, share), key=lambda one: one[1])
     return worst if worst[1] > _HELD else None
+
+
+def _changes(values: Array, apart: int) -> float:
+    """Least steps by which (n,) readings usually change over so many messages."""
+    steps = np.diff(np.unique(values))
+    if not len(steps) or len(values) <= apart:
+        return 0.0
+    return float(np.median(np.abs(values[apart:] - values[:-apart])) / steps.min())
