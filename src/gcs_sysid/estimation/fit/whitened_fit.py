@@ -254,9 +254,11 @@ def curve_scatter(
     return along(own, at, float(np.sqrt(max(variance, 0.0))))
 
 
-def least_power(data: WhitenedMoments, basis: ActuatorDynamics, unknowns: Array) -> tuple[int, ...]:
-    """Whitener of least innovation power, of each axis, near (N_UNKNOWNS,) of a fit."""
-    return BankProblem(data, basis).tried(unknowns).pick
+def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:
+    """The fit to moments under every whitener, from the data alone; None: nothing to start from."""
+    bank = BankProblem(data, basis)
+    trial = bank.scanned()
+    return None if trial is None else bank.solve(trial)
 
 
 def _innovation_maker(solved: AxisFit) -> Array:

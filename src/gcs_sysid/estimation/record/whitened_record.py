@@ -7,7 +7,6 @@ batches. Their number is fixed; as they fill up, neighbors are merged.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
-from gcs_sysid.estimation.fit.whitened_fit import least_power
+from gcs_sysid.estimation.fit.whitened_fit import bank_fit
 from gcs_sysid.estimation.noise.whitened_moments import OfflineBank, WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
@@ -206,13 +205,14 @@ class WhitenedRecord:
         Returns:
             Those that go on.
         """
-        reference = self._reference
-        if reference is None:
+        # By all of the record: a fit to the first or the last quarter-minute may be a poor one, and
+        # what it gives up is gone.
+        whole = bank_fit(self.moments(noise), self.basis)
+        if whole is None:
             return white
-        # The last quarter-minute, which they were picked for, may be unlike the rest.
-        picked = least_power(self.moments(noise), self.basis, reference.unknowns)
-        keep = essential(self.whiteners, (*reference.pick, *picked))
-        away = np.abs(self.basis.delays - reference.unknowns[Unknown.DELAY])
+        unknowns = whole.point.unknowns[0]
+        keep = essential(self.whiteners, (*whole.pick, *whole.trial.pick))
+        away = np.abs(self.basis.delays - unknowns[Unknown.DELAY])
         delays = np.sort(np.argsort(away, kind="stable")[:_DELAYS])
         rotors = np.arange(self.basis.width - BODY).reshape(-1, SIGNALS)[delays].ravel()
         columns = [*rotors.tolist(), *range(self.basis.width - BODY, self.basis.width)]
@@ -224,7 +224,8 @@ class WhitenedRecord:
         some = np.ix_(keep, columns, columns)
         self._recent = np.stack([batch[some] for batch in self._recent])
         self.total = self.total[some]
-        self._reference = replace(reference, pick=tuple(keep.index(i) for i in reference.pick))
+        pick = tuple(keep.index(i) for i in whole.pick)
+        self._reference = ShockReference(unknowns, pick, whole.point.variance[0])
         self.narrowed = True
         return white[np.ix_(keep, range(white.shape[1]), columns)]
 
