@@ -6,7 +6,7 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.parameters.scale import Scale, relative_prior, resolve_scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 
@@ -142,7 +142,7 @@ def test_scale_from_each_anchor():
     kappa, share = 2.05e-4 / 1.5, 1e-3
     fit = TranslationFit(kappa, share * kappa, 0.1, 0.01, "momentum")
     by_mass = resolve_scale(ScaleReference("mass", 1.5), fit, {})
-    assert by_mass == Scale(1.5, 0.0, pytest.approx(2.05e-4), pytest.approx(share))
+    assert by_mass == AbsoluteScale(1.5, 0.0, pytest.approx(2.05e-4), pytest.approx(share))
     by_k_T = resolve_scale(ScaleReference("k_T", 2.05e-4, 2.05e-6), fit, {})
     assert by_k_T.mass == pytest.approx(1.5)
     assert by_k_T.mass_share == pytest.approx((share**2 + 0.01**2) ** 0.5)
@@ -162,12 +162,12 @@ def test_scale_from_each_anchor():
 
 
 def test_priors_become_relative():
-    scale = Scale(1.5, 0.0, 2.05e-4, 0.0)
+    scale = AbsoluteScale(1.5, 0.0, 2.05e-4, 0.0)
     prior = relative_prior({"k_M": (6.15e-6, 2.05e-8), "mass": (1.0, 0.1)}, scale)
     assert prior.mean[rb.MOMENT_RATIO] == pytest.approx(0.03)
     assert prior.information[rb.MOMENT_RATIO, rb.MOMENT_RATIO] == pytest.approx(1e8)
     assert relative_prior({"mass": (1.0, 0.1)}, scale) is None
     # Without a scale lengths alone can be known.
-    unknown = Scale(1.5, 0.0, None, float("inf"))
+    unknown = AbsoluteScale(1.5, 0.0, None, float("inf"))
     assert relative_prior({"Ixx": (0.01, 0.001)}, unknown) is None
     assert relative_prior({"cg_x": (0.01, 0.001)}, unknown).mean[rb.CG_X] == 0.01

@@ -14,7 +14,7 @@ from gcs_sysid.estimation.parameters.individual_values import (
     rotor_coefficients,
 )
 from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
-from gcs_sysid.estimation.parameters.scale import Scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from tests.known_theta import theta_from
@@ -96,7 +96,7 @@ def test_without_deviations_all_rotors_and_axes_are_alike():
 
 def test_covariance_keeps_deviations_and_common_causes():
     fit = a_fit()
-    scale = Scale(1.5, 0.0, K_T, 0.02)
+    scale = AbsoluteScale(1.5, 0.0, K_T, 0.02)
     names = ("mass", "Ixx", "Izz", "cg_x", "k_T", "moment_ratio")
     size = {"mass": (1.5, 0.0), "k_T": (K_T, 0.02 * K_T), "cg_x": (0.1, float(fit.std[rb.CG_X]))}
     for name in ("Ixx", "Izz", "moment_ratio"):

@@ -7,7 +7,7 @@ import pytest
 
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.parameters.scale import Scale, relative_prior, resolve_scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 
@@ -23,13 +23,17 @@ def together(*shares):
 
 def test_a_mass_gives_thrust_and_its_errors_add_up():
     scale = resolve_scale(ScaleReference("mass", MASS, 0.04 * MASS), FLIGHT, {})
-    assert scale == Scale(MASS, pytest.approx(0.04), pytest.approx(THRUST), together(0.04, SHARE))
+    assert scale == AbsoluteScale(
+        MASS, pytest.approx(0.04), pytest.approx(THRUST), together(0.04, SHARE)
+    )
 
 
 @pytest.mark.parametrize("kind", ["k_T", "T_max"])
 def test_a_thrust_gives_the_mass_and_its_errors_add_up(kind):
     scale = resolve_scale(ScaleReference(kind, THRUST, 0.04 * THRUST), FLIGHT, {})
-    assert scale == Scale(pytest.approx(MASS), together(0.04, SHARE), THRUST, pytest.approx(0.04))
+    assert scale == AbsoluteScale(
+        pytest.approx(MASS), together(0.04, SHARE), THRUST, pytest.approx(0.04)
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,16 +47,18 @@ def test_a_thrust_gives_the_mass_and_its_errors_add_up(kind):
     ],
 )
 def test_a_flight_that_does_not_tell_leaves_what_was_given(flight):
-    assert resolve_scale(ScaleReference("mass", MASS), flight, {}) == Scale(
+    assert resolve_scale(ScaleReference("mass", MASS), flight, {}) == AbsoluteScale(
         MASS, 0.0, None, math.inf
     )
-    assert resolve_scale(ScaleReference("k_T", THRUST), flight, {}) == Scale(
+    assert resolve_scale(ScaleReference("k_T", THRUST), flight, {}) == AbsoluteScale(
         None, math.inf, THRUST, 0.0
     )
     # A prior on what the flight leaves open takes its place.
     known = {"k_T": (2.0, 0.5), "mass": (4.0, 0.2)}
-    assert resolve_scale(ScaleReference("mass", MASS), flight, known) == Scale(MASS, 0.0, 2.0, 0.25)
-    assert resolve_scale(ScaleReference("k_T", THRUST), flight, known) == Scale(
+    assert resolve_scale(ScaleReference("mass", MASS), flight, known) == AbsoluteScale(
+        MASS, 0.0, 2.0, 0.25
+    )
+    assert resolve_scale(ScaleReference("k_T", THRUST), flight, known) == AbsoluteScale(
         4.0, pytest.approx(0.05), THRUST, 0.0
     )
     added = ScaleReference("added_mass", 0.3, loaded=(0.5 * KAPPA, 0.01 * KAPPA))
@@ -99,14 +105,14 @@ def test_an_added_mass_by_monte_carlo():
 
 
 def test_an_added_mass_that_made_nothing_heavier_tells_nothing():
-    nothing = Scale(None, math.inf, None, math.inf)
+    nothing = AbsoluteScale(None, math.inf, None, math.inf)
     for loaded in (None, (KAPPA, 1e-6), (1.1 * KAPPA, 1e-6)):
         anchor = ScaleReference("added_mass", 0.3, loaded=loaded)
         assert resolve_scale(anchor, FLIGHT, {}) == nothing
 
 
 def test_priors_are_put_relative_to_thrust():
-    scale = Scale(MASS, 0.01, 2.0, 0.03)
+    scale = AbsoluteScale(MASS, 0.01, 2.0, 0.03)
     known = {"Izz": (0.04, 0.0016), "cg_x": (0.1, 0.002), "rotor_delay": (0.01, 0.003)}
     prior = relative_prior(known, scale)
     std = np.zeros(N_UNKNOWNS)
@@ -125,7 +131,7 @@ def test_priors_are_put_relative_to_thrust():
 
 
 def test_two_priors_on_one_unknown_add_up():
-    scale = Scale(MASS, 0.0, 2.0, 0.0)
+    scale = AbsoluteScale(MASS, 0.0, 2.0, 0.0)
     # 0.03 to 0.001 twice, once as a torque coefficient; and 0.04, with the same weight.
     prior = relative_prior({"k_M": (0.06, 0.002), "moment_ratio": (0.04, 0.001)}, scale)
     assert prior.mean[rb.MOMENT_RATIO] == pytest.approx(0.035)
@@ -133,7 +139,7 @@ def test_two_priors_on_one_unknown_add_up():
 
 
 def test_without_a_scale_lengths_alone_are_known():
-    nothing = Scale(None, math.inf, None, math.inf)
+    nothing = AbsoluteScale(None, math.inf, None, math.inf)
     assert relative_prior({"Izz": (0.04, 0.001), "k_M": (0.06, 0.01)}, nothing) is None
     for name, index in (
         ("cg_y", rb.CG_Y),
@@ -143,5 +149,7 @@ def test_without_a_scale_lengths_alone_are_known():
         prior = relative_prior({"Izz": (0.04, 0.001), name: (0.2, 0.5)}, nothing)
         np.testing.assert_array_equal(np.flatnonzero(prior.known), [index])
         assert prior.mean[index] == 0.2
-    assert relative_prior({"mass": (1.5, 0.1), "k_T": (1e-4, 1e-5)}, Scale(1, 0, 1, 0)) is None
-    assert relative_prior({}, Scale(1, 0, 1, 0)) is None
+    assert (
+        relative_prior({"mass": (1.5, 0.1), "k_T": (1e-4, 1e-5)}, AbsoluteScale(1, 0, 1, 0)) is None
+    )
+    assert relative_prior({}, AbsoluteScale(1, 0, 1, 0)) is None

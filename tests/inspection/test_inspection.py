@@ -52,8 +52,8 @@ def watched(t, values=None):
         taken = watch.add(t, values)
         t, values = t[taken:], values[taken:]
         if watch.full:
-            watch.take(flying=True)
-    watch.take(flying=True)
+            watch.cut_chunk(flying=True)
+    watch.cut_chunk(flying=True)
     return watch
 
 
@@ -106,7 +106,7 @@ def test_rows_of_different_length_are_padded():
     stream = StreamWatch()
     for i, row in enumerate([(1.0, 2.0), (3.0, 4.0, 5.0)]):
         stream.add(np.array([0.01 * i]), np.array([row]))
-    watch.take(stream.take(flying=True).values)
+    watch.add_values(stream.cut_chunk(flying=True).values)
     assert [(r.low, r.high) for r in watch.rotors()] == [(1.0, 3.0), (2.0, 4.0), (5.0, 5.0)]
 
 
@@ -122,7 +122,7 @@ def test_motion_is_found_under_noise_larger_than_itself():
     watch = MotionWatch()
     for start in range(0, len(t), 1000):
         rows = slice(start, start + 1000)
-        watch.take(t[rows], gyro[rows], 0.004)
+        watch.add_rates(t[rows], gyro[rows], 0.004)
     roll, pitch, yaw = watch.motion()
     rms = amplitude / math.sqrt(2.0)
     assert roll.rate_rms == pytest.approx(rms, rel=0.03)
@@ -135,7 +135,7 @@ def test_motion_is_found_under_noise_larger_than_itself():
 
 def test_too_little_flight_tells_no_motion():
     watch = MotionWatch()
-    watch.take(np.arange(20) * 0.004, np.zeros((20, 3)), 0.004)
+    watch.add_rates(np.arange(20) * 0.004, np.zeros((20, 3)), 0.004)
     assert watch.motion() == []
 
 
@@ -202,7 +202,7 @@ def flown(*speeds, vehicle_type):
         records.append(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
         records.append(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
-    inspector.take(RecordBlock.of(records))
+    inspector.add_records(RecordBlock.of(records))
     return inspector.finish("made", "tlog")
 
 
@@ -297,7 +297,7 @@ def test_several_flights_and_the_ground_between():
             records.append(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
         if not 3000 <= i < 3300:  # a gap on the ground is none in flight
             records.append(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
-    inspector.take(RecordBlock.of(records))
+    inspector.add_records(RecordBlock.of(records))
     found = inspector.finish("made", "tlog")
     assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
     assert found.stream(Stream.IMU).gaps == 0
@@ -387,7 +387,7 @@ def test_how_records_are_cut_into_blocks_changes_nothing(size):
     def found(step):
         inspector = Inspector(Intake())
         for first in range(0, len(records), step):
-            inspector.take(RecordBlock.of(records[first : first + step]))
+            inspector.add_records(RecordBlock.of(records[first : first + step]))
         return inspector.finish("made", "tlog")
 
     whole = found(len(records))
@@ -398,7 +398,7 @@ def test_how_records_are_cut_into_blocks_changes_nothing(size):
 
 def test_flight_by_armed_and_turning_rotors():
     inspector = Inspector(Intake())
-    inspector.take(RecordBlock.of(armed_and_turning()))
+    inspector.add_records(RecordBlock.of(armed_and_turning()))
     found = inspector.finish("made", "tlog")
     assert found.flight_told_by == "rotors"
     assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)

@@ -11,8 +11,7 @@ from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters
 from gcs_sysid.judgement import judge as room
-from gcs_sysid.judgement.clock_doubt import ClockDoubt
-from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.evidence import ClockDoubt, Evidence
 from gcs_sysid.judgement.judge import Producer, Stage, judge, judged, object_to
 from gcs_sysid.judgement.prediction import RULES
 from gcs_sysid.model import rigid_body as rb

@@ -96,3 +96,9 @@ def test_too_little_flight_is_no_finding():
     check.update(T[:200], RATES[:200], Q[:200])
     assert check.result() is None
     assert gyro_reason(None) == ""
+
+
+def test_noise_of_an_attitude_that_hardly_turns_is_no_dead_gyro():
+    noisy = np.tile(Q[:1], (len(T), 1)) + 0.02 * np.random.default_rng(3).normal(size=Q.shape)
+    found = checked(0.01 * RATES, noisy / np.linalg.norm(noisy, axis=1, keepdims=True))
+    assert gyro_reason(found) == ""

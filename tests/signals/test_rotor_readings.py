@@ -57,10 +57,10 @@ def test_too_few_readings_say_nothing():
 def test_a_rotor_that_holds_its_reading_is_found():
     omega = 800.0 + np.random.default_rng(2).normal(size=(len(T), 4)).cumsum(axis=0)
     assert held_rotor(T, omega) is None
-    omega[100:180, 1] = omega[100, 1]
+    omega[100:280, 1] = omega[100, 1]
     rotor, share = held_rotor(T, omega)
     assert rotor == 1
-    assert share == pytest.approx(80.0 / len(T), rel=0.1)
+    assert share == pytest.approx(180.0 / len(T), rel=0.1)
 
 
 def test_readings_that_all_stand_or_round_are_not_held():

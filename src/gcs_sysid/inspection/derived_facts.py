@@ -49,7 +49,7 @@ class FlightWatch:
         """Whether it flies, by the records so far."""
         return self._since is not None
 
-    def take(self, record: Record) -> bool:
+    def add_record(self, record: Record) -> bool:
         """Note a record; whether it flies now."""
         if record.stream is Stream.IN_AIR:
             self._in_air = record.values[0] > 0.5
@@ -121,7 +121,7 @@ class RotorJudge:
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: RotorSource | None = None
 
-    def take(self, block: RecordBlock) -> None:
+    def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
         for part in block.windows(WINDOW):
             for _, record_of in part.parameters:

@@ -89,7 +89,7 @@ class Inspector:
         self._began: float | None = None
         self._newest = 0.0
 
-    def take(self, block: RecordBlock, *, count: bool = True) -> None:
+    def add_records(self, block: RecordBlock, *, count: bool = True) -> None:
         """Take records that follow each other; without `count` for what they say of flight alone.
 
         How they are cut into blocks changes no number.
@@ -98,7 +98,7 @@ class Inspector:
             return
         if self._judge is None:
             self._judge = self._new_judge()
-        self._judge.take(block)
+        self._judge.add_records(block)
         tracks = [track for track in block.tracks if track.stream is not Stream.VOLTAGE]
         if not tracks:
             return
@@ -122,7 +122,7 @@ class Inspector:
                 self._reboot(float(t[what]))
                 done = what
                 continue
-            flying = self._flight.take(what)
+            flying = self._flight.add_record(what)
             if flying is not self._flight.flying:
                 self._fill(waiting, at)
                 self._look_at_all()
@@ -181,13 +181,13 @@ class Inspector:
 
     def _look_at(self, key: Key, watch: StreamWatch) -> None:
         flying = self._flight.flying
-        chunk = watch.take(flying=flying)
+        chunk = watch.cut_chunk(flying=flying)
         if chunk is None or not flying:
             return
         if key[0] in _ROTORS:
-            self._rotors.setdefault(key, RotorWatch()).take(chunk.values)
+            self._rotors.setdefault(key, RotorWatch()).add_values(chunk.values)
         elif key[0] is Stream.IMU and len(chunk.t) > 1:
-            self._motion.take(chunk.t, chunk.values[:, :3], watch.usual_step)
+            self._motion.add_rates(chunk.t, chunk.values[:, :3], watch.usual_step)
 
     def finish(
         self,
@@ -320,7 +320,7 @@ def inspect_log(
     keeper = HoverRecords()
     keeper.begin(log)
     for block in log.blocks():
-        inspector.take(block)
+        inspector.add_records(block)
         keeper.add_records(block)
         if progress:
             progress(log.share_read)
@@ -399,7 +399,7 @@ def inspect_link(
             if received is None and intake.vehicle is not None:
                 received = now
             count = received is not None and now - received >= settling
-            inspector.take(intake.block(FrameBlock.of(frames, now)), count=count)
+            inspector.add_records(intake.block(FrameBlock.of(frames, now)), count=count)
             station.follow(now, intake)
             passed = now - (began if received is None else received)
             if now - asked >= _ASK_EVERY:

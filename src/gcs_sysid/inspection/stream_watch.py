@@ -147,7 +147,7 @@ class StreamWatch:
         """The counts that matter: those in flight, where there was flight."""
         return self.flight if self.flight.samples > 1 else self.ground
 
-    def take(self, *, flying: bool) -> Chunk | None:
+    def cut_chunk(self, *, flying: bool) -> Chunk | None:
         """Look at what was gathered; the samples that came in rising time, if any."""
         if not self._t:
             return None
@@ -222,7 +222,7 @@ class RotorWatch:
         self._low = np.zeros(0)
         self._high = np.zeros(0)
 
-    def take(self, values: Array) -> None:
+    def add_values(self, values: Array) -> None:
         """(n, rotors) samples in flight."""
         more = values.shape[1] - len(self._count)
         if more > 0:
@@ -264,7 +264,7 @@ class MotionWatch:
         self._rate_power = np.zeros(3)
         self._acceleration_power = np.zeros(3)
 
-    def take(self, t: Array, gyro: Array, usual_step: float) -> None:
+    def add_rates(self, t: Array, gyro: Array, usual_step: float) -> None:
         """Take (n,) times in s and (n, 3) rates in rad/s of one stretch of flight."""
         width = max(BIN, _SAMPLES_PER_BIN * usual_step)
         place = ((t - t[0]) / width).astype(int)

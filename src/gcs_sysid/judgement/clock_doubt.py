@@ -7,9 +7,8 @@ clock is that of its physics.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
-from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.evidence import ClockDoubt, Evidence
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import REGISTRY
 
@@ -24,31 +23,6 @@ _SIH_ON_BOARD = 2.0
 """SYS_HITL: PX4 simulates its own vehicle."""
 _SIH_FRAMES = (10_000.0, 20_000.0)
 """SYS_AUTOSTART of vehicles that PX4 simulates on a computer."""
-
-
-@dataclass(frozen=True)
-class ClockDoubt:
-    """Two clocks of which one is wrong.
-
-    Attributes:
-        share: by which the vehicle's is faster; negative: slower.
-    """
-
-    share: float
-
-    @property
-    def reason(self) -> str:
-        """In a pilot's words."""
-        way = "fast" if self.share > 0.0 else "slow"
-        link = "" if self.share > 0.0 else ", or the link lags increasingly"
-        return (
-            f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
-            f"computer's, more than good clocks do, and either may be wrong{link}: inertia "
-            f"and k_M "
-            "may be off by as much, and their intervals are wider by it; fly again with another "
-            "computer to find the wrong one (a simulator is recognized by its SIM_ or SIH_ "
-            "parameters)"
-        )
 
 
 def clock_doubt(

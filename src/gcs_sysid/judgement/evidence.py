@@ -13,7 +13,6 @@ from gcs_sysid.signals.records import Stream
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.online.fit import Fit
-    from gcs_sysid.judgement.clock_doubt import ClockDoubt
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,31 @@ class Received:
     has_rotors: bool = True
     input_lost: str = ""
     outdated: bool = False
+
+
+@dataclass(frozen=True)
+class ClockDoubt:
+    """Two clocks of which one is wrong.
+
+    Attributes:
+        share: by which the vehicle's is faster; negative: slower.
+    """
+
+    share: float
+
+    @property
+    def reason(self) -> str:
+        """In a pilot's words."""
+        way = "fast" if self.share > 0.0 else "slow"
+        link = "" if self.share > 0.0 else ", or the link lags increasingly"
+        return (
+            f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
+            f"computer's, more than good clocks do, and either may be wrong{link}: inertia "
+            f"and k_M "
+            "may be off by as much, and their intervals are wider by it; fly again with another "
+            "computer to find the wrong one (a simulator is recognized by its SIM_ or SIH_ "
+            "parameters)"
+        )
 
 
 @dataclass(frozen=True)
@@ -76,7 +100,7 @@ class Evidence:
     filtered: bool = False
     given: Mapping[str, float] = field(default_factory=dict)
     reread: bool = False
-    clock: "ClockDoubt | None" = None
+    clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None
     received: Received | None = None
     no_vehicle: str = ""

@@ -19,7 +19,7 @@ from gcs_sysid.estimation.parameters.given_errors import (
 )
 from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.parameters.physical_parameters import rotor_values, timing_values
-from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.judge import judge, judged
@@ -116,7 +116,7 @@ class Findings:
         )
 
     @property
-    def _scale(self) -> Scale:
+    def _scale(self) -> AbsoluteScale:
         fit, anchor = self.chain.fit, self.chain.anchor
         return resolve_scale(anchor, fit.translation, self.chain.known_beforehand(anchor))
 

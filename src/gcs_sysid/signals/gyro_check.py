@@ -31,6 +31,8 @@ _MOST = 8192
 """Intervals that are kept, 40 minutes."""
 _LEAST_SHARE = 0.05
 """Explained, below which noise hides everything."""
+_NOISY = 0.25
+"""Share of noise in an attitude's turns, known to some 0.2, up to which they are turns."""
 _ROUNDS = 10
 """Of the reweighted fit."""
 
@@ -43,7 +45,8 @@ class GyroAgainstAttitude:
         gain: (3, 3) G.
         std: (3, 3) its standard deviation, half of what noise of the attitude may hide included.
         bias: (3,) rad/s that the gyro reads too much.
-        turned: (3,) rms, rad, of what the attitude turned in an interval.
+        turned: (3,) rms, rad, of what the attitude turned in an interval; 0 where its noise may
+            make most of that.
         seconds: of flight that were compared.
     """
 
@@ -127,8 +130,18 @@ def _compared(ends: Array) -> GyroAgainstAttitude | None:
     half = 0.5 * gain * (1.0 / explained - 1.0)
     gain, std = gain + half, np.hypot(std, half)
     bias = np.array([value[3] for value, *_ in fits])
-    turned = np.sqrt((phi**2).mean(axis=0))
+    turned = np.where(_noise_share(phi) < _NOISY, np.sqrt((phi**2).mean(axis=0)), 0.0)
     return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
+
+
+def _noise_share(phi: Array) -> Array:
+    """(3,) share of the variance of (n, 3) turns that noise of the attitude makes.
+
+    Differences of white noise that follow each other are correlated by -1/2.
+    """
+    following = (phi[1:] * phi[:-1]).mean(axis=0)
+    share: Array = -2.0 * following / ((phi**2).mean(axis=0) + math.ulp(1.0))
+    return share
 
 
 def _robust(columns: Array, y: Array) -> tuple[Array, Array, float]:

@@ -17,7 +17,7 @@ by 3 %; pole counts of 12 and 14 make 15 %."""
 _OUT_OF_BALANCE = 0.05
 """Share of the load by which yaw is out of balance beyond that by the other stream: one rotor of
 four that is 10 % off."""
-_HOLDS, _FEWEST, _HELD = 0.15, 5, 0.02
+_HOLDS, _FEWEST, _HELD = 0.15, 5, 0.2
 """s and repeats for which a rotor's reading stays the same while most others change, and the share
 of time in such holds from which its readings are not those of its rotor."""
 

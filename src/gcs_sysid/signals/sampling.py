@@ -405,16 +405,21 @@ class Sampler:
         return turning
 
     def _thrust(self, block: Block, n: int) -> Array:
-        """(n, 2) mean of squared speeds and of commands: what thrust grows with."""
-        out = np.full((n, 2), np.nan)
-        for (stream, _, offset), values in block.values.items():
+        """(n, 2) mean over rotors of squared speeds, and of commands: what thrust grows with."""
+        sums: dict[tuple[int, str], tuple[Array, int]] = {}
+        for (stream, source, offset), values in block.values.items():
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
                 k = int(stream is Stream.ROTOR_COMMAND)
                 # Pulses start from 1000 us.
                 pulse = (values >= 600.0) & (values <= 2400.0) if k else np.zeros(1, bool)
                 values = np.where(pulse, np.maximum(values - 1000.0, 0.0), values)
-                mean = (values[:, : self._rotors - offset] ** (2 - k)).mean(axis=1)
-                out[:, k] = np.fmax(out[:, k], mean)
+                effort = values[:, : self._rotors - offset] ** (2 - k)
+                # Of the rotors that all groups of a source have, not of one group.
+                total, count = sums.get((k, family(source)), (np.zeros(n), 0))
+                sums[k, family(source)] = total + effort.sum(axis=1), count + effort.shape[1]
+        out = np.full((n, 2), np.nan)
+        for (k, _), (total, count) in sums.items():
+            out[:, k] = np.fmax(out[:, k], total / count)
         return out
 
     def _show(self, samples: Samples) -> None:

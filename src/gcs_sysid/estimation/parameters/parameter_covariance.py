@@ -12,7 +12,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.parameters.scale import Scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import REGISTRY
@@ -20,7 +20,7 @@ from gcs_sysid.model.parameters import REGISTRY
 
 def parameter_covariance(
     rotation: RotationFit,
-    scale: Scale,
+    scale: AbsoluteScale,
     values: Mapping[str, tuple[float, float]],
     given: Mapping[str, Array],
 ) -> tuple[Sequence[str], Array, Array]:

@@ -17,7 +17,7 @@ from gcs_sysid.estimation.parameters.individual_values import (
     mean_damping,
     rotor_coefficients,
 )
-from gcs_sysid.estimation.parameters.scale import Scale, resolve_scale
+from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
@@ -157,7 +157,7 @@ def _unjudged(name: str, found: tuple[float, float] | None) -> Estimate:
 
 
 def _scale_values(
-    scale: Scale,
+    scale: AbsoluteScale,
     rotation: RotationFit | None,
     rotor_input: RotorInput,
     bend: float,
@@ -180,7 +180,7 @@ def _scale_values(
 
 def _rotation_values(
     rotation: RotationFit,
-    scale: Scale,
+    scale: AbsoluteScale,
     cg_floor: float,
     rotor_input: RotorInput,
     bend: float,
@@ -271,7 +271,7 @@ def _unsettled_bias(seconds: float) -> float:
     return ERRORS.gyro_bias * -math.expm1(-flown) / flown
 
 
-def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float) -> Raw:
+def _axis_values(rotation: RotationFit, scale: AbsoluteScale, bend: float, doubt: float) -> Raw:
     """Damping by axis where the flight shows it to differ, and its mean over roll and pitch."""
     if scale.thrust is None or not rotation.deviating.dampings.any():
         return {}
@@ -291,7 +291,7 @@ def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float)
 
 
 def rotor_values(
-    rotation: RotationFit | None, scale: Scale, rotors: int, cant: float = 0.0
+    rotation: RotationFit | None, scale: AbsoluteScale, rotors: int, cant: float = 0.0
 ) -> list[dict[str, Estimate]]:
     """k_T and k_M of each rotor, not judged, in motor order; empty where nothing sets the scale.
 

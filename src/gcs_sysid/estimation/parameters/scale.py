@@ -21,7 +21,7 @@ from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 
 @dataclass(frozen=True)
-class Scale:
+class AbsoluteScale:
     """Mass and thrust with relative standard deviations; None: not known.
 
     Thrust is k_T with rotor speeds, T_max with commands.
@@ -45,7 +45,7 @@ class Scale:
 
 def resolve_scale(
     anchor: ScaleReference, translation: TranslationFit | None, known: Mapping[str, Known]
-) -> Scale:
+) -> AbsoluteScale:
     """Mass and thrust from the anchor, the flight, and priors on either.
 
     Args:
@@ -65,13 +65,13 @@ def resolve_scale(
     given = anchor.given
     if anchor.kind == "mass":
         k_T, k_T_share, k_T_given = _combined(anchor.value * kappa, other, given, known.get("k_T"))
-        return Scale(anchor.value, own, k_T, k_T_share, given, k_T_given)
+        return AbsoluteScale(anchor.value, own, k_T, k_T_share, given, k_T_given)
     mass, mass_share, mass_given = _combined(anchor.value / kappa, other, given, known.get("mass"))
-    return Scale(mass, mass_share, anchor.value, own, mass_given, given)
+    return AbsoluteScale(mass, mass_share, anchor.value, own, mass_given, given)
 
 
-def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
-    nothing = Scale(None, math.inf, None, math.inf)
+def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> AbsoluteScale:
+    nothing = AbsoluteScale(None, math.inf, None, math.inf)
     if anchor.loaded is None or not math.isfinite(kappa):
         return nothing
     loaded, loaded_share = anchor.loaded[0], anchor.loaded[1] / anchor.loaded[0]
@@ -83,7 +83,7 @@ def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
     k_T_share = math.hypot(loaded / apart * share, kappa / apart * loaded_share, own)
     mass_share = math.hypot(kappa / apart * share, kappa / apart * loaded_share, own)
     mass = anchor.value * loaded / apart
-    return Scale(mass, mass_share, mass * kappa, k_T_share, anchor.given, anchor.given)
+    return AbsoluteScale(mass, mass_share, mass * kappa, k_T_share, anchor.given, anchor.given)
 
 
 def _combined(
@@ -109,7 +109,9 @@ def _combined(
 _UNKNOWNS = (*THETA, *COORDINATE_NAMES)
 
 
-def relative_prior(known: Mapping[str, Known], scale: Scale, cant: float = 0.0) -> Prior | None:
+def relative_prior(
+    known: Mapping[str, Known], scale: AbsoluteScale, cant: float = 0.0
+) -> Prior | None:
     """Priors on physical parameters as one on theta, as far as the scale is known.
 
     Args:
