@@ -358,10 +358,12 @@ class TestOrangebox:
         assert self.rows(path)[1][2] == 3 * 2**30
 
     @pytest.mark.slow
-    def test_equal_on_a_real_log(self, shared_logs):
+    def test_equal_on_a_real_log(self, shared_logs, caplog):
         path = shared_logs / "real" / "LOG00259.BFL"
         rows = self.rows(path)
+        caplog.clear()  # orangebox warns of a header and of an event
         found = frames_of(path.read_bytes()).main.values
+        assert not caplog.records
         assert [list(row[: found.shape[1]]) for row in rows] == found.tolist()
 
 
