@@ -104,11 +104,14 @@ def test_hover_that_it_did_not_assess_is_assessed_here(flight, tmp_path, beside,
     assert capfd.readouterr() == said
 
 
-def test_of_a_log_of_many_hours_the_rest_waits_to_be_taken(flight, tmp_path, monkeypatch, beside):
+def test_of_a_log_of_many_hours_the_rest_waits_to_be_taken(
+    flight, tmp_path, monkeypatch, beside, capfd
+):
     short = replace(assessment.TUNING, most_samples=500)
     with monkeypatch.context() as here:
         here.setattr(assessment, "TUNING", short)
         alone = analyzed(flight.tlog, tmp_path / "alone.json")
+    said = capfd.readouterr()
     assert b"first 500 IMU samples" in alone[1]
     waited = tmp_path / "waited"
     beside(
@@ -124,11 +127,12 @@ def test_of_a_log_of_many_hours_the_rest_waits_to_be_taken(flight, tmp_path, mon
     )
     forbid_reading_here(monkeypatch)
     assert analyzed(flight.tlog, tmp_path / "beside.json") == alone
+    assert capfd.readouterr() == said
     assert set(waited.read_text().split()) == {"4"}
 
 
 def test_parameters_fetched_after_the_flight_have_it_read_again(
-    flight, tmp_path, monkeypatch, beside
+    flight, tmp_path, monkeypatch, beside, capfd
 ):
     readings = []
     monkeypatch.setattr(
@@ -141,10 +145,12 @@ def test_parameters_fetched_after_the_flight_have_it_read_again(
         lambda chain, log, *others: readings.append(type(log)) or begin(chain, log, *others),
     )
     alone = analyzed(flight.tlog, tmp_path / "alone.json")
+    said = capfd.readouterr()
     beside()
     first = readings[:]
     readings.clear()
     assert analyzed(flight.tlog, tmp_path / "beside.json") == alone
+    assert capfd.readouterr() == said
     assert [kind.__name__ for kind in (*first, *readings)] == [
         "TlogLog",
         "TlogLog",
