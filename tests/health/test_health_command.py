@@ -115,9 +115,10 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
 
 
 @pytest.mark.slow
-def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, tmp_path):
+def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, tmp_path, capsys):
     file = tmp_path / "new.params"
     assert run(["health", str(flight.tlog), "--airframe", "paper", "--params", str(file)]) == 0
+    assert "  CA_ROTOR0_PX " in capsys.readouterr().out
     rows = [line.split("\t") for line in file.read_text().splitlines() if line[:1] != "#"]
     assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] == "9" for row in rows)
     values = {row[2]: float(row[3]) for row in rows}
