@@ -19,6 +19,9 @@ from mkdocs.structure.pages import Page
 ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages that lie at the project's root, and their names on the site."""
 
+_OFF_SITE = re.compile(r"\[([^]\n]+)\]\(((?:benchmarks|tools)/[^)\s]+)\)")
+"""Links of those pages to what the project has and the site has not: there the path is named."""
+
 EXPECTED_PAGES = ("coach.md",)
 """Pages that the navigation names already, written or not."""
 
@@ -88,6 +91,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = re.sub(r"\]\(docs/", "](", (root / name).read_text(encoding="utf-8"))
         for other, its_page in ROOT_PAGES.items():
             text = text.replace(f"]({other}", f"]({its_page}")
+        text = _OFF_SITE.sub(r"\1 (`\2`)", text)
         files.append(File.generated(config, page, content=text))
     for name, page in _reference().items():
         files.append(File.generated(config, name, content=page()))
