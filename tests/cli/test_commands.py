@@ -239,7 +239,8 @@ def test_a_reader_that_goes_away_is_no_error(paper_flight):
     argv = program("analyze", paper_flight.tlog, *PAPER, "--json", "-")
     process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
-    err = process.stderr.read()
+    with process.stderr:
+        err = process.stderr.read()
     assert process.wait(120) == 0
     assert err == b""
 
