@@ -102,11 +102,18 @@ class HealthPanel(Lines):
     def __init__(self) -> None:
         super().__init__(id="health")
         self._shown: tuple[Mapping[str, Any] | None, int] | None = None
+        self._view: View | None = None
 
     def show(self, view: View) -> None:
         """Bring the panel up to date; a look is the same object until there is another."""
+        self._view = view
         health = None if view.snapshot is None else view.snapshot.health
         width = self.content_size.width or 76
         if self._shown is None or self._shown[0] is not health or self._shown[1] != width:
             self._shown = health, width
             self.put(health_lines(health, width))
+
+    def on_resize(self) -> None:
+        """Wrap the lines again."""
+        if self._view is not None:
+            self.show(self._view)
