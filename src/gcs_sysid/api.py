@@ -2,6 +2,8 @@
 
 Both end with the `Result` that the command line prints and `--json` writes. What cannot be used,
 a file, a name or an array, is an `InputError` with one line that says what and why.
+
+What reads logs is imported by the functions that are given one: arrays need no MAVLink.
 """
 
 from collections.abc import Mapping
@@ -28,12 +30,10 @@ from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Acceleration
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import WINDOW, Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.twin.held_out_flight import fly_held_out
 from gcs_sysid.twin.twin_flight import TwinFlight
 
 __all__ = [
@@ -253,6 +253,8 @@ def analyze(
         >>> low < 0.0294 < high  # kg m^2, see logs/sample.truth.json
         True
     """
+    from gcs_sysid.session.analysis import analyze_log
+
     interval = ChainOptions().history_interval if history else None
     options = ChainOptions(history_interval=interval, start=start, end=end, offline=offline)
     whole = load_airframe(airframe, **known)
@@ -310,6 +312,8 @@ def fly_twin(
         >>> twin.same_flight, twin.accuracy[1.0]["rates"].r_squared > 0.9
         (True, True)
     """
+    from gcs_sysid.twin.held_out_flight import fly_held_out
+
     if airframe is None and known:
         raise InputError(f"{', '.join(sorted(known))}: give the airframe too")
     whole = None if airframe is None else load_airframe(airframe, **known)
