@@ -152,8 +152,8 @@ def _log_details(outcomes: Outcomes) -> list[str]:
         f"{'landings late s':>18}  false changes"
     ]
     for o in outcomes:
-        if "error" in o:
-            lines.append(f"{o['log']:<40}{o['error']}")
+        if "landings" not in o:
+            lines.append(f"{o.get('log', '-'):<40}{o.get('error', 'not judged: see the defects')}")
             continue
         late = " ".join(f"{s:.2f}" for s in o["landings"])
         lines.append(
@@ -288,7 +288,7 @@ NOT_IN_THE_AIR = {
 """Logs on the ground, on a bench, in a hand, or without an accelerometer: no hover in them."""
 _ONE_DAY = re.compile(r"000001[2]\d\.BIN")
 """Flights of one vehicle, one battery, one day."""
-_SAME = ("k_T", "thrust_to_weight", "cg x", "cg y", "yaw_imbalance", "hover_throttle")
+_REPEATED = ("k_T", "thrust_to_weight", "cg x", "cg y", "yaw_imbalance", "hover_throttle")
 
 
 def _field_units(is_short: bool) -> list[str]:
@@ -314,7 +314,7 @@ def _field(unit: str) -> dict[str, Any]:
     values = {**told, "cg x": cg.get("x"), "cg y": cg.get("y")}
     found["values"] = {
         name: [values[name]["value"], values[name]["std"]]
-        for name in _SAME
+        for name in _REPEATED
         if isinstance(values.get(name), dict) and values[name].get("std")
     }
     return found
