@@ -11,7 +11,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_readings import held_rotor, odd_reading
+from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 
@@ -121,7 +121,7 @@ def streams_of(
         samples = _per_rotor(parts, count, start)
         problem = _problem(samples, count)
         if not problem and stream is Stream.ROTOR_SPEED:
-            problem = _constant_reading(samples) or _held_reading(samples)
+            problem = _constant_reading(samples) or held_reading(samples)
         if problem:
             refused[name] = problem
             continue
@@ -150,20 +150,10 @@ def streams_of(
 
 def _turning(stream: RotorStream) -> Array:
     """(n, rotors) readings while all rotors turn fast, as in flight; each at its own times."""
-    n = min(len(t) for t, _ in stream.samples)
-    values = np.column_stack([v[:n] for _, v in stream.samples])
+    values = together(stream.samples)
     least = values.min(axis=1)
     out: Array = values[least > 0.5 * float(np.percentile(least, 95.0))]
     return out
-
-
-def _held_reading(samples: Sequence[tuple[Array, Array]]) -> str:
-    """Which rotor's readings are old ones, if any."""
-    times = samples[0][0]
-    if any(len(t) != len(times) for t, _ in samples[1:]):
-        return ""
-    held = held_rotor(times, np.column_stack([v for _, v in samples]))
-    return "" if held is None else f"holds old readings of rotor {held[0] + 1}"
 
 
 def _steady(track: Track, boots: Sequence[int]) -> Track:

@@ -19,10 +19,8 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import RULES as STATUS_RULES
 from gcs_sysid.model.estimate import Objection, Status
-from gcs_sysid.model.parameters import REGISTRY, TIMING, Parameter
+from gcs_sysid.model.parameters import AXES, REGISTRY, TIMING, Parameter
 from gcs_sysid.model.rotor_input import THROUGH_MOTORS
-
-AXES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)

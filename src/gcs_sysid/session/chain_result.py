@@ -23,10 +23,9 @@ from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.judge import judge, judged
-from gcs_sysid.judgement.prediction import AXES
 from gcs_sysid.judgement.status import of_rotors
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Result

@@ -5,6 +5,7 @@ otherwise either turns otherwise, or its ESC reports another number of poles. Ya
 torque balances in hover, so that the stream by which it does not is the wrong one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,31 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
         return None
     by_speed, by_command = (abs(spin @ w**2) / float((w**2).sum()) for w in (omega, expected))
     return OddReading(rotor, float(ratio[rotor]), by_speed > by_command + _OUT_OF_BALANCE)
+
+
+def together(rotors: Sequence[tuple[Array, Array]]) -> Array:
+    """(n, rotors) readings of all rotors, number by number, from the times and values of each."""
+    n = min(len(v) for _, v in rotors)
+    out: Array = np.column_stack([v[:n] for _, v in rotors])
+    return out
+
+
+def held_reading(rotors: Sequence[tuple[Array, Array]]) -> str:
+    """Why speeds are not used of which one rotor's are old; empty where none are.
+
+    Args:
+        rotors: times and values of each. Those that came one by one are not compared.
+    """
+    times = rotors[0][0]
+    if any(len(t) != len(times) for t, _ in rotors[1:]):
+        return ""
+    held = held_rotor(times, together(rotors))
+    if held is None:
+        return ""
+    return (
+        f"holds old readings of rotor {held[0] + 1} for {100.0 * held[1]:.0f} % of the time while "
+        "the others change"
+    )
 
 
 def held_rotor(t: Array, speeds: Array) -> tuple[int, float] | None:

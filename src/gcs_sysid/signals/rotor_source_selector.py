@@ -22,7 +22,7 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
-from gcs_sysid.signals.rotor_readings import OddReading, held_rotor, odd_reading
+from gcs_sysid.signals.rotor_readings import OddReading, held_reading, odd_reading, together
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
 STRETCH = 2.5
@@ -264,16 +264,8 @@ class RotorSourceSelector:
             if (least := min(fresh)) < min(MIN_RATE, _LAGS * float(np.median(fresh))):
                 rotor = fresh.index(least) + 1
                 return f"repeats old readings of rotor {rotor}, {least:.0f} new ones a second"
-            times = [t for t, _ in rotors]
-            if (
-                all(map(np.ptp, values))
-                and len({len(t) for t in times}) == 1
-                and (held := held_rotor(times[0], np.column_stack(values)))
-            ):
-                return (
-                    f"holds old readings of rotor {held[0] + 1} for {100.0 * held[1]:.0f} % of the "
-                    "time while the others change"
-                )
+            if all(map(np.ptp, values)):
+                return held_reading(rotors)
         return ""
 
     def _dead(self, name: str, stretch: Stretch) -> str:
@@ -384,7 +376,7 @@ class RotorSourceSelector:
     def _odd(self, speeds: Stretch, commands: Stretch) -> OddReading | None:
         """The rotor whose speed is not that of the others at its command."""
         count = len(self._airframe.rotors)
-        measured, asked = (_together(stretch.rotors(count)) for stretch in (speeds, commands))
+        measured, asked = (together(stretch.rotors(count)) for stretch in (speeds, commands))
         return odd_reading(measured, asked, self._airframe.geometry[2])
 
     def _too_slow(self, stretch: Stretch) -> bool:
@@ -438,13 +430,6 @@ def _saturates(rotor: int, values: Sequence[Array]) -> bool:
     if value <= 0.0 or value < greatest:
         return False
     return value in _FULL_SCALES or greatest >= _TOUCHES * value
-
-
-def _together(rotors: Sequence[tuple[Array, Array]]) -> Array:
-    """(n, rotors) readings of all rotors, number by number."""
-    n = min(len(v) for _, v in rotors)
-    out: Array = np.column_stack([v[:n] for _, v in rotors])
-    return out
 
 
 def _until_landing(

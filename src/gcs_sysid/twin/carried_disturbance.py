@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.judgement.prediction import AXES
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.recursions import lfilter
 
 _MEMORIES = (0.03, 0.1, 0.3, 1.0)
