@@ -5,19 +5,14 @@ all with one worker and with two. Wall time of the command, its start included. 
 has other work the figures lie: the share of two processors that was to be had is printed beside.
 """
 
-import argparse
-import contextlib
-import io
-import multiprocessing
 import os
-import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
-from benchmarks.cost import children_seconds
-from sim_bridge.cli import main as sim_bridge
+from testbed.study import arguments, children_seconds, in_processes, run
 
 FLIGHT = (
     *("--airframe", "paper", "--mission", "all-axes", "--noise", "paper", "--sigma", "0.002"),
@@ -27,12 +22,11 @@ BAR = 0.6
 """Most time of two workers over that of one."""
 
 
-def fly(log: Path, seed: int, seconds: float) -> None:
+def fly(logs: Path, seconds: float, seed: int) -> None:
     """Write one flight."""
+    log = logs / f"{seed:04d}.tlog"
     files = ("--seed", str(seed), "--duration", str(seconds), "--tlog", str(log))
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        status = sim_bridge([*FLIGHT, *files])
-    if status:
+    if run(("sim_bridge", *FLIGHT, *files)).status:
         sys.exit(f"the emulator failed for {log}")
 
 
@@ -40,18 +34,16 @@ def batch(logs: Path, out: Path, workers: int) -> tuple[float, float]:
     """Analyse them all; wall time and processor time, s."""
     words = ["batch", str(logs), "-o", str(out), "--airframe", "paper", "--workers", str(workers)]
     wall, spent = time.perf_counter(), children_seconds()
-    done = subprocess.run(
-        [sys.executable, "-m", "gcs_sysid", *words], check=False, capture_output=True, text=True
-    )
-    if done.returncode != 0:
-        sys.exit(done.stderr)
-    print(done.stderr.rstrip(), file=sys.stderr)
+    done = run(("gcs_sysid", *words))
+    if done.status != 0:
+        sys.exit(done.said)
+    print(done.said.rstrip(), file=sys.stderr)
     return time.perf_counter() - wall, children_seconds() - spent
 
 
 def main() -> int:
     """Fly, analyze and report; 1 when the bar is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("--logs", type=int, default=200, help="how many (default 200)")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of each flight")
     options = parser.parse_args()
@@ -59,9 +51,7 @@ def main() -> int:
         folder = Path(name)
         logs = folder / "logs"
         logs.mkdir()
-        jobs = [(logs / f"{n:04d}.tlog", n, options.seconds) for n in range(options.logs)]
-        with multiprocessing.get_context("spawn").Pool(2) as pool:
-            pool.starmap(fly, jobs)
+        in_processes(partial(fly, logs, options.seconds), range(options.logs))
         took, cost = {}, {}
         print(f"{options.logs} logs of {options.seconds:g} s, {os.cpu_count()} processors")
         print("| workers | wall, s | processor, s | processors had |\n|---|---|---|---|")

@@ -5,7 +5,6 @@
 Both read by turns, in one process. Times are of the processor, the medians of several turns.
 """
 
-import argparse
 import logging
 import statistics
 import sys
@@ -20,6 +19,7 @@ from orangebox import Parser
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
+from testbed.study import arguments
 
 
 def whole(path: Path) -> BlackboxFrames:
@@ -60,7 +60,7 @@ def _median(read: Callable[[Path], Any], path: Path, times: list[float]) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; 1 when a value differs."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args(argv)

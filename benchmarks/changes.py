@@ -44,6 +44,7 @@ from testbed.fleets import (
     step_flights,
     vehicles,
 )
+from testbed.study import arguments
 
 
 def quiet(hours: float, count: int, only: Sequence[str]) -> int:
@@ -194,9 +195,7 @@ def whole(text: str) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.changes", description=(__doc__ or "").partition("\n")[0]
-    )
+    parser = arguments(__doc__)
     commands = parser.add_subparsers(dest="what", required=True)
     part = commands.add_parser("quiet", help="flights in which nothing changes")
     part.add_argument("--hours", type=positive, default=1.0, metavar="H", help="in all")

@@ -5,14 +5,13 @@
 The flights are those of `testbed.led_flights`.
 """
 
-import argparse
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
 
 from gcs_sysid.coach.manoeuvre_library import Limits
 from testbed.led_flights import AGREES, TARGET, WANTED, article, coached, modes
+from testbed.study import WORKERS, arguments, in_processes
 
 
 def agreement(title: str, ratios: list[float]) -> str:
@@ -27,9 +26,9 @@ def agreement(title: str, ratios: list[float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--processes", type=int, default=WORKERS)
     parser.add_argument("--airframe", default="paper")
     parser.add_argument("--max-tilt", type=float, default=20.0, help="degrees")
     parser.add_argument("--max-rate", type=float, default=150.0, help="degrees a second")
@@ -37,9 +36,9 @@ def main() -> None:
     seeds = range(options.seeds)
     limits = Limits(np.radians(options.max_tilt), np.radians(options.max_rate))
     article(options.airframe)  # flown before the work is divided
-    with ProcessPoolExecutor(options.processes) as pool:
-        led = list(pool.map(partial(coached, airframe=options.airframe, limits=limits), seeds))
-        others = list(pool.map(partial(modes, airframe=options.airframe), seeds))
+    lead = partial(coached, airframe=options.airframe, limits=limits)
+    led = in_processes(lead, seeds, options.processes)
+    others = in_processes(partial(modes, airframe=options.airframe), seeds, options.processes)
     print(f"time until every interval is within {100 * TARGET:g} % of the value, s")
     print("seed  coach  modes  manoeuvres  largest error then, %")
     for seed, (mine, other) in enumerate(zip(led, others, strict=True)):

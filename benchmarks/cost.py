@@ -5,8 +5,6 @@ that can fly it in real time at all.
 """
 
 import os
-import resource
-import socket
 import subprocess
 import sys
 import tempfile
@@ -31,6 +29,7 @@ from sim_bridge.simulated_vehicle import stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.article_flights import GEOMETRY, fly, measure
 from testbed.linked import linked
+from testbed.study import free_port, run
 
 RATE = 250
 _BLOCKS = (
@@ -42,26 +41,19 @@ _BLOCKS = (
 FLIGHT = ["--airframe", "paper", "--mission", "paper", "--noise", "mems", "--rate", str(RATE)]
 
 
-def children_seconds() -> float:
-    """Processor time of all child processes that have ended, s."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
-
-
-def run(*words: str) -> float:
+def cost_of(*words: str) -> float:
     """Run a command; its processor time in s."""
-    before = children_seconds()
-    done = subprocess.run([sys.executable, "-m", *words], check=False, capture_output=True)
-    if done.returncode not in (0, 1):  # 1: half a second of flight allows no answer
-        sys.exit(done.stderr.decode())
-    return children_seconds() - before
+    done = run(words)
+    if done.status not in (0, 1):  # 1: half a second of flight allows no answer
+        sys.exit(done.said)
+    return done.seconds
 
 
 def emulator(folder: Path) -> tuple[Path, float]:
     """Write a flight to a file; the file, and real time over processor time."""
     log = folder / "flight.tlog"
-    start_up = run("sim_bridge", "--version")
-    spent = run("sim_bridge", *FLIGHT, "--speed", "max", "--tlog", str(log))
+    start_up = cost_of("sim_bridge", "--version")
+    spent = cost_of("sim_bridge", *FLIGHT, "--speed", "max", "--tlog", str(log))
     return log, 62.0 / (spent - start_up)
 
 
@@ -135,9 +127,7 @@ def step_rate(block: int) -> float:
 
 def live_share(*words: str, seconds: float = 30.0) -> float:
     """Processor share of a headless live session at real time; words for the emulator."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     flying = subprocess.Popen(
         [
             *(sys.executable, "-m", "sim_bridge", *FLIGHT, *words),
@@ -147,8 +137,8 @@ def live_share(*words: str, seconds: float = 30.0) -> float:
     try:
         live = ["gcs_sysid", "live", f"udpin:127.0.0.1:{port}", "--airframe", "paper"]
         live += ["--headless", "--no-record", "--json", os.devnull]
-        start_up = run(*live, "--duration", "0.5")
-        return (run(*live, "--duration", str(seconds + 0.5)) - start_up) / seconds
+        start_up = cost_of(*live, "--duration", "0.5")
+        return (cost_of(*live, "--duration", str(seconds + 0.5)) - start_up) / seconds
     finally:
         flying.terminate()
         flying.wait()
@@ -158,7 +148,7 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
     """Processor share of the live look at the hover, once its memory is full."""
     log = folder / "hover.tlog"
     hover = [*FLIGHT[:2], "--mission", "hover", *FLIGHT[4:], "--duration", str(seconds)]
-    run("sim_bridge", *hover, "--speed", "max", "--tlog", str(log))
+    cost_of("sim_bridge", *hover, "--speed", "max", "--tlog", str(log))
     intake = Intake()
     records = intake.frames(frame for _, frame in read_tlog(log))
     watch, airframe = HoverWatch(intake, "link"), load_airframe("paper")
@@ -169,7 +159,7 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
     for i, block in enumerate(blocks):
         if i == begin:
             began = time.process_time()
-        watch.take(block)
+        watch.add_records(block)
         watch.look(airframe)
     return (time.process_time() - began) / (seconds * (1.0 - begin / len(blocks)))
 

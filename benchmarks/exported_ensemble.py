@@ -9,7 +9,6 @@ the derivatives G of rigid-body motion, and chi-square shows how likely such a d
 Without a result that of `logs/sample.tlog` is taken.
 """
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -17,11 +16,12 @@ from pathlib import Path
 from gcs_sysid.api import analyze
 from gcs_sysid.results.result_file import read_result
 from testbed.ensemble_spread import SECONDS, SHOWN, UNITS, spread_of
+from testbed.study import arguments
 
 
 def main() -> int:
     """Print the spread of rates and climb."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("result", nargs="?", type=Path)
     parser.add_argument("--count", type=int, default=100)
     options = parser.parse_args()

@@ -5,7 +5,6 @@ and that its tracking differentiator has 30 % less mean squared error than finit
 `python -m benchmarks.filter_claims` prints the tables; benchmarks.accuracy puts them in its page.
 """
 
-import argparse
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,6 +27,7 @@ from benchmarks.filter_errors import (
     prepare,
 )
 from gcs_sysid.signals.complementary import DEFAULT_K_P
+from testbed.study import arguments, markdown
 
 Outcome = dict[str, Any]
 """What `measure` returns."""
@@ -77,7 +77,7 @@ def attitude_table(outcomes: Sequence[Outcome]) -> list[str]:
         (f"the tool's default (k_p = {DEFAULT_K_P:g})", [less(f["tool"]) for f in found]),
         (f"the same from {SETTLED:g} s on", [less(f["late"]) for f in found]),
     )
-    return markdown("% less variance", rows)
+    return by_case("% less variance", rows)
 
 
 def acceleration_tables(outcomes: Sequence[Outcome]) -> list[str]:
@@ -114,13 +114,13 @@ def acceleration_tables(outcomes: Sequence[Outcome]) -> list[str]:
         f"Rms error of the angular acceleration in rad/s²; its own rms value is {power**0.5:.1f}. "
         "Raw / with the lag removed (one figure if there is no lag).",
         "",
-        *markdown("rms error", absolute),
+        *by_case("rms error", absolute),
         "",
         "Reduction of the mean squared error with the lag removed, in %, relative to backward "
         "differences / these with their half sample of lag removed / central differences. "
         "Negative: larger.",
         "",
-        *markdown("% less squared error", relative),
+        *by_case("% less squared error", relative),
     ]
 
 
@@ -134,13 +134,9 @@ def less(share: float) -> str:
     return f"{percent:.1f}" if 98.95 < percent < 100.0 else f"{percent:.0f}"
 
 
-def markdown(head: str, rows: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+def by_case(head: str, rows: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
     """A table, one column a case."""
-    return [
-        f"| {head} | " + " | ".join(map(str, CASES)) + " |",
-        "|---" * (len(CASES) + 1) + "|",
-        *(f"| {name} | " + " | ".join(cells) + " |" for name, cells in rows),
-    ]
+    return markdown([head, *map(str, CASES)], [(name, *cells) for name, cells in rows])
 
 
 def tables(outcomes: Sequence[Outcome]) -> list[str]:
@@ -174,7 +170,7 @@ def tables(outcomes: Sequence[Outcome]) -> list[str]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=AT_ONCE, help=f"in steps of {AT_ONCE}")
     prepare()
     firsts = range(1, parser.parse_args().seeds + 1, AT_ONCE)

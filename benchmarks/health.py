@@ -10,7 +10,6 @@ and torque, and ten seconds of hover must name it; the same flights without the 
 stretches of ten seconds, count the false alarms.
 """
 
-import argparse
 import math
 import tempfile
 from collections.abc import Iterator
@@ -44,6 +43,7 @@ from sim_bridge.px4 import Px4
 from sim_bridge.simulated_vehicle import RotorTraits
 from sim_bridge.simulation import Simulation
 from testbed.emulated import fly_into
+from testbed.study import arguments
 from testbed.vehicles import Drawn, draw
 
 LAYOUTS = ("quad-x", "hexa", "octo")
@@ -389,7 +389,7 @@ def _judge(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Health of vehicles by ordinary flights.")
+    parser = arguments(__doc__)
     parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
     parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")

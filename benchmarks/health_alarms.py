@@ -11,10 +11,9 @@ and without. IMU comes at 25 Hz, rotors at 10 Hz. `--flights` keeps the flights 
 and goes on where it ended. `--logs` judges recordings, within each flight.
 """
 
-import argparse
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
+from testbed.study import arguments, gone_on_with, markdown
 from testbed.vehicles import Drawn, draw
 
 FLIGHT, EARLIER = 300.0, 40.0
@@ -133,21 +133,10 @@ def _alarms(
 
 def emulated(hours: float, first: int, folder: Path) -> Iterator[str]:
     """The table of emulated flights, those kept and those flown now."""
-    kept: dict[int, dict[str, Any]] = {}
-    results = folder / "judged.jsonl"
-    if results.exists():
-        lines = results.read_text().splitlines()
-        kept = {row["number"]: row for row in map(json.loads, lines)}
     numbers = range(first, first + round(3600.0 * hours / FLIGHT))
-    for number in numbers:
-        if number in kept:
-            continue
-        kept[number] = judged(number, folder)
-        with results.open("a") as file:
-            file.write(json.dumps(kept[number]) + "\n")
-    yield "| flights | rotors by | hours flown | in hover | " + " | ".join(TESTS) + " |"
-    yield "|---|---|---|---|" + "---|" * len(TESTS)
-    flown = [kept[number] for number in numbers]
+    kept = folder / "judged.jsonl"
+    flown = gone_on_with(kept, "number", numbers, partial(judged, folder=folder))
+    yield from markdown(("flights", "rotors by", "hours flown", "in hover", *TESTS))
     for kind in (*sorted({row["kind"] for row in flown}), "all"):
         rows = [row for row in flown if kind in (row["kind"], "all")]
         for name in INPUTS:
@@ -197,7 +186,7 @@ def recorded(folders: Sequence[Path]) -> Iterator[str]:
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description="False alarms of the tests for weak rotors.")
+    parser = arguments(__doc__)
     parser.add_argument("--hours", type=float, default=10.0, help="of emulated flight")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first vehicle")
     parser.add_argument("--flights", type=Path, help="folder that keeps flights and results")

@@ -9,7 +9,6 @@ none has a known fault. `formats`: flights that there are as .BFL and as .tlog: 
 `analyze` agree on both, and is any rotor called weak against the flight before?
 """
 
-import argparse
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +27,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES
 from testbed.recordings import rectangle
+from testbed.study import arguments
 
 PAIRED = ("LOG*.BFL", "cinerat.toml")
 """Flights of one vehicle, each also as .tlog of the same name, and their airframe file."""
@@ -190,7 +190,7 @@ PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
 
 def main() -> None:
     """Print the parts."""
-    parser = argparse.ArgumentParser(description="Health of recorded flights.")
+    parser = arguments(__doc__)
     parser.add_argument("folder", type=Path, help="of recordings")
     parser.add_argument("--csv", type=Path, metavar="MAPPING", help="mapping file of tables")
     parser.add_argument("--part", choices=PARTS, action="append", help="default: all")

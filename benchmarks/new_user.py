@@ -9,7 +9,6 @@ for each step its seconds, their sum, and the processor time of what had ended b
 machine the last says more. Packages come from pip's cache or index. Needs the group `dev`.
 """
 
-import argparse
 import os
 import re
 import shutil
@@ -20,6 +19,8 @@ import time
 from pathlib import Path
 
 from playwright.sync_api import sync_playwright
+
+from testbed.study import arguments
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 600_000
@@ -83,7 +84,7 @@ def in_browser(address: str, log: Path, mass: str, watch: Watch) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("log", nargs="?", type=Path, help="default: a flight of the emulator")
     parser.add_argument("--mass", default="1.5", metavar="KG")
     options = parser.parse_args()

@@ -8,7 +8,6 @@ pace of the clock. Measured is the processor time of the session's process, all 
 second: what runs beside it on the machine does not count. Linux alone.
 """
 
-import argparse
 import http.client
 import json
 import os
@@ -21,7 +20,8 @@ import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from benchmarks.screen import cpu_seconds, free_port, start_emulator
+from benchmarks.screen import cpu_seconds, start_emulator
+from testbed.study import arguments, free_port
 
 SETTLE = 15.0
 """s after take-off before anything is measured: imports, and the first estimates."""
@@ -105,7 +105,7 @@ def fly(seconds: float, viewers: int | None, seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=40.0, help="measured, each run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--viewers", type=int, nargs="+", default=[1, 4])

@@ -10,13 +10,11 @@ the program's threads from the key to its answer: what the wait comes to where n
 whatever runs here.
 """
 
-import argparse
 import fcntl
 import json
 import os
 import pty
 import select
-import socket
 import struct
 import subprocess
 import sys
@@ -26,6 +24,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+from testbed.study import arguments, free_port
 
 SETTLE = 8.0
 """s after the start before anything is measured: imports, take-off, the first estimates."""
@@ -73,12 +73,6 @@ class Terminal:
     def press(self, key: str) -> None:
         """Send a key."""
         os.write(self.master, key.encode())
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def start_emulator(link: str, duration: float, seed: int) -> subprocess.Popen[bytes]:
@@ -144,7 +138,7 @@ def fly(size: tuple[int, int], seconds: float, seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=40.0, help="measured, each size")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sizes", nargs="+", default=["80x24", "120x40", "200x50"])

@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from testbed.study import arguments
+
 PROJECT = Path(__file__).resolve().parents[1]
 FOUR = ("HIGHRES_IMU", "ATTITUDE", "ESC_STATUS", "LOCAL_POSITION_NED")
 MEGABYTE = 1_000_000
@@ -297,9 +299,7 @@ def verdicts(path: Path, measured: dict[str, Measured | str]) -> list[str]:
 
 def main() -> None:
     """Print a table for each log."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.speed", description="Reading logs, against other readers."
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--size", type=float, default=200.0, metavar="MB", help="of the long log")
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="turns, each of all")
     parser.add_argument("--only", nargs="+", choices=READERS, default=[*READERS])

@@ -9,10 +9,8 @@ longest, --sizes what the dependencies take on disk, with the screen and without
 same on any machine. Not on Windows.
 """
 
-import argparse
 import os
 import re
-import resource
 import subprocess
 import sys
 import tomllib
@@ -21,6 +19,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from gcs_sysid.cli.commands import COMMANDS
+from testbed.study import arguments, markdown, run
 
 ROOT = Path(__file__).parents[1]
 SCREEN = ("textual", "textual-serve", "aiohttp")
@@ -33,17 +32,10 @@ _SHOW = "import sys; print(*(n for n in {heavy} if n in sys.modules))"
 
 def cost(code: str, runs: int) -> tuple[float, str]:
     """Least processor time of a program in s, user and system; and what it prints."""
-    best, said = float("inf"), ""
-    for _ in range(runs):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=_CACHED
-        )
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        if spent < best:
-            best, said = spent, done.stdout
-    return best, said.strip()
+    best = min((run(("-c", code)) for _ in range(runs)), key=lambda done: done.seconds)
+    if best.status:
+        sys.exit(best.said)
+    return best.seconds, best.told.strip()
 
 
 def longest(command: str) -> list[str]:
@@ -97,7 +89,7 @@ def sizes() -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, or the reasons."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.startup")
+    parser = arguments(__doc__)
     names = [command.name for command in COMMANDS]
     parser.add_argument("--runs", type=int, default=5, metavar="N")
     parser.add_argument("--why", choices=names, metavar="COMMAND")
@@ -115,8 +107,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     bare, _ = cost("pass", options.runs)
     with_numpy, _ = cost("import numpy", options.runs)
     print(f"Python {1e3 * bare:.0f} ms, with NumPy {1e3 * with_numpy:.0f} ms (processor time)")
-    print("| command | --help, ms | loaded, ms | of Python with NumPy | packages |")
-    print("|---|---|---|---|---|")
+    print(
+        *markdown("command | --help, ms | loaded, ms | of Python with NumPy | packages"), sep="\n"
+    )
     show = _SHOW.format(heavy=HEAVY)
     for name in names:
         help_time, _ = cost(

@@ -14,7 +14,6 @@ known spectra (Whittle's form) is what no unbiased estimator beats that has one 
 even with no message lost. PX4 sends two, and both are used.
 """
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -29,6 +28,7 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 from testbed.recordings import airframe_of, thinned, truth_of
+from testbed.study import arguments
 
 PRODUCTS = ("Ixy", "Iyz", "Ixz")
 SHOWN = (
@@ -134,7 +134,7 @@ def bound(
 
 def main() -> None:
     """Thin and analyse a folder."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.thinned", description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--thinnings", type=int, default=20, metavar="N")
     options = parser.parse_args()

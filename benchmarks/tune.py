@@ -10,8 +10,6 @@ after the other and the loop transfer is read off at its tones; attitude and rat
 Predictions are those of the result, not of the true vehicle. Phase in degrees, gain in dB.
 """
 
-import argparse
-import json
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -35,6 +33,7 @@ from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import HEIGHT, Reference
 from sim_bridge.rate_controllers import CONTROLLERS, LOOP_RATE
 from sim_bridge.simulation import Simulation
+from testbed.study import arguments, gone_on_with
 from testbed.vehicles import Drawn, draw
 
 LAYOUTS = ("quad-x", "hexa", "quad-h", "octo", "quad-plus")
@@ -239,25 +238,16 @@ def vehicle_rows(
 
 def main() -> None:
     """Print a line an axis, then the summary."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--vehicles", type=int, default=8)
     parser.add_argument("--most", type=int, default=1000, help="vehicles flown in this run")
     parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
     options = parser.parse_args()
-    done: dict[int, dict] = {}
-    if options.keep is not None and options.keep.exists():
-        lines = options.keep.read_text().splitlines()
-        done = {entry["vehicle"]: entry for entry in map(json.loads, lines)}
-    todo = [seed for seed in range(options.vehicles) if seed not in done][: options.most]
-    for seed in todo:
-        done[seed] = one_vehicle(seed)
-        if options.keep is not None:
-            options.keep.parent.mkdir(parents=True, exist_ok=True)
-            with options.keep.open("a") as file:
-                file.write(json.dumps(done[seed]) + "\n")
-    for entry in done.values():
+    wanted = range(options.vehicles)
+    done = gone_on_with(options.keep, "vehicle", wanted, one_vehicle, options.most)
+    for entry in done:
         show(entry)
-    summary(list(done.values()))
+    summary(done)
 
 
 def one_vehicle(seed: int) -> dict:

@@ -15,12 +15,11 @@ flights that identify all; with `--drawn` the given values (arms, rotor places, 
 rotation) err as their standard deviations say, else they are exact.
 """
 
-import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +42,7 @@ from sim_bridge.simulation import Simulation
 from testbed.emulated import record, write
 from testbed.recordings import airframe_for, logs_in
 from testbed.scenarios import SCENARIOS, Scenario
+from testbed.study import arguments, gone_on_with
 from testbed.vehicles import draw
 
 SECONDS = 50.0
@@ -189,18 +189,11 @@ def as_given(airframe: Airframe, random: np.random.Generator) -> Airframe:
 
 def covariance(wanted: range, most: int, keep: Path | None, air: Physics, *, exact: bool) -> None:
     """Normalized error squared of the parameter vector over emulated flights, by their numbers."""
-    done: dict[int, dict[str, Any]] = {}
-    if keep is not None and keep.exists():
-        done = {entry["flight"]: entry for entry in map(json.loads, keep.read_text().splitlines())}
-    for number in [n for n in wanted if n not in done][:most]:
-        done[number] = _errors_of(number, air, exact=exact)
-        if keep is not None:
-            with keep.open("a") as file:
-                file.write(json.dumps(done[number]) + "\n")
+    done = gone_on_with(keep, "flight", wanted, partial(_errors_of, air=air, exact=exact), most)
     where = f"{'still' if air is IDEAL else 'light'} air, what is given " + (
         "exact" if exact else "drawn"
     )
-    _show_errors([done[n] for n in wanted if n in done], where)
+    _show_errors(done, where)
 
 
 def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
@@ -268,7 +261,7 @@ def _show_errors(found: list[dict[str, Any]], where: str) -> None:
 
 def main() -> int:
     """Run what is named."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m benchmarks.twin")
+    parser = arguments(__doc__)
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)

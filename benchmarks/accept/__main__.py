@@ -8,13 +8,13 @@ python -m benchmarks.accept judge --only truth early
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.accept import cost, emulated, equal, judge, recorded, trees
+from testbed import study
 from testbed.recordings import KEPT
 
 REFERENCE = "d232f3d4"
@@ -23,24 +23,17 @@ REFERENCE = "d232f3d4"
 STUDIES = (*emulated.STUDIES, *recorded.STUDIES, *cost.STUDIES)
 
 
-def say(text: str) -> None:
-    """Progress, on standard error."""
-    end = "\033[K\r" if sys.stderr.isatty() else "\n"
-    print(text[:120], end=end, file=sys.stderr, flush=True)
-
-
 def run_equal(options: argparse.Namespace) -> bool:
     """Compare with what is stored; whether it is the same."""
     began = time.monotonic()
     which = [c for c in equal.cases(options.short) if _asked(c.name, options.only)]
     if not which:
         sys.exit(f"no case has {' or '.join(options.only)} in its name")
-    tree = trees.PROJECT
     if options.store:
         results = (
-            equal.results_at(options.against, which, options.workers, say)
+            equal.results_at(options.against, which, options.workers)
             if options.against
-            else equal.results_of(tree, which, options.workers, say, {})
+            else equal.results_of(study.PROJECT, which, options.workers, {})
         )
         equal.store(options.store, results)
         print(f"equal: {len(results)} results written to {options.store}")
@@ -50,8 +43,8 @@ def run_equal(options: argparse.Namespace) -> bool:
         stored = json.loads(options.stored.read_text(encoding="utf-8"))
         which = [case for case in which if case.name in stored]
     else:
-        stored = equal.results_at(reference, which, options.workers, say)
-    now = equal.results_of(tree, which, options.workers, say, {})
+        stored = equal.results_at(reference, which, options.workers)
+    now = equal.results_of(study.PROJECT, which, options.workers, {})
     lines, different = equal.compare(stored, now, options.lines)
     print(*lines, sep="\n" if lines else "", end="\n" if lines else "")
     against = options.stored or reference
@@ -67,15 +60,15 @@ def run_judge(options: argparse.Namespace) -> bool:
     if not studies:
         sys.exit(f"no study is called {' or '.join(options.only)}")
     short = bool(options.short)
-    outcomes = judge.measure(studies, options.workers, say, is_short=short)
+    outcomes = judge.measure(studies, options.workers, is_short=short)
     judge.kept_outcomes(KEPT / f"outcomes{'-short' if short else ''}.json", outcomes)
     stored = judge.load()
     judged = judge.judge(studies, outcomes, stored[short])
     print(*judged.table(), sep="\n")
     if options.details:
-        for study in studies:
-            if study.details is not None:
-                print("", *study.details(outcomes[study.name]), sep="\n")
+        for each in studies:
+            if each.details is not None:
+                print("", *each.details(outcomes[each.name]), sep="\n")
     worse = sum(row.verdict == "worse" for row in judged.rows)
     took = time.monotonic() - began
     print(
@@ -96,15 +89,11 @@ def _asked(name: str, only: Sequence[str]) -> bool:
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.accept",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = study.arguments(__doc__)
     parser.add_argument("mode", nargs="?", choices=("equal", "judge"), help="default: both")
     parser.add_argument("--short", action="store_true", help="at most 4 minutes on two cores")
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="in the name")
-    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2), metavar="N")
+    parser.add_argument("--workers", type=int, default=study.WORKERS, metavar="N")
     parser.add_argument("--against", metavar="COMMIT", help=f"equal: default {REFERENCE}")
     parser.add_argument("--stored", type=Path, metavar="FILE", help="equal: what --store wrote")
     parser.add_argument("--store", type=Path, metavar="FILE", help="equal: write, do not compare")

@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.accept import trees
 from benchmarks.accept.judge import Figure, Study
+from testbed import study
 from testbed.recordings import KEPT, SHARED, given
 
 _FLY = (
@@ -29,7 +30,7 @@ def _logs(folder: Path, seconds: str) -> Callable[[str], Path]:
     def fly(rotor_input: str) -> Path:
         log = folder / f"{rotor_input}.tlog"
         words = ("--rotor-input", rotor_input, "--duration", seconds, "--tlog", str(log))
-        trees.run(trees.PROJECT, (*_FLY, *words))
+        study.run((*_FLY, *words))
         return log
 
     return fly
@@ -85,7 +86,7 @@ def _run(unit: tuple[str, str, int]) -> dict[str, Any] | None:
         return None
     with tempfile.TemporaryDirectory() as folder:
         words = _commands(name, Path(folder), seconds)
-        both = [(trees.run(release, words), trees.run(trees.PROJECT, words)) for _ in range(turns)]
+        both = [(study.run(words, release), study.run(words)) for _ in range(turns)]
     wrong = [done for pair in both for done in pair if done.status not in (0, 1)]
     if wrong:  # 1: the flight allows no answer
         return {"defect": f"{name}: {wrong[0].said.strip()[-200:]}"}

@@ -10,7 +10,7 @@ their own size where they have none.
 import json
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accept import trees
+from testbed import study
 from testbed.recordings import KEPT, all_logs
 
 TOLERANCE = 1e-9
@@ -139,12 +140,12 @@ def result_of(tree: Path, case: Case) -> dict[str, Any]:
         log, out = case.log or folder / "flight.tlog", folder / "out.json"
         result: dict[str, Any] = {}
         if case.flight:
-            flown = trees.run(tree, ("sim_bridge", *case.flight, "--tlog", str(log)), folder)
+            flown = study.run(("sim_bridge", *case.flight, "--tlog", str(log)), tree, folder)
             if flown.status:
                 return {"emulator": flown.said}
             result["flight"] = sha256(log.read_bytes()).hexdigest()[:16]
         words = [str(log) if word == "{log}" else word for word in case.words]
-        done = trees.run(tree, ("gcs_sysid", *words, "--json", str(out)), folder)
+        done = study.run(("gcs_sysid", *words, "--json", str(out)), tree, folder)
         told = [json.loads(line) for line in _lines(out)]
         plain = {
             "status": done.status,
@@ -169,9 +170,7 @@ def _lines(out: Path) -> list[str]:
     return [text]
 
 
-def results_of(
-    tree: Path, which: Sequence[Case], workers: int, say: Callable[[str], None], known: Results
-) -> Results:
+def results_of(tree: Path, which: Sequence[Case], workers: int, known: Results) -> Results:
     """Results of all cases; those that are known are taken as they are."""
     found: Results = {}
 
@@ -181,16 +180,14 @@ def results_of(
             found[case.name] = known[case.name]
         else:
             found[case.name] = {"command": words, "result": result_of(tree, case)}
-        say(f"{len(found)}/{len(which)}: {case.name}")
+        study.say(f"{len(found)}/{len(which)}: {case.name}", always=True)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(run, which))
     return found
 
 
-def results_at(
-    commit: str, which: Sequence[Case], workers: int, say: Callable[[str], None]
-) -> Results:
+def results_at(commit: str, which: Sequence[Case], workers: int) -> Results:
     """Results of a commit, kept from one run to the next.
 
     Raises:
@@ -200,7 +197,7 @@ def results_at(
     known: Results = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     with tempfile.TemporaryDirectory() as name:
         tree = trees.unpack(commit, Path(name) / "tree")
-        found = results_of(tree, which, workers, lambda text: say(f"{commit} {text}"), known)
+        found = results_of(tree, which, workers, known)
     store(file, known | found)
     return found
 

@@ -19,6 +19,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from testbed.study import markdown, say
+
 STORED = Path(__file__).with_name("stored.md")
 SIGMAS = 2.0
 """Standard errors by which a figure may be off: one figure in forty that has not changed."""
@@ -173,9 +175,7 @@ def short(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.4g}"
 
 
-def measure(
-    studies: Sequence[Study], workers: int, say: Callable[[str], None], *, is_short: bool
-) -> dict[str, list[Any]]:
+def measure(studies: Sequence[Study], workers: int, *, is_short: bool) -> dict[str, list[Any]]:
     """Outcomes of studies, by name; a unit that breaks gives {"defect": ...}."""
     found: dict[str, list[Any]] = {}
     tasks = []
@@ -184,16 +184,21 @@ def measure(
         found[study.name] = [None] * len(units)
         tasks += [(study, i, unit) for i, unit in enumerate(units)]
     began = time.monotonic()
+
+    def tell(k: int, study: Study, unit: Any) -> None:
+        took = f"{time.monotonic() - began:4.0f} s"
+        say(f"{took}  {k}/{len(tasks)}  {study.name}: {unit}", always=True)
+
     together = [task for task in tasks if not task[0].alone]
     context = multiprocessing.get_context("spawn")
     with context.Pool(workers, maxtasksperchild=20) as pool:
         waiting = [(task, pool.apply_async(_outcome, (task[0].run, task[2]))) for task in together]
         for k, ((study, i, unit), done) in enumerate(waiting, 1):
             found[study.name][i] = done.get()
-            say(f"{time.monotonic() - began:4.0f} s  {k}/{len(tasks)}  {study.name}: {unit}")
+            tell(k, study, unit)
     for k, (study, i, unit) in enumerate((t for t in tasks if t[0].alone), len(together) + 1):
         found[study.name][i] = _outcome(study.run, unit)
-        say(f"{time.monotonic() - began:4.0f} s  {k}/{len(tasks)}  {study.name}: {unit}")
+        tell(k, study, unit)
     return found
 
 
@@ -254,17 +259,11 @@ def store(
     """Write both."""
     lines = [_HEAD.format(commit=commit)]
     for title, figures in (("The whole", whole), ("The short form", short_form)):
-        lines += [
-            f"## {title}",
-            "",
-            "| figure | better | value | error | of |",
-            "|---|---|---|---|---|",
+        rows = [
+            (f.name, f.better, f"{f.value:.6g}", f"{f.error:.3g}", f.of) for f in figures.values()
         ]
-        lines += [
-            f"| {f.name} | {f.better} | {f.value:.6g} | {f.error:.3g} | {f.of} |"
-            for f in figures.values()
-        ]
-        lines.append("")
+        head = ("figure", "better", "value", "error", "of")
+        lines += [f"## {title}", "", *markdown(head, rows), ""]
     file.write_text("\n".join(lines), encoding="utf-8")
 
 

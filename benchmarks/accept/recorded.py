@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accept import trees
 from benchmarks.accept.emulated import claim_figures
 from benchmarks.accept.judge import Figure, Study, coverage, figure, share
 from benchmarks.truth.real_flights import FLIGHTS
@@ -30,7 +29,7 @@ from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed import judge as truth_judge
-from testbed import recordings
+from testbed import recordings, study
 from testbed.recordings import AIR_TIMES, OPEN_LOOP, SHARED, given
 
 Outcomes = Sequence[dict[str, Any]]
@@ -302,9 +301,7 @@ def _field(unit: str) -> dict[str, Any]:
     log = Path(unit)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "health.json"
-        done = trees.run(
-            trees.PROJECT, ("gcs_sysid", "health", unit, *given(log), "--json", str(out))
-        )
+        done = study.run(("gcs_sysid", "health", unit, *given(log), "--json", str(out)))
         told = json.loads(out.read_text()) if out.exists() else {}
     found: dict[str, Any] = {"log": log.name, "folder": log.parent.name, "status": done.status}
     found["said"] = done.said.strip()[-200:]

@@ -1,17 +1,12 @@
-"""The source as it stands here and as it was at a commit, and commands run from either."""
+"""The source as it was at a commit."""
 
 import io
-import os
 import re
 import subprocess
-import sys
 import tarfile
-import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from testbed.recordings import PROJECT
+from testbed.study import PROJECT
 
 
 class NoHistoryError(Exception):
@@ -66,39 +61,3 @@ def unpack(commit: str, folder: Path) -> Path:
     with tarfile.open(fileobj=io.BytesIO(git("archive", commit))) as tar:
         tar.extractall(folder, filter="data")
     return folder
-
-
-@dataclass(frozen=True)
-class Done:
-    """A command that has ended.
-
-    Attributes:
-        status: exit status.
-        seconds: of processor time.
-        said: standard error.
-    """
-
-    status: int
-    seconds: float
-    said: str
-
-
-def run(tree: Path, words: Sequence[str], folder: Path | None = None) -> Done:
-    """Run a module's command from a tree, with this interpreter and its packages.
-
-    Args:
-        tree: of the project.
-        words: module and arguments, as after `python -m`.
-        folder: to run in.
-    """
-    path = os.pathsep.join([str(tree / "src"), str(tree)])
-    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", *words],
-            stdout=subprocess.DEVNULL, stderr=said, env=environment, cwd=folder,
-        )  # fmt: skip
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        return Done(process.returncode, usage.ru_utime + usage.ru_stime, said.read())

@@ -4,9 +4,7 @@ Outcomes are kept as JSON under build/accuracy, one file a case; with --only, th
 from what is kept of the others.
 """
 
-import argparse
 import json
-import multiprocessing
 import os
 import sys
 import time
@@ -16,9 +14,9 @@ from typing import Any
 from benchmarks.accuracy import document
 from benchmarks.accuracy.cases import CASES, Case
 from benchmarks.accuracy.tables_others import whole_path
+from testbed.study import PROJECT, WORKERS, arguments, in_processes, say
 
-ROOT = Path(__file__).resolve().parents[2]
-CACHE = ROOT / "build" / "accuracy"
+CACHE = PROJECT / "build" / "accuracy"
 VERSION = 2
 """Of what is kept; others are left alone."""
 
@@ -30,19 +28,9 @@ def study(case: Case, count: int, workers: int) -> dict[str, Any]:
     before = processor_seconds()
     case.prepare()
     prepared = processor_seconds() - before
-    # Forked children have what was prepared; elsewhere each prepares it on first use.
-    can_fork = "fork" in multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("fork" if can_fork else None)
     firsts = range(1, (1 if case.once else count) + 1, case.together)
-    outcomes = []
-    with context.Pool(workers) as pool:
-        for outcome in pool.imap(case.run, firsts):
-            outcomes.append(outcome)
-            say(f"{case.name}: {len(outcomes)}/{len(firsts)}")
-        pool.close()
-        pool.join()
+    outcomes = in_processes(case.run, firsts, workers, case.name)
     spent = processor_seconds() - before - prepared
-    say("")
     return {
         "version": VERSION,
         "seeds": len(firsts) * case.together,
@@ -75,19 +63,13 @@ def kept(folder: Path = CACHE) -> dict[str, Any]:
     return found
 
 
-def say(text: str) -> None:
-    """Progress, on a terminal."""
-    if sys.stderr.isatty():
-        print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
-
-
 def main() -> None:
     """Run what is asked for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, help="for every case; default: each case's own")
     names = [case.name for case in CASES]
     parser.add_argument("--only", choices=names, action="append", help="may be repeated")
-    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2))
+    parser.add_argument("--workers", type=int, default=WORKERS)
     parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     options = parser.parse_args()
     CACHE.mkdir(parents=True, exist_ok=True)
@@ -104,7 +86,7 @@ def main() -> None:
     if options.only == ["end-to-end"]:
         print("\n".join(whole_path(kept()).lines).rstrip())
         return
-    print(document.write(kept(), ROOT / "docs"), file=sys.stderr)
+    print(document.write(kept(), PROJECT / "docs"), file=sys.stderr)
 
 
 if __name__ == "__main__":

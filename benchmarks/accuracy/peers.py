@@ -5,8 +5,6 @@ filter's length, and the filter's level of noise, is the one of the list with th
 TUNING_SEEDS, known truth and all, which no user could do better.
 """
 
-import multiprocessing
-import os
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -26,6 +24,7 @@ from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 from testbed.article_flights import GEOMETRY, VEHICLE, fly, measure
+from testbed.study import in_processes
 
 TUNING_SEEDS = (100001, 100002, 100003)
 """The unscented filter, which takes long, is tuned on the first alone."""
@@ -179,8 +178,7 @@ def tune(noise: str) -> dict[str, float]:
     names = [name for name in OUTSIDE if settings_of(name, noise)]
     tasks = [(noise, name, s) for name in names for s in settings_of(name, noise)]
     tasks.sort(key=lambda task: "UKF" not in task[1])  # the long ones first
-    with multiprocessing.Pool(min(os.cpu_count() or 1, 2)) as pool:
-        scores = dict(zip(tasks, pool.map(_score, tasks, chunksize=1), strict=True))
+    scores = dict(zip(tasks, in_processes(_score, tasks), strict=True))
     return {
         name: min(settings_of(name, noise), key=lambda s: scores[noise, name, s]) for name in names
     }

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
+from testbed.study import markdown
+
 Outcome = Literal["met", "not met", "below the bound"]
 
 
@@ -104,8 +106,7 @@ def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of Markdown."""
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
-    return [*lines, *("| " + " | ".join(row) + " |" for row in rows), ""]
+    return [*markdown(head, rows), ""]
 
 
 def number(value: float) -> str:

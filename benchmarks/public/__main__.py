@@ -27,10 +27,10 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from testbed import emulated, independent, practitioner, recordings
 from testbed.scenarios import SCENARIOS
+from testbed.study import PROJECT, arguments, say
 
-ROOT = Path(__file__).resolve().parents[2]
-CACHE = ROOT / "build" / "public"
-PAGE = ROOT / "docs" / "benchmark.md"
+CACHE = PROJECT / "build" / "public"
+PAGE = PROJECT / "docs" / "benchmark.md"
 VERSION = 1
 """Of what is kept; others are made again."""
 MODEL, BEYOND, OTHERS = "the model", "not the model", "other simulators"
@@ -141,8 +141,7 @@ def study(options: argparse.Namespace, others: Mapping[str, Entry]) -> list[scor
             continue
         missing = {w: e for w, e in others.items() if not done or w not in done["estimators"]}
         if done is None or done["version"] != VERSION or missing:
-            if sys.stderr.isatty():
-                print(f"\r{count}/{len(todo)} {group} {name}\033[K", end="", file=sys.stderr)
+            say(f"{count}/{len(todo)} {group} {name}")
             done = fly(group, name, make, others)
             if not options.estimator:
                 CACHE.mkdir(parents=True, exist_ok=True)
@@ -153,9 +152,7 @@ def study(options: argparse.Namespace, others: Mapping[str, Entry]) -> list[scor
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is asked for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.public", description=(__doc__ or "").split("\n\n")[0]
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--vehicles", type=int, default=1, metavar="N", help="of each scenario")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
     parser.add_argument(
@@ -180,7 +177,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(score.main_table(flown)))
         return 0
     PAGE.write_text(score.page(flown), encoding="utf-8", newline="\n")
-    print(PAGE.relative_to(ROOT), file=sys.stderr)
+    print(PAGE.relative_to(PROJECT), file=sys.stderr)
     return 0
 
 

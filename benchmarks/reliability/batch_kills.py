@@ -8,7 +8,6 @@ must leave every result that was there as it was, analyze each of the others onc
 equal to that of a batch that nobody killed, and no process, and nothing half written.
 """
 
-import argparse
 import contextlib
 import io
 import os
@@ -23,6 +22,7 @@ from typing import Any, NamedTuple
 
 from gcs_sysid.fleet.batch_table import read_table
 from sim_bridge.cli import main as sim_bridge
+from testbed.study import arguments
 
 FLIGHT = (
     *("--airframe", "paper", "--mission", "all-axes", "--noise", "paper", "--sigma", "0.002"),
@@ -124,7 +124,7 @@ def kill_and_finish(
 
 def main() -> int:
     """Print a row for each kill; 1 when one was not complete."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability.batch_kills")
+    parser = arguments(__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--logs", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)

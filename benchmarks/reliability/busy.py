@@ -80,7 +80,7 @@ def count_for_ever() -> None:
 
 def main() -> int:
     """Fly, play, print the table; 1 when something is missing."""
-    parser = parser_of(__doc__, "busy")
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight (default: 60)")
     parser.add_argument("--busy", type=int, default=4, help="processes (default: 4)")
     parser.add_argument(

@@ -17,7 +17,6 @@ a socket and without waiting; blocks are of 1 s and an estimate is made each 10 
 clock, instead of 0.1 and 0.5 s, which changes when numbers are renewed and not what they are.
 """
 
-import argparse
 import json
 import sys
 import tempfile
@@ -46,6 +45,7 @@ from sim_bridge.missions import MISSIONS, Mission, Reference
 from sim_bridge.simulation import mass_step
 from sim_bridge.wire import FrameWriter
 from testbed.ground_cycles import emulate
+from testbed.study import arguments
 
 RATE = 20.0
 RATES = {
@@ -250,11 +250,7 @@ def errors(result: Result, truth: dict[str, float]) -> dict[str, tuple[float, fl
 
 def main() -> int:
     """Fly the day."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.reliability.day",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--hours", type=float, default=24.0, help="of all flights (default: 24)")
     parser.add_argument("--packs", type=int, default=6, help="flights (default: 6)")
     options = parser.parse_args()

@@ -7,16 +7,13 @@ flown once; what a link does to it is done to its frames, and what arrives is re
 time of its arrival and analyzed as any recording.
 """
 
-import argparse
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -36,6 +33,7 @@ from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.linked import linked
+from testbed.study import WORKERS, T, arguments, in_processes, markdown
 
 AIRFRAME = "paper"
 NO_LINE = LineFaults()
@@ -221,25 +219,14 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
     return found
 
 
-T = TypeVar("T")
-
-
 def several(cases: Sequence[Case], flight: Flight, seed: int) -> list[Outcome]:
     """One flight with each case's faults; flown once for all faults of the line."""
     return [analyzed(case, flight, seed) for case in cases]
 
 
 def over_seeds(work: Callable[[int], T], seeds: int, processes: int, label: str) -> list[T]:
-    """Results of seeds 1 to n, with progress on a terminal."""
-    out = []
-    with ProcessPoolExecutor(processes) as pool:
-        for result in pool.map(work, range(1, seeds + 1)):
-            out.append(result)
-            if sys.stderr.isatty():
-                print(f"\r{label}: {len(out)}/{seeds}\033[K", end="", file=sys.stderr, flush=True)
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
-    return out
+    """Outcomes of seeds 1 to n."""
+    return in_processes(work, range(1, seeds + 1), processes, label)
 
 
 def headline(flight: Flight, seeds: int, processes: int) -> list[str]:
@@ -251,9 +238,10 @@ def headline(flight: Flight, seeds: int, processes: int) -> list[str]:
     lines = [
         f"## {HEADLINE.name}: {flight.mission}, {flight.rate:.0f} Hz, {seeds} seeds",
         "",
-        "| parameter | clean: rms error, std told | rms error, std told | times clean "
-        "| intervals that hold: clean | |",
-        "|---|---|---|---|---|---|",
+        *markdown(
+            "parameter | clean: rms error, std told | rms error, std told | times clean | "
+            "intervals that hold: clean | "
+        ),
     ]
     true = truth()
     for name in clean.names():
@@ -282,9 +270,10 @@ def dropouts(flight: Flight, seeds: int, processes: int) -> list[str]:
     lines = [
         "## Dropouts of the whole link",
         "",
-        "| link | returns | data used again after, worst | intervals that hold then "
-        "| worst error, std |",
-        "|---|---|---|---|---|",
+        *markdown(
+            "link | returns | data used again after, worst | intervals that hold then | "
+            "worst error, std"
+        ),
     ]
     for case in DROPOUTS:
         found = [
@@ -306,9 +295,10 @@ def table(flight: Flight, seeds: int, processes: int, cases: Sequence[Case] = CA
         f"## Every fault: {flight.mission} for {flight.seconds:.0f} s, {flight.rate:.0f} Hz, "
         f"{seeds} seeds",
         "",
-        "| fault | verdict | used | rms error, times clean (median, worst) | intervals that hold "
-        "| worst error, std | wrong | told |",
-        "|---|---|---|---|---|---|---|---|",
+        *markdown(
+            "fault | verdict | used | rms error, times clean (median, worst) | "
+            "intervals that hold | worst error, std | wrong | told"
+        ),
     ]
     clean: Row | None = None
     for case in cases:
@@ -352,16 +342,14 @@ SECTIONS = ("headline", "dropouts", "table")
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run what is asked for and print it."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.reliability.degraded", description=__doc__.splitlines()[0]
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="may be repeated")
     parser.add_argument("--case", action="append", help="of the table: those whose name has this")
     parser.add_argument("--seeds", type=int, help="default: 10; 3 for the table")
     parser.add_argument("--mission", choices=sorted(MISSIONS), default="all-axes")
     parser.add_argument("--rate", type=float, default=250.0, help="Hz (default: 250)")
     parser.add_argument("--duration", type=float, help="s (default: 60; 40 for the table)")
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--processes", type=int, default=WORKERS)
     options = parser.parse_args(argv)
     flight = Flight(options.mission, options.rate, options.duration or 60.0)
     chosen = options.only or SECTIONS

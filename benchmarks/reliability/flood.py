@@ -81,7 +81,7 @@ def _flood_from_outside(port: int, rate: float, seconds: float, *, alone: bool) 
 
 def main() -> None:
     """Play, flood, print the table."""
-    parser = parser_of(__doc__, "flood")
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=30.0, help="of flood (default: 30)")
     parser.add_argument(
         "--flood", type=float, default=50_000.0, help="datagrams/s (default: 50000)"

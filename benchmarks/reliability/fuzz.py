@@ -15,6 +15,7 @@ from typing import Any
 from testbed.fuzz.drive import has_atheris
 from testbed.fuzz.harness import Harness
 from testbed.fuzz.harnesses import HARNESSES
+from testbed.study import arguments
 
 
 def shares(harnesses: Sequence[Harness], inputs: int, least: int) -> dict[str, int]:
@@ -57,7 +58,7 @@ def _figures(path: Path | None) -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run them one after the other; 1 when anything was found."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("names", nargs="*", metavar="HARNESS", help="default: all of them")
     parser.add_argument("--inputs", type=int, default=1_000_000, help="in all (default 1000000)")
     parser.add_argument("--least", type=int, default=1000, help="of each (default 1000)")

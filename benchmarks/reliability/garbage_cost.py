@@ -6,11 +6,11 @@ Into the middle of a log of each kind go megabytes of one pattern; times are of 
 all records. The clean log and the one with garbage take turns, and the least of each counts.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
 from testbed.hostile_logs import PATTERNS, measure
+from testbed.study import arguments
 
 LOGS = {
     ".tlog": "ap_euler_two_flights.tlog",
@@ -24,7 +24,7 @@ MOST = 8_000_000
 
 def main() -> None:
     """Print a row for each pattern."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability.garbage_cost")
+    parser = arguments(__doc__)
     parser.add_argument("--folder", type=Path, default=Path("../shared/logs"))
     parser.add_argument("--megabytes", type=float, default=20.0, help="of garbage")
     options = parser.parse_args()

@@ -7,15 +7,13 @@ without what the program itself takes. Each has to be read, or refused in a line
 200 MB.
 """
 
-import os
 import re
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 from testbed.hostile_logs import FILES
+from testbed.study import Done, run
 
 SECONDS, MEGABYTES = 1.0, 200.0
 COMMANDS = {
@@ -25,27 +23,10 @@ COMMANDS = {
 """What reads a file of a kind; of logs: `inspect`."""
 
 
-class Cost(NamedTuple):
-    """What a command took: exit status, s, MB, and what it said."""
-
-    status: int
-    seconds: float
-    megabytes: float
-    said: str
-
-
-def cost_of(path: Path) -> Cost:
+def cost_of(path: Path) -> Done:
     """Have the program read a file."""
     words = COMMANDS.get(path.suffix, ["inspect", "{file}"])
-    command = [sys.executable, "-m", "gcs_sysid", *(word.format(file=path) for word in words)]
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(command, stdout=said, stderr=said, stdin=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        text = said.read().strip()
-    unit = 1e6 if sys.platform == "darwin" else 1e3
-    return Cost(process.returncode, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / unit, text)
+    return run(("gcs_sysid", *(word.format(file=path) for word in words)))
 
 
 def main() -> int:
@@ -53,7 +34,7 @@ def main() -> int:
     bad = 0
     print(f"{'kind':<7}{'what':<38}{'MB':>7}{'exit':>6}{'s':>7}{'MB more':>9}  said")
     with tempfile.TemporaryDirectory() as folder:
-        empty: dict[str, Cost] = {}
+        empty: dict[str, Done] = {}
         for (suffix, name), make in FILES.items():
             if suffix not in empty:
                 path = Path(folder) / f"empty{suffix}"
@@ -63,8 +44,8 @@ def main() -> int:
             path.write_bytes(make())
             cost = cost_of(path)
             seconds = max(cost.seconds - empty[suffix].seconds, 0.0)
-            more = max(cost.megabytes - empty[suffix].megabytes, 0.0)
-            line = cost.said.replace(str(path), path.name)
+            more = max(1e-6 * (cost.peak - empty[suffix].peak), 0.0)
+            line = (cost.told + cost.said).strip().replace(str(path), path.name)
             good = cost.status in (0, 1, 2) and "internal error" not in line
             good &= cost.status < 2 or ("\n" not in line and len(line) < 400)
             good &= seconds <= SECONDS and more <= MEGABYTES

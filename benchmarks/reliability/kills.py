@@ -9,7 +9,6 @@ the session, by turns with that of its receiver. Once both have ended, the recor
 records, in order, and nothing missing that was sent more than a second before.
 """
 
-import argparse
 import math
 import multiprocessing
 import os
@@ -32,6 +31,7 @@ from gcs_sysid.__main__ import main as cli_main
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.study import arguments, free_port, say
 
 ALLOWED = 1.0
 """s that may be missing before a kill."""
@@ -160,14 +160,6 @@ def judge(
     return Kill(after, len(sent), len(sent) - len(lost), missing, readable)
 
 
-def free_port() -> int:
-    """A UDP port that is free at this moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
 def session(words: list[str], said: str) -> None:
     """What each process does: `gcs-sysid` with these words, what it says going to a file."""
     sys.stdout = sys.stderr = open(said, "w", encoding="utf-8")  # noqa: SIM115 - until it is killed
@@ -286,24 +278,18 @@ def run(kills: int, seed: int, at_once: int, longest: float) -> list[Kill]:
                 ]
                 for future in waiting:
                     done.append(future.result())
-                    if sys.stderr.isatty():
-                        print(f"\r{len(done)} of {kills}", end="", file=sys.stderr, flush=True)
-                    elif len(done) % 20 == 0:
-                        print(f"{len(done)} of {kills}", file=sys.stderr, flush=True)
+                    say(f"{len(done)} of {kills}", always=len(done) % 20 == 0)
         finally:
             emulator.kill()
             emulator.communicate()
             relay.close()
-    if sys.stderr.isatty():
-        print("\r", end="", file=sys.stderr)
+    say("")
     return done
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Kill and report; 1 when a recording did not keep what was promised."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.reliability.kills", description=(__doc__ or "").split("\n")[0]
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--kills", type=int, default=100, metavar="N", help="default: 100")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="default: 1")
     parser.add_argument("--at-once", type=int, default=2, metavar="N", help="default: 2")

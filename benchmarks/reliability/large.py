@@ -7,31 +7,18 @@ which the clock then goes back as after a reboot, the data section alone for .ul
 time, which is deleted afterwards; `--analyze` identifies from it too.
 """
 
-import argparse
 import os
 import struct
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from benchmarks.reliability.garbage_cost import LOGS
+from testbed.study import arguments, run
 
 KINDS = (".tlog", ".ulg", ".bin")
 MEGABYTE = 1_000_000
 _HEADER, _DATA = 16, ord("D")
-
-
-class Cost(NamedTuple):
-    """What a command took."""
-
-    status: int
-    seconds: float
-    peak: float
-    """Bytes of memory at most."""
-    said: str
 
 
 def data_of_ulg(log: bytes) -> bytes:
@@ -62,24 +49,9 @@ def write(path: Path, kind: str, log: bytes, size: int) -> None:
                 return
 
 
-def cost_of(*words: str) -> Cost:
-    """Run a command of the program."""
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "gcs_sysid", *words], stdout=said, stderr=said
-        )
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        lines = said.read().strip().splitlines()
-    peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    seconds = usage.ru_utime + usage.ru_stime
-    return Cost(process.returncode, seconds, float(peak), lines[-1] if lines else "")
-
-
 def main() -> None:
     """Print a row for each log and command."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability.large")
+    parser = arguments(__doc__)
     parser.add_argument("--folder", type=Path, default=Path("../shared/logs"))
     parser.add_argument("--gigabytes", type=float, default=2.0)
     parser.add_argument("--scratch", type=Path, help="folder for the logs (default: temporary)")
@@ -98,7 +70,7 @@ def main() -> None:
                 words = ["analyze", str(path), "--airframe", "px4-quad-x", "--arm", "0.25"]
                 commands.append([*words, "--mass", "1.5", "--json", os.devnull])
             for words in commands:
-                cost = cost_of(*words)
+                cost = run(("gcs_sysid", *words))
                 print(
                     f"{kind:<8}{megabytes:>8.0f}  {words[0]:<10}{cost.status:>5}"
                     f"{cost.seconds:>9.1f}{cost.seconds / megabytes:>8.3f}"
@@ -106,7 +78,7 @@ def main() -> None:
                     flush=True,
                 )
                 if cost.status not in (0, 1):
-                    print(f"  {cost.said}")
+                    print(f"  {cost.said.strip()}")
 
 
 if __name__ == "__main__":

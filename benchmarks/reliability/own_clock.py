@@ -10,7 +10,6 @@ A datagram arrives when its time on that clock has come, whatever the session do
 A second table shows the calls of more than 5 ms, which are what data wait for.
 """
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator
@@ -30,6 +29,7 @@ from gcs_sysid.telemetry.link import Address, Link, ReceivedBytes, UdpLink
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
+from testbed.study import arguments
 
 _VEHICLE: Address = ("127.0.0.1", 9)
 
@@ -133,11 +133,7 @@ def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession,
 
 def main() -> None:
     """Play, print the table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.reliability.own_clock",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = arguments(__doc__)
     parser.add_argument("flight", type=Path, help="a recording, as `sim-bridge --tlog` makes it")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:

@@ -19,7 +19,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -30,6 +29,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.reliability.watched import LEVELS, take_core
 from testbed.ground_cycles import FAST, emulate, flights_in
+from testbed.study import arguments, free_port
 
 SETTLED_AFTER = 120.0
 """s, after which memory must not grow."""
@@ -46,13 +46,6 @@ class Run(NamedTuple):
     result: dict[str, Any]
     times: dict[str, Any]
     errors: str
-
-
-def free_port() -> int:
-    """A free UDP port of this machine."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Tool:
@@ -155,13 +148,9 @@ def growth(memory: list[tuple[float, int]], settled: float = SETTLED_AFTER) -> t
     return highest[-1], max(highest) - first
 
 
-def parser_of(doc: str | None, name: str) -> argparse.ArgumentParser:
+def parser_of(doc: str | None) -> argparse.ArgumentParser:
     """With what the studies on a link share."""
-    parser = argparse.ArgumentParser(
-        prog=f"python -m benchmarks.reliability.{name}",
-        description=doc,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = arguments(doc)
     last = max((os.cpu_count() or 2) - 1, 1)
     parser.add_argument("--core", type=int, default=last, help="of the tool (default: the last)")
     parser.add_argument(
@@ -181,7 +170,7 @@ def table(rows: list[tuple[str, str, str]]) -> str:
 
 def main() -> None:
     """Fly, play, print the table."""
-    parser = parser_of(__doc__, "rate")
+    parser = parser_of(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0, help="default: 10")
     parser.add_argument("--flight", type=Path, help="play this recording instead")
     options = parser.parse_args()

@@ -18,7 +18,6 @@ After each round it is checked that
 - the session takes a second of flight in less than half a second of processor time.
 """
 
-import argparse
 import ctypes
 import gc
 import importlib
@@ -45,6 +44,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge import sensor_faults as sensor_faults
 from sim_bridge.playback import moments
+from testbed.study import arguments
 
 TRAPS = (
     "rpm-repeats", "rpm-signed", "quaternion-flips", "gyro-outliers=0.0005", "imu-frozen=0.005",
@@ -232,11 +232,7 @@ def against(first: Round, now: Round, room: float = GROWN_MB) -> list[str]:
 
 def main() -> int:
     """Fly until the minutes are over."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.reliability.soak",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--minutes", type=float, default=60.0, help="default: 60")
     parser.add_argument("--flights", type=int, help="so many flights of a minute, and no minutes")
     parser.add_argument("--seed", type=int, default=1, help="of the first round (default: 1)")

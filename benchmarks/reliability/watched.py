@@ -11,7 +11,6 @@ the grid of samples and, where it completes a block of samples (0.1 s of the veh
 made, changes looked for, and the estimate renewed where that is due.
 """
 
-import argparse
 import json
 import os
 import sys
@@ -30,6 +29,7 @@ from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.live import receiver_process
 from gcs_sysid.live.live_estimate import LiveEstimate
 from gcs_sysid.telemetry.receiver import ReceivedFrames
+from testbed.study import arguments
 
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
 SAMPLED_EVERY = 0.5
@@ -156,7 +156,7 @@ def _sample(times: Times, stop: threading.Event) -> None:
 
 def main() -> int:
     """Run the tool."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability.watched")
+    parser = arguments(__doc__)
     parser.add_argument("times", type=Path)
     parser.add_argument("--core", type=int)
     parser.add_argument("--alone", action="store_true")

@@ -6,8 +6,6 @@ from what is kept of the others. `--short` flies a few and prints the table.
 
 import argparse
 import json
-import multiprocessing
-import os
 import sys
 import tempfile
 import time
@@ -21,10 +19,10 @@ from testbed import emulated, independent, recordings
 from testbed.emulated import Recording
 from testbed.judge import judge
 from testbed.scenarios import SCENARIOS
+from testbed.study import PROJECT, WORKERS, arguments, in_processes
 
-ROOT = Path(__file__).resolve().parents[2]
-CACHE = ROOT / "build" / "truth"
-PAGE = ROOT / "docs" / "truth.md"
+CACHE = PROJECT / "build" / "truth"
+PAGE = PROJECT / "docs" / "truth.md"
 VERSION = 1
 """Of what is kept; others are left alone."""
 SHORT = {"a": 2, "s": 1, "swap": 1}
@@ -68,23 +66,11 @@ def study(
     name: str, says: str, run: Callable[[Any], dict[str, Any]], inputs: Sequence[Any], workers: int
 ) -> dict[str, Any]:
     """Run a scenario over its vehicles or logs."""
-    began, outcomes = time.monotonic(), []
-    can_fork = "fork" in multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("fork" if can_fork else None)
-    with context.Pool(workers) as pool:
-        for outcome in pool.imap(run, inputs):
-            outcomes.append(outcome)
-            say(f"{name}: {len(outcomes)}/{len(inputs)}")
+    began = time.monotonic()
+    outcomes = in_processes(run, inputs, workers, name)
     took = time.monotonic() - began
-    say("")
     print(f"{name}: {page.verdicts(outcomes)} in {took:.0f} s", file=sys.stderr, flush=True)
     return {"version": VERSION, "says": says, "seconds": round(took, 1), "outcomes": outcomes}
-
-
-def say(text: str) -> None:
-    """Progress, on a terminal."""
-    if sys.stderr.isatty():
-        print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
 
 
 def kept(order: Sequence[str]) -> page.Rows:
@@ -107,12 +93,12 @@ def keep(name: str, done: dict[str, Any]) -> None:
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.truth", description=__doc__)
+    parser = arguments(__doc__)
     names = [*_BY_NAME, *independent.PLANTS, LOGS]
     parser.add_argument("--vehicles", type=int, default=8, metavar="N", help="of each scenario")
     parser.add_argument("--only", choices=names, action="append", help="may be repeated")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
-    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2))
+    parser.add_argument("--workers", type=int, default=WORKERS)
     parser.add_argument("--short", action="store_true", help="a few flights, printed")
     parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     return parser
@@ -143,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             what = f"recorded flights ({place})"
             keep(name, study(name, what, run_log, logs, options.workers))
     PAGE.write_text(page.page(kept(order)), encoding="utf-8", newline="\n")
-    print(PAGE.relative_to(ROOT), file=sys.stderr)
+    print(PAGE.relative_to(PROJECT), file=sys.stderr)
     return 0
 
 

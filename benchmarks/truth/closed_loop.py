@@ -15,7 +15,6 @@ instruments.
 The flights are those of `testbed.rate_loop`.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -32,6 +31,7 @@ from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
+from testbed.study import arguments
 
 CELLS = (
     "doublets:none", "gentle:none", "aggressive:none", "aggressive:ou1", "doublets:ou1",
@@ -143,11 +143,7 @@ class _Options:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__,
-        prog="python -m benchmarks.truth.closed_loop",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = arguments(__doc__)
     known = _Options()
     parser.add_argument("--flights", type=int, default=known.flights)
     parser.add_argument("--seconds", type=float, default=known.seconds)

@@ -7,7 +7,6 @@ and Iyy of each with the half width of the 95 % interval, their scatter, chi-squ
 weighted mean, and how many intervals hold what throws without feedback gave (5.8, 7.4e-4 kg m^2).
 """
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 from testbed.recordings import OPEN_LOOP, airframe_for
+from testbed.study import arguments
 
 FLIGHTS = tuple(f"LOG00{number}.tlog" for number in (259, 264, 267, 269, 271, 277, 281))
 NAMES = tuple(OPEN_LOOP)
@@ -72,7 +72,7 @@ def summary(name: str, pairs: Array) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0] if __doc__ else "")
+    parser = arguments(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--offline", action="store_true")
     options = parser.parse_args(argv)

@@ -7,6 +7,7 @@ import pytest
 from benchmarks.accept import __main__ as command
 from benchmarks.accept import cost, equal, judge, trees
 from benchmarks.accept.judge import Figure, Row, Study, coverage, figure
+from testbed import study
 
 
 @pytest.fixture
@@ -55,9 +56,10 @@ def test_a_covariance_is_held_against_its_diagonal():
     assert list(equal.differences(told(0.0), told(1e-6)))
 
 
+@pytest.mark.usefixtures("capsys")
 def test_the_shortest_case_is_run_and_compared_with_itself():
     case = equal.Case("version", ("--version",))
-    found = equal.results_of(trees.PROJECT, [case], 1, lambda text: None, {})
+    found = equal.results_of(study.PROJECT, [case], 1, {})
     assert found["version"]["result"]["status"] == 0
     assert equal.compare(found, found) == ([], 0)
     other = {"version": {**found["version"], "result": {"status": 1}}}
@@ -112,8 +114,8 @@ def _fails(unit):
 
 
 def test_a_unit_that_breaks_is_a_defect(monkeypatch, capsys):
-    study = Study("broken", lambda short: [1], _fails, lambda outcomes: [], alone=True)
-    monkeypatch.setattr(command, "STUDIES", (study,))
+    broken = Study("broken", lambda short: [1], _fails, lambda outcomes: [], alone=True)
+    monkeypatch.setattr(command, "STUDIES", (broken,))
     monkeypatch.setattr(judge, "kept_outcomes", lambda *_: None)
     assert command.main(["judge"]) == 1
     assert "defect: broken: 1: ValueError: no 1" in capsys.readouterr().out
@@ -121,9 +123,9 @@ def test_a_unit_that_breaks_is_a_defect(monkeypatch, capsys):
 
 def test_what_became_slower_is_worse(monkeypatch):
     seconds = iter([1.0, 1.6, 1.02, 1.6])
-    monkeypatch.setattr(cost, "_release", lambda: ("abc1234", trees.PROJECT))
+    monkeypatch.setattr(cost, "_release", lambda: ("abc1234", study.PROJECT))
     monkeypatch.setattr(
-        trees, "run", lambda tree, words, folder=None: trees.Done(0, next(seconds), "")
+        study, "run", lambda words, tree=None: study.Done(0, next(seconds), 0.0, "")
     )
     (found,) = cost._figures([cost._run(("start", "1", 2))])
     assert found.value == pytest.approx(1.6)
