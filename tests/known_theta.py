@@ -1,5 +1,7 @@
 """Theta by name, and that of a made-up vehicle near the article's, for tests that fly none."""
 
+import numpy as np
+
 from gcs_sysid.model import rigid_body as rb
 
 NAMES = (
@@ -8,11 +10,17 @@ NAMES = (
 )
 
 
-def theta_from(*values, others=0.0):
-    """(N_THETA,) with these entries, relative, in the order of `NAMES`; a further entry of theta
-    that some day is declared is `others`.
+def theta_from(*values):
+    """(N_THETA,) with these entries, relative, in the order of `NAMES`; others are zero."""
+    return rb.theta_of(dict(zip(NAMES, values, strict=True)))
+
+
+def sizes(*values):
+    """(N_THETA,) what errors are measured against: these in the order of `NAMES`, and of others
+    what their declaration compares them with.
     """
-    return rb.theta_of(dict.fromkeys(rb.THETA, others) | dict(zip(NAMES, values, strict=True)))
+    theta = theta_from(*values)
+    return np.where(np.isin(rb.THETA, NAMES), theta, rb.counterparts(theta, arm=0.35))
 
 
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)

@@ -122,7 +122,9 @@ def test_quick_fits_are_near_full_ones(truth, flight):
         part = samples.part(slice(start, start + 10 * STOP))
         quick = estimator.follow(part, list(range(STOP, len(part.gyro) + 1, STOP)))[-1]
         if k % 4 == 3 and quick.seconds > 6.0:
-            full = estimator.fit()
-            off.append(np.abs((quick.rotation.theta - full.rotation.theta) / full.rotation.std))
+            full, quick = estimator.fit().rotation, quick.rotation
+            # Of two memories nearly as good each may take another.
+            if quick.leak == full.leak:
+                off.append(np.abs((quick.theta - full.theta) / full.std))
     assert len(off) > 4
-    assert np.max(off) < 0.2
+    assert np.max(off) < 0.1

@@ -20,9 +20,9 @@ from gcs_sysid.estimation.offline.propagation import SPLINE_END
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import theta_from
+from tests.known_theta import sizes
 
-SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3, others=1.0)
+SIZE = sizes(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3)
 """Rough size of theta's entries: what an error is measured against."""
 
 

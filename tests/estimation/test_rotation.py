@@ -15,10 +15,11 @@ from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import theta_from
+from tests.known_theta import sizes, theta_from
 
 ROWS = 4000
-THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
+VALUES = (80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
+THETA, SIZE = theta_from(*VALUES), np.abs(sizes(*VALUES))
 TORQUES = (0, 1, 3)
 """Columns of roll, pitch and yaw torque."""
 
@@ -47,7 +48,8 @@ def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
     y = x @ rb.forward_matrix(THETA).T + sigma * rng.standard_normal((ROWS, 3))
     std = np.zeros(rb.N_SIGNALS)
     std[list(TORQUES)] = input_noise * x[:, TORQUES].std(axis=0)
-    seen = x + std * rng.standard_normal(x.shape)
+    seen = x.copy()
+    seen[:, TORQUES] += std[list(TORQUES)] * rng.standard_normal((ROWS, 3))
     moments = NormalEquations((1, WIDTH, WIDTH), rows_per_batch)
     moments.add(np.column_stack([seen, y])[None])
     noise = np.zeros((1, WIDTH, WIDTH))
@@ -56,7 +58,7 @@ def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
 
 
 NONE = np.zeros((1, WIDTH, WIDTH))
-SLIGHT = prior_of({i: (THETA[i], 10.0 * (abs(THETA[i]) or 1.0)) for i in range(rb.N_THETA)})
+SLIGHT = prior_of({i: (THETA[i], 10.0 * SIZE[i]) for i in range(rb.N_THETA)})
 """Says next to nothing, and takes the way of a prior."""
 
 
