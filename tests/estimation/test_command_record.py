@@ -1,5 +1,6 @@
 """Rows of commands are made again no more often, and with no more whiteners, than it takes."""
 
+from copy import deepcopy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -46,17 +47,21 @@ def samples(flight):
     return every.part(slice(0, round(SECONDS / DT)))
 
 
-@pytest.fixture
-def makings(monkeypatch):
-    """Whiteners of each making of all rows; None: all of them."""
+def noted(monkeypatch):
+    """Whiteners of each making of all rows from now on; None: all of them."""
     numbers, make = [], CommandRecord._made
 
-    def noted(self, basis, hover, whiteners=None):
+    def made(self, basis, hover, whiteners=None):
         numbers.append(None if whiteners is None else len(whiteners))
         return make(self, basis, hover, whiteners)
 
-    monkeypatch.setattr(CommandRecord, "_made", noted)
+    monkeypatch.setattr(CommandRecord, "_made", made)
     return numbers
+
+
+@pytest.fixture
+def makings(monkeypatch):
+    return noted(monkeypatch)
 
 
 def flown(truth, samples):
@@ -65,50 +70,66 @@ def flown(truth, samples):
     return estimator
 
 
-def outcome(truth, samples):
+def outcome(estimator):
     """Estimates and their standard deviations, with what the other places of the lag add."""
-    fit = flown(truth, samples).fit().rotation
+    fit = estimator.fit().rotation
     return fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
 
 
-def test_other_places_need_few_whiteners(truth, samples, makings, monkeypatch):
-    found, std = outcome(truth, samples)
-    few = [number for number in makings if number is not None]
+@pytest.fixture(scope="module")
+def usual(truth, samples):
+    """Flown once for all that follow: the estimator, its outcome, and what it made."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        numbers = noted(monkeypatch)
+        estimator = flown(truth, samples)
+        after = deepcopy(estimator)
+        return SimpleNamespace(estimator=estimator, outcome=outcome(after), makings=numbers)
+
+
+@pytest.fixture
+def estimator(usual):
+    """One that has flown."""
+    return deepcopy(usual.estimator)
+
+
+@pytest.fixture
+def commands(estimator):
+    """Its rows of commands."""
+    return estimator._record.commands
+
+
+def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeypatch):
+    found, std = usual.outcome
+    few = [number for number in usual.makings if number is not None]
     assert few
     assert max(few) < 10
     monkeypatch.setattr(tuned_motors, "_NEAR", np.inf)
-    makings.clear()
-    expected, std_of_all = outcome(truth, samples)
+    expected, std_of_all = outcome(flown(truth, samples))
     assert max(number for number in makings if number is not None) > 15
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-3)
     np.testing.assert_allclose(std, std_of_all, rtol=1e-3)
 
 
-def test_a_place_far_less_likely_is_made_once(truth, samples, makings, monkeypatch):
-    found, std = outcome(truth, samples)
-    once = len(makings)
-    makings.clear()
+def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, monkeypatch):
+    found, std = usual.outcome
     monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
-    expected, std_of_all = outcome(truth, samples)
-    assert len(makings) > once
+    expected, std_of_all = outcome(flown(truth, samples))
+    assert len(makings) > len(usual.makings)
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-9)
     np.testing.assert_allclose(std, std_of_all, rtol=1e-9)
 
 
-def test_one_that_is_the_likeliest_is_made_with_all_whiteners(truth, samples, monkeypatch):
+def test_one_that_is_the_likeliest_is_made_with_all_whiteners(commands):
     """Whatever the search starts with."""
-    commands = flown(truth, samples)._record.commands
     start = commands._now.fit.rotation.coordinates
     found, _ = commands._found([(start, "thrust")], commands._now.maker.hover, ("speed",))
     assert found.basis.lag_place.of == "speed"
     assert len(found.white.whiteners) > 15
 
 
-def test_rows_that_were_just_made_are_not_made_again(truth, samples, makings):
-    estimator = flown(truth, samples)
+def test_rows_that_were_just_made_are_not_made_again(samples, makings, estimator, commands):
     estimator.forget_last(1.0)
     makings.clear()
-    commands = estimator._record.commands
     before = commands._now
     with commands.settled():
         assert commands.white is before.white
@@ -120,10 +141,8 @@ def test_rows_that_were_just_made_are_not_made_again(truth, samples, makings):
     assert None in makings
 
 
-def test_starts_that_are_rounded_to_the_same_motors_are_one(truth, samples, makings):
-    commands = flown(truth, samples)._record.commands
+def test_starts_that_are_rounded_to_the_same_motors_are_one(makings, commands):
     at, hover = commands._now.basis.at, commands._now.maker.hover
-    makings.clear()
     commands._found([(at, "speed"), (at + 0.4 * command_record._GRID, "speed")], hover, ())
     alone = len(makings)
     makings.clear()
@@ -131,8 +150,8 @@ def test_starts_that_are_rounded_to_the_same_motors_are_one(truth, samples, maki
     assert len(makings) == alone
 
 
-def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(truth, samples):
-    white = flown(truth, samples)._record.commands.white
+def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(commands):
+    white = commands.white
     data = white.moments(white.silence)
     whole, bare = (fit_whitened(data, white.basis, scatter=scatter) for scatter in (True, False))
     np.testing.assert_array_equal(bare.rotation.unknowns, whole.rotation.unknowns)
@@ -180,9 +199,9 @@ def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch
     assert commands._to_compare is None
 
 
-def record_about(truth, samples, share):
+def record_about(estimator, share):
     """The commands of a flight, with rows about a share of the lag found."""
-    record = flown(truth, samples)._record.commands
+    record = deepcopy(estimator)._record.commands
     now = record._now
     at = now.fit.rotation.coordinates.copy()
     at[Coordinate.LAG] *= share
@@ -193,9 +212,9 @@ def record_about(truth, samples, share):
     return record
 
 
-def test_motors_that_are_not_the_rows_any_more_are_looked_for(truth, samples):
+def test_motors_that_are_not_the_rows_any_more_are_looked_for(estimator):
     """Halfway the fit finds them far away; then not every sample asks."""
-    right, wrong = (record_about(truth, samples, share) for share in (1.0, 0.5))
+    right, wrong = (record_about(estimator, share) for share in (1.0, 0.5))
     for record in (right, wrong):
         assert not record.is_due()
         record._check = 0.0
@@ -204,8 +223,8 @@ def test_motors_that_are_not_the_rows_any_more_are_looked_for(truth, samples):
     assert right._check == pytest.approx(1.25 * right._samples * DT)
 
 
-def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(truth, samples):
-    right, wrong = (record_about(truth, samples, share) for share in (1.0, 0.5))
+def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(estimator):
+    right, wrong = (record_about(estimator, share) for share in (1.0, 0.5))
     near, far = (record._now.fit.rotation for record in (right, wrong))
     assert not right.distance_doubt(near).any()
     doubt = wrong.distance_doubt(far)
@@ -217,6 +236,7 @@ def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(truth,
 
 
 @pytest.mark.slow
+@pytest.mark.thorough  # in `make accept`, among the early results
 def test_a_lag_first_found_wrong_misleads_no_one():
     """Speed lags by 119 ms, 24 s of doublets say 48: what is shown until 40 s holds."""
     vehicle = early.drawn(3, 3)[2]
@@ -293,26 +313,21 @@ def test_a_place_of_the_lag_is_left_when_it_is_no_rival(worse, tried, enough):
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.15])
-def test_motors_are_found_however_far_the_search_starts(truth, samples, lag):
-    record = flown(truth, samples)._record.commands
-    found = record._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
+def test_motors_are_found_however_far_the_search_starts(commands, lag):
+    found = commands._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
     assert found.is_within(0.3)
     np.testing.assert_allclose(found.fit.rotation.coordinates[1:3], [LAG, 0.0], atol=1e-3)
 
 
 @pytest.mark.parametrize(("detected", "doubted"), [(-1.0, True), (1e9, False)])
-def test_what_disturbs_may_be_commands_that_are_not_sent(
-    truth, samples, monkeypatch, detected, doubted
-):
+def test_what_disturbs_may_be_commands_that_are_not_sent(commands, monkeypatch, detected, doubted):
     """Of a loop of 250 Hz, sampled at 200 Hz: the curve was 0.88 for 0."""
-    estimator = flown(truth, samples)
-    record = estimator._record.commands
     apart = np.zeros(N_UNKNOWNS)
     apart[Unknown.CURVE] = 0.4
     monkeypatch.setattr(CommandRecord, "_apart_from_window", lambda self: apart)
     monkeypatch.setattr(command_record, "RULES", replace(command_record.RULES, detected=detected))
-    start = record._now.basis.at, "speed"
-    tuned, doubt = record._found([start], record._now.maker.hover, ("speed",))
+    start = commands._now.basis.at, "speed"
+    tuned, doubt = commands._found([start], commands._now.maker.hover, ("speed",))
     full = tuned.fit.rotation.full_covariance
     along = (
         0.4 * full[:, Unknown.CURVE] / full[Unknown.CURVE, Unknown.CURVE]
@@ -321,9 +336,8 @@ def test_what_disturbs_may_be_commands_that_are_not_sent(
     assert (doubt[Unknown.CURVE, Unknown.CURVE] >= 0.16) == doubted
 
 
-def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples):
+def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(estimator):
     """Its lag came out twice too large, with an interval of 2 %."""
-    estimator = flown(truth, samples)
     rigid = estimator.fit().rotation
     other = estimator._rotation.without_products(estimator.prior)
     assert other.lag_place is not None
@@ -331,11 +345,8 @@ def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(truth, samples)
         assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0
 
 
-def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(
-    truth, samples, monkeypatch
-):
+def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(estimator, monkeypatch):
     """Commands that swing from stop to stop, faster than they are sent: T_max was 11 sigma off."""
-    estimator = flown(truth, samples)
     fit = estimator.fit().rotation
     monkeypatch.setattr(
         MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
@@ -349,8 +360,7 @@ def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(
     assert np.sqrt(added) == pytest.approx(0.25 * 1.25 * calm.kappa / 1.25, rel=1e-6)
 
 
-def test_the_cg_of_uneven_motors_is_in_doubt_too(truth, samples, monkeypatch):
-    estimator = flown(truth, samples)
+def test_the_cg_of_uneven_motors_is_in_doubt_too(estimator, monkeypatch):
     fit = estimator.fit().rotation
     monkeypatch.setattr(
         MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
