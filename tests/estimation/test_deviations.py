@@ -179,7 +179,9 @@ def test_looking_from_a_fit_with_deviations_tells_the_same(flown):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [41, 42, 43])
+@pytest.mark.parametrize(
+    "seed", [41, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (42, 43))]
+)
 def test_nothing_is_chosen_on_an_ideal_flight(seed):
     samples = fly_cell(
         Vehicle(), EXCITATIONS["doublets"], DISTURBANCES["none"],

@@ -52,8 +52,22 @@ def start(truth):
     return truth.theta * (1.0 + 0.02 * np.random.default_rng(3).uniform(-1.0, 1.0, rb.N_THETA))
 
 
+@pytest.fixture(scope="module")
+def white_fit(truth, slow, start):
+    """With white noise: what was flown, and its fit."""
+    noisy = with_noise(slow[0], white(slow[0], 0.02, 5))
+    return noisy, maximize_likelihood(noisy, truth.geometry, slow[1], start)
+
+
+@pytest.fixture(scope="module")
+def colored_fit(truth, slow, start):
+    """With noise of high frequencies."""
+    noisy = with_noise(slow[0], high_pass(slow[0], 0.02, 5.0, slow[1], seed=1))
+    return noisy, maximize_likelihood(noisy, truth.geometry, slow[1], start)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("every", [1, 5, 10])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.thorough), 5, 10])
 def test_exact_without_noise(truth, flight, start, every):
     """At 20 Hz too, where the fastest signal turns by half a radian a sample."""
     dt = 0.005 * every
@@ -85,13 +99,8 @@ def test_intervals_and_bound_tell_the_errors(truth, slow, start):
 
 
 @pytest.mark.slow
-def test_color_is_found_and_used(truth, slow, start):
-    samples, dt = slow
-    noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=1))
-    fit = maximize_likelihood(noisy, truth.geometry, dt, start)
-    plain = maximize_likelihood(
-        with_noise(samples, white(samples, 0.02, 1)), truth.geometry, dt, start
-    )
+def test_color_is_found_and_used(truth, colored_fit, white_fit):
+    (_, fit), (_, plain) = colored_fit, white_fit
     for axis in fit.noise:
         assert axis.corner == pytest.approx(5.0, rel=0.35)
         assert axis.zero > 0.98
@@ -178,10 +187,10 @@ def test_noise_of_speeds_does_not_bias(truth, flight, start):
 
 
 @pytest.mark.slow
-def test_gaps_split_the_record(truth, slow, start):
-    samples, dt = slow
-    noisy = with_noise(samples, white(samples, 0.02, 5))
-    gone = np.zeros(len(samples.gyro), dtype=bool)
+def test_gaps_split_the_record(truth, slow, start, white_fit):
+    dt = slow[1]
+    noisy, whole = white_fit
+    gone = np.zeros(len(noisy.gyro), dtype=bool)
     gone[400:440] = gone[800:810] = True
     gone[820:830] = True  # leaves ten samples between two gaps: too few
     holed = replace(noisy, gyro=np.where(gone[:, None], np.nan, noisy.gyro))
@@ -189,29 +198,26 @@ def test_gaps_split_the_record(truth, slow, start):
     assert fit.rows == len(gone) - gone.sum() - 10 - 3 * 2 * SPLINE_END
     assert fit.seconds == pytest.approx(fit.rows * dt)
     assert np.abs((fit.theta - truth.theta) / fit.std).max() < 4.0
-    whole = maximize_likelihood(noisy, truth.geometry, dt, start)
     assert np.all(fit.bound[:6] > 0.98 * whole.bound[:6])
     # 94 % of the record is left, in pieces whose first rates and biases are unknown.
     assert np.all(fit.bound < 2.0 * whole.bound)
 
 
 @pytest.mark.slow
-def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
-    samples, dt = slow
-    noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=2))
-    fits = [
-        maximize_likelihood(noisy, truth.geometry, dt, s) for s in (start, start, 1.2 * truth.theta)
-    ]
-    np.testing.assert_array_equal(fits[0].theta, fits[1].theta)
-    np.testing.assert_array_equal(fits[0].covariance, fits[1].covariance)
-    assert np.abs((fits[2].theta - fits[0].theta) / fits[0].std).max() < 0.1
+def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start, colored_fit):
+    noisy, first = colored_fit
+    again, other = (
+        maximize_likelihood(noisy, truth.geometry, slow[1], s) for s in (start, 1.2 * truth.theta)
+    )
+    np.testing.assert_array_equal(first.theta, again.theta)
+    np.testing.assert_array_equal(first.covariance, again.covariance)
+    assert np.abs((other.theta - first.theta) / first.std).max() < 0.1
 
 
 @pytest.mark.slow
-def test_prior_enters_as_information(truth, slow, start):
-    samples, dt = slow
-    noisy = with_noise(samples, white(samples, 0.02, 7))
-    free = maximize_likelihood(noisy, truth.geometry, dt, start)
+def test_prior_enters_as_information(truth, slow, start, white_fit):
+    dt = slow[1]
+    noisy, free = white_fit
     k = rb.MOMENT_RATIO
     mean, weight = truth.theta.copy(), np.zeros((rb.N_THETA, rb.N_THETA))
     weight[k, k] = (0.1 * free.std[k]) ** -2
