@@ -178,8 +178,13 @@ def test_recordings_are_never_overwritten(files, capsys):
     assert (files / "taken.tlog").read_bytes() == b"x"
 
 
+OTHERS = ("wrong key", "bad link", "no scale")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["missing log", "wrong key", "bad link", "no scale"])
+@pytest.mark.parametrize(
+    "case", ["missing log", *(pytest.param(c, marks=pytest.mark.thorough) for c in OTHERS)]
+)
 def test_the_program_itself(case, files):
     argv, names = CASES[case]
     done = subprocess.run(

@@ -176,13 +176,6 @@ def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
     assert "no IMU" in err
 
 
-def test_json_that_cannot_be_written(analyze, paper_flight, tmp_path):
-    status, _, err = analyze(paper_flight.tlog, *PAPER, "--json", tmp_path / "no" / "r.json")
-    assert status == 2
-    assert err.startswith("gcs-sysid: error: ")
-    assert err.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_scale_and_size_from_the_command_line(analyze, paper_flight):
     px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "1.5")
@@ -223,29 +216,6 @@ def program(*argv):
 
 
 @pytest.mark.slow
-def test_the_program_itself_prints_json(paper_flight):
-    done = subprocess.run(
-        program("analyze", paper_flight.tlog, *PAPER, "--json", "-"),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    check_contract(read_strict(done.stdout))
-
-
-@pytest.mark.slow
-def test_a_reader_that_goes_away_is_no_error(paper_flight):
-    argv = program("analyze", paper_flight.tlog, *PAPER, "--json", "-")
-    process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    process.stdout.close()
-    with process.stderr:
-        err = process.stderr.read()
-    assert process.wait(120) == 0
-    assert err == b""
-
-
-@pytest.mark.slow
 def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
     """It is stopped by Ctrl-C, after it has said that it listens."""
     argv = program("live", "udpin:127.0.0.1:45873", *PAPER, "--headless", "--json", "-")
@@ -265,18 +235,6 @@ def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
     result = read_strict(line)
     assert result["verdict"] == "refused"
     assert "no heartbeat" in result["reasons"][0]
-
-
-@pytest.mark.slow
-def test_live_ends_after_its_duration(tmp_path):
-    argv = ("live", "udpin:127.0.0.1:45875", *PAPER, "--headless", "--duration", "0.5")
-    done = subprocess.run(
-        program(*argv, "--no-record"), capture_output=True, text=True, cwd=tmp_path, timeout=60
-    )
-    assert done.returncode == 1
-    assert "no vehicle yet" in done.stderr
-    assert "no heartbeat" in done.stdout
-    assert not (tmp_path / "logs").exists()
 
 
 @pytest.mark.slow
@@ -308,6 +266,8 @@ def test_demo_ends_with_estimate_truth_and_error(tmp_path):
         text=True,
         timeout=120,
     )
+    assert (again.returncode, again.stderr) == (0, "")
+    check_contract(read_strict(again.stdout))
     last, analyzed = results[-1]["parameters"], read_strict(again.stdout)["parameters"]
     assert last.keys() == analyzed.keys()
     for name, estimate in last.items():

@@ -36,7 +36,14 @@ def make(words):
 @pytest.mark.parametrize(
     "started", ["by make", pytest.param("directly", marks=pytest.mark.thorough)]
 )
-@pytest.mark.parametrize(("words", "text"), [WAITING, EMULATED, REPLAYED, OVER])
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        EMULATED,
+        OVER,
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (WAITING, REPLAYED)),
+    ],
+)
 def test_a_screen_ends_with_its_terminal(words, text, started, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = make(words) if started == "by make" else (sys.executable, "-m", "gcs_sysid", *words)

@@ -212,28 +212,23 @@ def check_written(case, path):
         assert [json.loads(line) for line in data.splitlines()][-1]["verdict"]
 
 
-def swept(which):
-    """Cases as parameters: those that take seconds are not in `make quick`."""
+def thorough(which, but=()):
+    """Cases as parameters; those that take seconds, but for some, are in `make test-all` alone."""
     return [
         pytest.param(
             case, id=" ".join(name).strip(),
-            marks=[pytest.mark.slow] if case.seconds else [],
+            marks=[pytest.mark.thorough] if case.seconds and name not in but else [],
         )
         for name, case in {**CASES, **PRINTING}.items()
         if which(case)
     ]  # fmt: skip
 
 
-def thorough(which):
-    """The same; those that take seconds are in `make test-all` alone."""
-    return [
-        pytest.param(
-            case, id=" ".join(name).strip(),
-            marks=[pytest.mark.thorough] if case.seconds else [],
-        )
-        for name, case in {**CASES, **PRINTING}.items()
-        if which(case)
-    ]  # fmt: skip
+EACH_WRITER = {
+    *(("analyze", "report"), ("demo", "json"), ("demo", "record"), ("health", "picture")),
+    *(("export", "signals"), ("batch", "output"), ("sim-bridge", "tlog")),
+}
+"""One of each kind of file, and of each that writes it."""
 
 
 def writes(case):
@@ -247,7 +242,7 @@ def limited():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", swept(writes))
+@pytest.mark.parametrize("case", thorough(writes, EACH_WRITER))
 def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
     if case.dash or case.suffix == ".tlog":
         status, out, err = call(case, "/dev/full")
