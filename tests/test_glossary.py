@@ -115,7 +115,8 @@ def test_messages_use_the_words_of_the_glossary(folder):
         for path in SOURCES
         if path.parts[-2] == folder
         for line, text in texts(path.read_text("utf-8"))
-        if (match := REPLACED.search(text))
+        # One of the three words that an answer begins with.
+        if (match := REPLACED.search(text.replace("CANNOT TELL", "")))
     ]
     assert found == []
 

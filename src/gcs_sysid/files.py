@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, nearest
 
 _WRITER_WITHIN = 2.0
 """s after which a pipe without a writer is given up."""
@@ -86,6 +86,17 @@ def log_file(path: Path) -> Path:
     return split_session(path)[0] if mapping is None else table
 
 
+def unreadable(path: Path, error: OSError | ValueError) -> str:
+    """Why a file cannot be read, with the nearest name in its folder where there is none of its."""
+    reason = getattr(error, "strerror", None) or str(error)
+    if not isinstance(error, FileNotFoundError):
+        return reason
+    with contextlib.suppress(OSError):
+        near = nearest(path.name, (entry.name for entry in os.scandir(path.parent)))
+        return f"{reason}{near}"
+    return f"{reason}: there is no folder {path.parent}"
+
+
 def read_bytes(path: Path, most: int, what: str) -> bytes:
     """All of a file.
 
@@ -101,8 +112,7 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
         with open(path, "rb", opener=_open_written) as file:
             data = file.read(most + 1)
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot read {what}: {reason}") from error
+        raise InputError(f"{path}: cannot read {what}: {unreadable(path, error)}") from error
     if len(data) > most:
         raise InputError(f"{path}: too large for {what}: more than {most:,} bytes")
     return data

@@ -14,7 +14,7 @@ import pytest
 
 from gcs_sysid.cli import commands
 from gcs_sysid.cli.commands import build_parser
-from gcs_sysid.cli.program import run
+from gcs_sysid.cli.program import run, with_command
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.setup_help import listening
 from gcs_sysid.setup_help.checks import Sign
@@ -36,7 +36,7 @@ def test_alone_it_shows_what_it_can_do_and_where_to_begin(capsys):
         shown = rf"  {command.name} +{re.escape(command.summary)}"
         assert any(re.fullmatch(shown, line) for line in lines)
     # The commands are the parser's; the rest is kept here.
-    told = re.sub(r"(?s)(\nCommands\n).*?(\n\n)", r"\1...\2", out)
+    told = re.sub(r"(?s)(\nCommands\n).*?(\nOptions)", r"\1...\2", out)
     told = re.sub(r"gcs-sysid \d[\w.]*", "gcs-sysid VERSION", told)
     if os.environ.get("UPDATE_GOLDEN"):
         GOLDEN.write_text(told, encoding="utf-8")
@@ -46,9 +46,40 @@ def test_alone_it_shows_what_it_can_do_and_where_to_begin(capsys):
 def test_the_commands_to_begin_with_are_understood(capsys):
     run([])
     shown = re.findall(r"^  gcs-sysid (.+)$", capsys.readouterr().out, re.MULTILINE)
-    assert [line.split()[0] for line in shown] == ["demo", "live"]
+    assert [line.split()[0] for line in shown] == ["flight.bin", "live"]
     for line in shown:
-        build_parser().parse_args(line.split())
+        build_parser().parse_args(with_command(line.split()))
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [
+        (["flight.bin"], "check"),
+        (["--mass", "1.5", "b.ulg"], "check"),
+        ([str(GOLDEN)], "check"),
+        (["analyse", "a.ulg"], "analyze"),
+        (["foo"], "foo"),
+    ],
+)
+def test_a_log_alone_is_checked(words, command):
+    assert with_command(words)[0] == command
+
+
+def test_what_is_no_log_or_misspelt_says_what_to_type(tmp_path, capsys):
+    (tmp_path / "flight.bin").write_bytes(b"x")
+    (tmp_path / "h.json").write_text('{"schema": "gcs-sysid-health/1"}')
+    (tmp_path / "l.ulg").write_bytes(b"ULog\xff\xfe")
+    for words, told in (
+        (["fligth.bin"], "did you mean flight.bin?"),
+        (["nowhere/flight.bin"], "there is no folder"),
+        (["h.json"], "is JSON"),
+        (["."], "gcs-sysid batch"),
+        (["tune", "l.ulg"], "gcs-sysid analyze"),
+        (["tune", "h.json"], "gcs-sysid analyze LOG"),
+    ):
+        path = str(tmp_path / words[-1])
+        assert run([*words[:-1], path]) == 2
+        assert told in capsys.readouterr().err
 
 
 # --- airframe

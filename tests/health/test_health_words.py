@@ -6,12 +6,11 @@ from dataclasses import replace
 import pytest
 
 from gcs_sysid.cli.health_table import health_text
-from gcs_sysid.health.advice import advice_of
-from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.advice import advised
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
-from gcs_sysid.health.vehicle_health import Health, HealthOptions
+from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
@@ -25,29 +24,26 @@ HEALTH = Health(
 )  # fmt: skip
 
 
-def advice(given):
-    return advice_of(HEALTH, given, GuessedAirframe(HEALTH.airframe, "", 0.0))
-
-
 def test_advice_on_the_cg_is_written_like_every_other_number():
     assert any(
-        text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advice(HealthOptions())
+        text.startswith("shift the CG 100.0 ± 6.7 mm forward. ")
+        for text in advised(HEALTH, None).advice
     )
 
 
 def test_battery_travel_is_computed_with_both_masses():
-    given = HealthOptions(battery_mass=HEALTH.known_mass / 2.0)
-    assert "move the battery 200 ± 13 mm forward" in advice(given)
+    told = advised(HEALTH, HEALTH.known_mass / 2.0).advice
+    assert "move the battery 200 ± 13 mm forward" in told
 
 
 @pytest.mark.parametrize(("share", "more"), [(-0.098, "clockwise"), (0.15, "counter-clockwise")])
 def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
     health = replace(HEALTH, yaw_imbalance=Estimate(share, 0.002, "1"))
-    told = advice_of(health, HealthOptions(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+    told = advised(health, None).advice
     assert any(f"the {more} rotors carry {100.0 * abs(share):.0f} %" in text for text in told)
     for small, std in ((0.035, 0.002), (0.1, 0.03)):
         health = replace(HEALTH, yaw_imbalance=Estimate(small, std, "1"))
-        told = advice_of(health, HealthOptions(), GuessedAirframe(HEALTH.airframe, "", 0.0))
+        told = advised(health, None).advice
         assert not any("hold the heading" in text for text in told)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.failures import OneByOne
-from gcs_sysid.cli.health_table import health_text
+from gcs_sysid.cli.health_table import answer_lines, health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -66,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
                 )
                 results.append(found.result)
                 documents.append(found.as_json())
+                show.answer(found)
                 show.result(log, found.result)
                 show.health(log, found)
                 if reporter is not None:
@@ -92,6 +93,12 @@ class _Shown:
     ) -> None:
         self._truth, self._deliveries, self._on_stdout = truth, deliveries, on_stdout
 
+    def answer(self, found: WholeAnalysis) -> None:
+        if self._on_stdout:
+            width = output.terminal_width() or output.TEXT_WIDTH
+            text = "\n".join([*answer_lines(found.answer.as_json(), width), ""])
+            self._deliveries.give(lambda: output.show(text))
+
     def result(self, log: str, result: Result) -> None:
         if result.verdict == "refused":
             why = "; ".join(result.reasons)
@@ -106,7 +113,8 @@ class _Shown:
         if health.contradicted:
             output.say(f"gcs-sysid: {log}: no health: {'; '.join(health.reasons)}")
         elif found.result.verdict == "refused" and health.available and self._on_stdout:
-            self._deliveries.give(lambda: output.show(f"From hover only:\n\n{health_text(health)}"))
+            facts = health_text(health, answered=True)
+            self._deliveries.give(lambda: output.show(f"From hover only:\n\n{facts}"))
 
 
 def _pair(options: argparse.Namespace, airframe: Airframe, chain: ChainOptions) -> list[Result]:

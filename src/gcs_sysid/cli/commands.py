@@ -109,6 +109,23 @@ class Command:
 
 
 _AS_ANALYZE = "as for analyze"
+BATTERY_MASS = option(
+    "--battery-mass",
+    "KG",
+    "battery mass: shows how far to move it to center the CG",
+    type=mass,
+)
+BASELINE_FLIGHT = BASELINE.but(
+    "earlier flight, written by --json, to find a rotor that has weakened since "
+    "(default: the first of several logs)",
+    metavar="HEALTH.json",
+)
+UNCHANGED = option(
+    "--unchanged",
+    None,
+    "nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
+    action="store_true",
+)
 
 COMMANDS = (
     Command(
@@ -142,6 +159,23 @@ COMMANDS = (
             RECORD.but("record the flight to a .tlog"),
             *DISPLAY,
             COACH,
+        ),
+    ),
+    Command(
+        "check",
+        "LOG alone does: is it all right, what can be had?",
+        "Says in one line whether the vehicle is all right, what to look at first, and what the "
+        "flight shows; with --arm and --mass also the identification, where it carries one. "
+        "gcs-sysid LOG is the same.",
+        (
+            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
+            CSV,
+            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
+            VEHICLE,
+            BASELINE_FLIGHT,
+            UNCHANGED,
+            JSON.but("write the findings; - is stdout"),
+            FORCE,
         ),
     ),
     Command(
@@ -258,28 +292,10 @@ COMMANDS = (
         (
             LOGS.but(".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
             CSV,
-            layout(
-                "default: by the vehicle's parameters or type",
-                None,
-                option(
-                    "--battery-mass",
-                    "KG",
-                    "battery mass: shows how far to move it to center the CG",
-                    type=mass,
-                ),
-            ),
+            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
             VEHICLE,
-            BASELINE.but(
-                "earlier flight, written by --json, to find a rotor that has weakened since "
-                "(default: the first of several logs)",
-                metavar="HEALTH.json",
-            ),
-            option(
-                "--unchanged",
-                None,
-                "nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
-                action="store_true",
-            ),
+            BASELINE_FLIGHT,
+            UNCHANGED,
             JSON.but("write the findings; - is stdout"),
             option(
                 "--params",

@@ -19,7 +19,7 @@ from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when nothing hovers in a log."""
-    given = _given(options)
+    given = given_of(options)
     output.check_outputs(options.json, force=options.force)
     for target in (options.params, options.picture):
         if target is not None:
@@ -45,7 +45,12 @@ def run(options: argparse.Namespace) -> int:
     return 0 if len(usable) == len(found) else 1
 
 
-def _given(options: argparse.Namespace) -> HealthOptions:
+def given_of(options: argparse.Namespace) -> HealthOptions:
+    """What the options say of the vehicle.
+
+    Raises:
+        InputError: they contradict each other.
+    """
     airframe = None
     if options.airframe is not None:
         airframe = airframe_choice.layout_of(options)

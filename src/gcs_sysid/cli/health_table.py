@@ -10,15 +10,30 @@ from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.health_view import cg_facts, health_fact
-from gcs_sysid.results.number_format import PLAIN, significant
+from gcs_sysid.results.health_view import cg_facts, health_fact, quantity_text
+from gcs_sysid.results.number_format import PLAIN
 
 _NAME = 20
 
 
-def health_text(health: Health) -> str:
-    """All that hover shows of a vehicle, in lines."""
-    return "\n".join([*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)])
+def health_text(health: Health, *, answered: bool = False) -> str:
+    """All that hover shows of a vehicle, in lines.
+
+    Args:
+        health: of a flight that hovers.
+        answered: whether the first line was given before; else it is here.
+    """
+    answer = [] if answered else [*answer_lines(document_of(health)["answer"], TEXT_WIDTH), ""]
+    whole = [*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)]
+    return "\n".join([*answer, *whole])
+
+
+def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
+    """The first line and what to do first."""
+    return [
+        *textwrap.wrap(answer["line"], width, subsequent_indent="  ", break_on_hyphens=False),
+        *_wrapped(answer["action"], "-> ", width),
+    ]
 
 
 def _head(health: Health) -> Iterator[str]:
@@ -30,16 +45,17 @@ def _head(health: Health) -> Iterator[str]:
     document = document_of(health)
     for name, size, way, alike in cg_facts(document):
         yield _line(name, f"{size} {way} of the center ({alike})")
-    yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
+    if health.cg_of_hover is None:
+        yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
         yield _line("  wind contribution", _as_flown(health.by_wind))
     for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
         yield from _fact(document, key)
     if health.scale is not None:
         name, quantity = health.scale
-        yield _line(name, _value(quantity))
+        yield _line(name, quantity_text(quantity.as_json()))
     if health.mass is not None:
-        yield _line("mass", _value(health.mass))
+        yield _line("mass", quantity_text(health.mass.as_json()))
     if health.curve is not None:
         curve = health.curve
         origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"
@@ -71,16 +87,6 @@ def _fact(document: Mapping[str, Any], key: str) -> Iterator[str]:
     found = health_fact(document, key, whole=True)
     if found is not None:
         yield _line(*found)
-
-
-def _value(quantity: Estimate) -> str:
-    assert quantity.value is not None
-    if not quantity.half:
-        return f"{significant(quantity.value, 4)} {quantity.unit} (given)"
-    text, half, power, _ = PLAIN.value_and_half(quantity.value, quantity.half)
-    return (
-        f"({text} ± {half}){power} {quantity.unit}" if power else f"{text} ± {half} {quantity.unit}"
-    )
 
 
 def _rotors(health: Health) -> Iterator[str]:
@@ -119,19 +125,21 @@ def _parameters(health: Health) -> Iterator[str]:
 
 
 def _foot(health: Health) -> Iterator[str]:
-    if health.advice:
+    first = document_of(health)["answer"]["action"]
+    others = [text for text in health.advice if text != first]
+    if others:
         yield ""
-        for text in health.advice:
+        for text in others:
             yield from _wrapped(text, "-> ")
     yield ""
     for text in health.assumptions:
         yield from _wrapped(f"assumed: {text}", "")
 
 
-def _wrapped(text: str, begin: str) -> list[str]:
+def _wrapped(text: str, begin: str, width: int = TEXT_WIDTH) -> list[str]:
     return textwrap.wrap(
         text,
-        TEXT_WIDTH,
+        width,
         initial_indent=begin,
         subsequent_indent=" " * len(begin),
         break_on_hyphens=False,

@@ -4,7 +4,7 @@ import argparse
 import shutil
 import textwrap
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
@@ -25,6 +25,7 @@ from gcs_sysid.inspection.inspector import inspect_link, inspect_log
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.judgement.short_verdicts import level_of
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.message_table import RPM
@@ -343,25 +344,41 @@ def _parameters(found: Inspection, width: int) -> list[str]:
 
 
 def _verdict(found: Inspection, width: int) -> list[str]:
-    lines = [
+    return [
         f"Can be identified from: {_VERDICTS[found.verdict]}",
-        *_entry("Obtainable", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
+        *_entry("Obtainable", obtainable(found), width),
+        *objection_lines(found.objections, width),
+        *_next_lines(found),
     ]
-    for i, objection in enumerate(found.objections):
+
+
+def obtainable(found: Inspection) -> str:
+    """What can be had from the data."""
+    return _OBTAINABLE[found.obtainable] + _of_hover(found)
+
+
+def objection_lines(objections: Sequence[Objection], width: int) -> list[str]:
+    """What stands against more, and what to do about that."""
+    lines = []
+    for i, objection in enumerate(objections):
         mark = "-" if level_of(objection) == "note" else "!"
         lines += textwrap.wrap(
             objection.reason, width, initial_indent=f"  {mark} ", subsequent_indent="    "
         )
-        following = found.objections[i + 1 :]
+        following = objections[i + 1 :]
         if objection.how and not any(o.how == objection.how for o in following):
             lines += textwrap.wrap(
                 objection.how, width, initial_indent="    -> ", subsequent_indent="       "
             )
-    if found.verdict != "no" and found.kind != "link":
-        lines += ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]
-    elif found.obtainable == "health" and found.kind != "link":
-        lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines
+
+
+def _next_lines(found: Inspection) -> list[str]:
+    if found.verdict != "no" and found.kind != "link":
+        return ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]
+    if found.obtainable == "health" and found.kind != "link":
+        return ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
+    return []
 
 
 def _of_hover(found: Inspection) -> str:

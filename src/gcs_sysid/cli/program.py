@@ -11,7 +11,8 @@ from gcs_sysid.cli.commands import COMMANDS, PROGRAM, build_parser
 from gcs_sysid.cli.failures import failure_line, is_debugged, reader_has_gone
 from gcs_sysid.cli.output import abandon_stdout, say, show
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import never_fail_to_print, with_mapping
+from gcs_sysid.files import TABLE_SUFFIXES, log_file, never_fail_to_print, with_mapping
+from gcs_sysid.telemetry.urls import LOG_SUFFIXES
 
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
@@ -44,7 +45,7 @@ def run(argv: Sequence[str]) -> int:
 def _run(argv: Sequence[str]) -> int:
     parser = build_parser()
     try:
-        options = parser.parse_args([_BRITISH.get(argv[0], argv[0]), *argv[1:]] if argv else argv)
+        options = parser.parse_args(with_command(argv))
     except SystemExit as stop:  # argparse has printed its line
         return stop.code if isinstance(stop.code, int) else USAGE
     options.argv = (PROGRAM, *argv)
@@ -55,6 +56,22 @@ def _run(argv: Sequence[str]) -> int:
     command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
     status: int = command.run(options)
     return status
+
+
+def with_command(argv: Sequence[str]) -> list[str]:
+    """The words with their command: a log alone is to be checked."""
+    if not argv:
+        return []
+    first = _BRITISH.get(argv[0], argv[0])
+    if first in {command.name for command in COMMANDS} or not any(map(_is_log, argv)):
+        return [first, *argv[1:]]
+    return ["check", *argv]
+
+
+def _is_log(word: str) -> bool:
+    """Whether a word is a file or folder, or was meant to be a log."""
+    path = log_file(Path(word))
+    return path.exists() or path.suffix.lower() in LOG_SUFFIXES | TABLE_SUFFIXES
 
 
 def _name_mappings(options: argparse.Namespace) -> None:
@@ -77,10 +94,9 @@ def welcome() -> str:
     commands = "\n".join(f"  {command.name:<12}{command.summary}" for command in COMMANDS)
     return f"""\
 gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
-Try the emulator, then your vehicle (--arm: m, center to motor; --mass: kg):
-  gcs-sysid demo
+Try demo, then a log of yours and your vehicle (m from center to motor, kg):
+  gcs-sysid flight.bin --arm 0.25 --mass 1.5
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
 Commands
 {commands}
-
 Options: gcs-sysid COMMAND --help. No vehicle found? gcs-sysid doctor"""

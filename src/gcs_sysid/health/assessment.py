@@ -10,7 +10,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
-from gcs_sysid.health.advice import advice_of
+from gcs_sysid.health.advice import advised
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import (
@@ -211,19 +211,20 @@ def health_of(
     places = [0.0 if place.value is None else place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
-    refused = tuple(
-        f"{name} {problem}" for name, problem in streams.refused.items() if "rotor" in problem
-    )
-    return replace(health, advice=(*refused, *advice_of(health, given, guess)))
+    misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
+    return advised(replace(health, misread=misread), given.battery_mass)
 
 
 def beside_analysis(health: Health, result: Result) -> Health:
-    """The health to show beside an analysis: withheld where that was refused by the rotors.
+    """The health to show beside an analysis: of one vehicle with one CG and one scale.
+
+    It is withheld where the analysis was refused by the rotors.
 
     Args:
         health: of the same log and airframe.
         result: of the analysis.
     """
+    health = _as_identified(health, result)
     blamed = (objection.reason for objection in result.objections if objection.by == ROTORS)
     refused = result.verdict == "refused" and next(blamed, None)
     if not refused or health.contradicted or not health.available:
@@ -238,6 +239,29 @@ def beside_analysis(health: Health, result: Result) -> Health:
         explained=health.explained,
         explained_coupled=health.explained_coupled,
     )
+
+
+def _as_identified(health: Health, result: Result) -> Health:
+    """The health with the CG and the scale of the analysis, where that knows them better."""
+    if health.cg is None or result.verdict == "refused":
+        return health
+    x, y = _better(result, "cg_x", health.cg[0]), _better(result, "cg_y", health.cg[1])
+    if x is not None and y is not None:
+        health = advised(replace(health, cg=(x, y), cg_of_hover=health.cg), None)
+    if health.scale is not None:
+        name, of_hover = health.scale
+        scale = _better(result, name, of_hover)
+        health = health if scale is None else replace(health, scale=(name, scale))
+    return health
+
+
+def _better(result: Result, name: str, of_hover: Estimate) -> Estimate | None:
+    """A parameter as identified, if its interval is the narrower one; else None."""
+    found = result.parameters.get(name)
+    if found is None or found.value is None or found.std is None or of_hover.std is None:
+        return None
+    known = found.status not in ("given", "unobservable") and found.std < of_hover.std
+    return found if known else None
 
 
 def _rotor_stream(streams: Streams, airframe: Airframe) -> tuple[RotorInput, RotorStream]:

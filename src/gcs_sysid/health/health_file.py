@@ -1,5 +1,6 @@
 """Health as a file, and a change of the rotors in words."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
 from gcs_sysid.judgement.short_verdicts import hover_verdict
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.first_answer import first_answer
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.strict_json import parse_json
 
@@ -33,6 +35,11 @@ def document_of(health: Health) -> dict[str, Any]:
         "rotor_input": health.rotor_input,
         "rotor_source": health.rotor_source or None,
         "cg": None if health.cg is None else {"x": plain(health.cg[0]), "y": plain(health.cg[1])},
+        **(
+            {}
+            if health.cg_of_hover is None
+            else {"cg_by_hover": dict(zip("xy", map(plain, health.cg_of_hover), strict=True))}
+        ),
         "cg_by_wind": (
             None if health.by_wind is None else dict(zip("xy", health.by_wind, strict=True))
         ),
@@ -55,13 +62,15 @@ def document_of(health: Health) -> dict[str, Any]:
             for one in suggested(health)
         },
         "assumptions": list(health.assumptions),
+        "order_contradicted": health.contradicted,
+        "findings": [asdict(found) for found in health.findings],
         "advice": list(health.advice),
     }
     if health.scale is not None:
         out[health.scale[0]] = plain(health.scale[1])
     if health.mass is not None:
         out["mass"] = plain(health.mass)
-    return out
+    return {**out, "answer": first_answer(out).as_json()}
 
 
 def read_baseline(path: Path) -> Baseline:
@@ -75,7 +84,7 @@ def read_baseline(path: Path) -> Baseline:
     try:
         if table["schema"] != SCHEMA:
             raise ValueError
-        cg = table["cg"]
+        cg = table.get("cg_by_hover") or table["cg"]
         return Baseline(
             str(table["source"]),
             Load.of_json(table["load"]),

@@ -52,6 +52,21 @@ class Baseline:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """Something of the vehicle that is worth a look.
+
+    Attributes:
+        at: what to look at: a rotor, the CG.
+        what: is seen there.
+        do: about it, a sentence that says all.
+    """
+
+    at: str
+    what: str
+    do: str
+
+
+@dataclass(frozen=True)
 class RotorHealth:
     """One rotor in hover.
 
@@ -98,6 +113,9 @@ class Health:
         rotor_input: that loads were taken from.
         seconds: of hover.
         cg: x and y from the geometric center, m.
+        cg_of_hover: the same by hover, where `cg` is that of an analysis beside it, which knows it
+            better; else None.
+        misread: rotor stream -> why it is not read.
         by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
         center: of thrust, and how drag moves it.
         rotors: in motor order.
@@ -122,7 +140,8 @@ class Health:
         explained_coupled: the same.
         load: for later flights.
         assumptions: behind the intervals, as text.
-        advice: what to do.
+        findings: what to look at, the most important first; empty where all is well.
+        advice: what to do, of the findings and to know more.
         parameters: of the autopilot as they were in the log.
     """
 
@@ -135,6 +154,8 @@ class Health:
     rotor_source: str = ""
     seconds: float = 0.0
     cg: tuple[Estimate, Estimate] | None = None
+    cg_of_hover: tuple[Estimate, Estimate] | None = None
+    misread: Mapping[str, str] = field(default_factory=dict)
     by_wind: tuple[float, float] | None = None
     center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()
@@ -158,6 +179,7 @@ class Health:
     arm_known: bool = True
     battery: tuple[float, float, float] | None = None
     assumptions: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     advice: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
 

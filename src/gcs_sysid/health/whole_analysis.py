@@ -11,6 +11,7 @@ from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.first_answer import FirstAnswer, first_answer
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
@@ -32,6 +33,11 @@ class WholeAnalysis:
     health: Health
 
     @property
+    def answer(self) -> FirstAnswer:
+        """The first line on the flight."""
+        return first_answer(document_of(self.health), self.result)
+
+    @property
     def health_document(self) -> dict[str, Any] | None:
         """A health file's content; None where nothing hovers."""
         return document_of(self.health) if self.health.reported else None
@@ -39,7 +45,8 @@ class WholeAnalysis:
     def as_json(self) -> dict[str, Any]:
         """The result as its file has it, with the health."""
         health = self.health_document
-        return {**self.result.as_json(), **({} if health is None else {"health": health})}
+        document = {**self.result.as_json(), "answer": self.answer.as_json()}
+        return document if health is None else {**document, "health": health}
 
 
 def analyze_whole(

@@ -10,6 +10,7 @@ from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.report.page_figures import ChartData
 from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
+from gcs_sysid.results.first_answer import first_answer
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
 from gcs_sysid.strict_json import json_text
@@ -67,11 +68,14 @@ def render(data: ReportData) -> str:
         *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections.get(key)),
         aria_label="Contents",
     )
+    answer = first_answer(data.health or None, data.result)
     body = element(
         "body",
         element("header", _heading(data, name), contents),
         element(
             "main",
+            element("p", element("strong", answer.line), class_="answer"),
+            element("p", answer.action),
             sections.pop("health"),
             sections.pop("verdict"),
             element("p", _KEYS, id="keys", class_="note keys"),

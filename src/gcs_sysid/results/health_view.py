@@ -1,18 +1,21 @@
 """What a person is shown of a vehicle's health, from a health file's content."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from gcs_sysid.intervals import Z95
-from gcs_sysid.results.number_format import PLAIN, Notation, decimals_for
+from gcs_sysid.results.number_format import PLAIN, Notation, decimals_for, significant
 
 _WORDS = {
-    "yaw_imbalance": ("yaw imbalance", 100.0, "% of the load", ", ccw minus cw"),
-    "hover_throttle": ("hover throttle", 100.0, "%", ""),
-    "thrust_to_weight": ("full thrust", 1.0, "times the weight", ""),
-    "drift_per_minute": ("thrust drift", 100.0, "% a minute", ", for the same command"),
+    "yaw_imbalance": ("yaw imbalance", 100.0, "% of the load", ", ccw minus cw", 1.0),
+    "hover_throttle": ("hover throttle", 100.0, "%", "", None),
+    "thrust_to_weight": ("full thrust", 1.0, "times the weight", "", None),
+    "drift_per_minute": ("thrust drift", 100.0, "% a minute", ", for the same command", 0.3),
 }
-"""Name, factor, unit and what one may know besides, by key of the file."""
+"""Name, factor, unit, what one may know besides, and the span of all values that it may have, by
+key of the file. A battery's voltage, whose square the thrust follows, falls by a sixth; None: it
+may be any size above zero."""
 
 
 def half_of(quantity: Mapping[str, Any]) -> float:
@@ -20,10 +23,23 @@ def half_of(quantity: Mapping[str, Any]) -> float:
     return Z95 * float(quantity["std"] or 0.0)
 
 
+def telling(quantity: Mapping[str, Any] | None, span: float | None = None) -> bool:
+    """Whether a number says anything: its interval does not hold all that it may be.
+
+    Args:
+        quantity: of the file; None: not known.
+        span: of all values that it may have; None: any size above zero.
+    """
+    if quantity is None or quantity["value"] is None:
+        return False
+    most = abs(float(quantity["value"])) if span is None else 0.5 * span
+    return half_of(quantity) < most
+
+
 def health_fact(
     health: Mapping[str, Any], key: str, notation: Notation = PLAIN, *, whole: bool = False
 ) -> tuple[str, str] | None:
-    """The name of a number and its value with its interval; None where it is not known.
+    """The name of a number and its value with its interval; None where that says nothing.
 
     Args:
         health: the file's content.
@@ -32,11 +48,65 @@ def health_fact(
         whole: whether all is said, where there is room.
     """
     quantity = health[key]
-    if quantity is None or quantity["value"] is None:
+    name, factor, unit, besides, span = _WORDS[key]
+    if quantity is None or not telling(quantity, span):
         return None
-    name, factor, unit, besides = _WORDS[key]
     text = notation.measure(factor * quantity["value"], factor * half_of(quantity), unit)
     return name, text + besides * whole
+
+
+def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The numbers that one looks at first, rounded, without those that say nothing.
+
+    Args:
+        health: the file's content, in which something hovers.
+
+    Returns:
+        For each: name and value.
+    """
+    ways = {"x": ("forward", "aft"), "y": ("right", "left")}
+    off = []
+    for axis, (positive, negative) in ways.items():
+        place = health["cg"][axis]
+        way = positive if place["value"] >= 0.0 else negative
+        off.append(f"{short({**place, 'value': abs(place['value'])}, 1e3)} mm {way}")
+    half = 1e3 * max(half_of(health["cg"][axis]) for axis in ways)
+    source = "as identified" if "cg_by_hover" in health else "by hover"
+    within = PLAIN.fixed(half, decimals_for(half, most=1))
+    out = [("CG", f"{off[0]}, {off[1]} (± {within} mm), {source}")]
+    shares = [rotor["thrust_share"] for rotor in health["rotors"]]
+    if all(map(telling, shares)):
+        out.append(("rotors carry", f"{', '.join(short(one, 100.0) for one in shares)} %"))
+    for key, (name, factor, unit, besides, span) in _WORDS.items():
+        # What is much like none is not worth a line.
+        if telling(health[key], span) and (span is None or _differs(health[key])):
+            out.append((name, f"{short(health[key], factor)} {unit}{besides}"))
+    for key in ("k_T", "T_max", "mass"):
+        quantity = health.get(key)
+        if telling(quantity) and quantity is not None and quantity["std"]:
+            out.append((key, quantity_text(quantity)))
+    return out
+
+
+def _differs(quantity: Mapping[str, Any]) -> bool:
+    return abs(float(quantity["value"])) > half_of(quantity)
+
+
+def quantity_text(quantity: Mapping[str, Any]) -> str:
+    """A coefficient with its interval, in a power of ten where that is easier to read."""
+    value, half, unit = quantity["value"], half_of(quantity), quantity["unit"]
+    if not half:
+        return f"{significant(value, 4)} {unit} (given)"
+    shown, of_half, power, _ = PLAIN.value_and_half(value, half)
+    return f"({shown} ± {of_half}){power} {unit}" if power else f"{shown} ± {of_half} {unit}"
+
+
+def short(quantity: Mapping[str, Any], factor: float = 1.0) -> str:
+    """A value to one digit of its interval and no more than three of its own."""
+    value, half = factor * float(quantity["value"]), factor * half_of(quantity)
+    most = 2 - (math.floor(math.log10(abs(value))) if value else 0)
+    decimals = min(most, -math.floor(math.log10(half)) if half > 0.0 else most)
+    return PLAIN.fixed(value if decimals >= 0 else round(value, decimals), max(decimals, 0))
 
 
 def cg_facts(
@@ -46,7 +116,7 @@ def cg_facts(
 
     Returns:
         For each: name, distance with its interval, way, and the half interval of rotors that are
-        identical, in mm.
+        identical, in mm, or which source it is of.
     """
     out = []
     for name, axis, ways in (
@@ -58,5 +128,8 @@ def cg_facts(
         size = notation.measure(1e3 * abs(value), 1e3 * half_of(quantity), "mm")
         alike = 1e3 * Z95 * max(std**2 - quantity["std_given"] ** 2, 0.0) ** 0.5
         identical = notation.fixed(alike, decimals_for(max(alike, 0.01)))
-        out.append((f"CG {name}", size, ways[value < 0.0], f"identical rotors: ± {identical} mm"))
+        source = f"identical rotors: ± {identical} mm"
+        if "cg_by_hover" in health:
+            source = "as identified"
+        out.append((f"CG {name}", size, ways[value < 0.0], source))
     return out

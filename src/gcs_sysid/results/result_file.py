@@ -18,6 +18,7 @@ from gcs_sysid.strict_json import parse_json
 
 MOST_BYTES = 256 * 1024 * 1024
 """A file beyond this is no result."""
+_MADE_BY = "gcs-sysid analyze {} --json result.json makes one of a log"
 
 
 def read_result(path: Path) -> Result:
@@ -41,7 +42,14 @@ def read_result(path: Path) -> Result:
         True
     """
     where = str(path)
-    text = read_text(path, MOST_BYTES, "the result")
+    try:
+        text = read_text(path, MOST_BYTES, "the result")
+    except InputError as error:
+        if isinstance(error.__cause__, UnicodeDecodeError):
+            raise InputError(
+                f"{where} is no text, and no result: {_MADE_BY.format(where)}"
+            ) from None
+        raise
     return parse_result(parse_json(text, where), where)
 
 
@@ -63,6 +71,9 @@ def parse_result(document: object, where: str) -> Result:
             "each with its own --json"
         )
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        found = document.get("schema") if isinstance(document, dict) else None
+        if isinstance(found, str) and found.startswith("gcs-sysid-health/"):
+            raise InputError(f"{where}: a flight's health, and no result: {_MADE_BY.format('LOG')}")
         raise InputError(f"{where}: not a result of gcs-sysid (no schema {SCHEMA!r} in it)")
     table = _Table(document, where)
     rotor_input = table.text("rotor_input")

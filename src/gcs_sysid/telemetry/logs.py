@@ -24,6 +24,7 @@ from gcs_sysid.files import (
     check_regular,
     split_mapping,
     split_session,
+    unreadable,
 )
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
@@ -303,12 +304,15 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     file_path, session = (table, None) if mapping is not None else split_session(path)
     try:
         if path.is_dir():
-            raise InputError(f"{path} is a folder: give a .tlog, .ulg, .bin or .bbl file")
+            raise InputError(
+                f"{path} is a folder: give a .tlog, .ulg, .bin or .bbl file in it, or all of them: "
+                f"gcs-sysid batch {path} -o DIR"
+            )
         check_regular(file_path)
         with open(file_path, "rb") as file:
             head = file.read(blackbox_format.SEARCHED)
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
+        raise InputError(f"cannot read {path}: {unreadable(file_path, error)}") from error
     if mapping is not None:
         return OnboardLog("table", read_table(table, mapping), wanted)
     if blackbox_format.MAGIC in head:
@@ -319,6 +323,11 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
         return OnboardLog("ulog", read_ulog(path), wanted)
     if head.startswith(dataflash_format.HEAD):
         return OnboardLog("dataflash", read_dataflash(path), wanted)
+    if head.lstrip()[:1] in (b"{", b"["):
+        raise InputError(
+            f"{path} is JSON, such as a result, and no log: tune, export, compare and twin take "
+            "results, --baseline takes a flight's health"
+        )
     if head.startswith(b"FMT,"):
         raise InputError(f"{path} is a dataflash log converted to text: give the .bin")
     if path.suffix.lower() in TABLE_SUFFIXES:

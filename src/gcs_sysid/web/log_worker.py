@@ -15,7 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
@@ -25,21 +29,26 @@ OnProgress = Callable[[str, float], None]
 
 
 def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
-    """Who flew, for how long, and the layout by the log's parameters, else one to try.
+    """Whether all is right; who flew, for how long; the layout by the log, else one to try.
 
     Raises:
         InputError: the log cannot be read.
     """
-    opened = open_log(log)
+    opened, keeper = open_log(log), HoverRecords()
+    keeper.begin(opened)
     first, last = float("inf"), float("-inf")
     for block in opened.blocks():
         on_progress("reading", opened.share_read)
+        keeper.add_records(block)
         for track in block.tracks:
             if len(track.t):
                 first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
     vehicle = opened.vehicle
     layout = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
+    health = document_of(keeper.health(str(log), HealthOptions()))
     return {
+        "answer": health["answer"],
+        "facts": short_facts(health) if health["cg"] else [],
         "vehicle": None if vehicle is None else str(vehicle),
         "duration": max(last - first, 0.0) if last > first else 0.0,
         "airframe": None

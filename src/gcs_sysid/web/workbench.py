@@ -277,6 +277,7 @@ class Workbench:
             {
                 **item.as_json(),
                 "verdict": verdict,
+                "answer": document.get("answer"),
                 "parameters": result_rows(result),
                 "run": results.name,
                 "health": (results / PICTURE).exists(),

@@ -77,6 +77,9 @@ async function look(item) {
   const found = await follow(`/items/${item.id}/look`, {}, (said) => { byId("upload-bar").value = said.progress; });
   current = item;
   told = found.airframe;
+  sayAnswer("answer-line", "answer-action", found.answer);
+  fill(byId("facts"), ...found.facts.flatMap(([name, text]) => [make("dt", {}, name), make("dd", {}, text)]));
+  toggle(byId("answer"), true);
   const seconds = Math.round(found.duration);
   setText(byId("about-log"), `${item.name}: ${found.vehicle || "no autopilot found"}, ${seconds} s`);
   toggle(byId("from-log"), Boolean(told));
@@ -88,6 +91,13 @@ async function look(item) {
   toggle(byId("result"), false);
   showKind();
   byId("scale").focus();
+}
+
+/* Whether the vehicle is all right, and what to do first. */
+function sayAnswer(line, action, answer) {
+  const word = { OK: "identified", "LOOK AT": "refused" }[answer && answer.word] || "partial";
+  fill(byId(line), make("span", { class: word }, answer ? answer.line : ""));
+  setText(byId(action), answer ? answer.action : "");
 }
 
 /* --- the airframe */
@@ -215,6 +225,7 @@ async function show(id) {
   const found = await ask(`/items/${id}/result`);
   const { verdict } = found;
   setText(byId("result-title"), `3. Result: ${found.name}`);
+  sayAnswer("result-answer", "result-action", found.answer);
   fill(byId("verdict"), make("span", { class: verdict.word, "aria-hidden": "true" }, verdict.sign), make("span", { class: verdict.word }, verdict.meaning));
   setText(byId("sentence"), verdict.sentence);
   fill(byId("reasons"), ...verdict.reasons.map((reason) => make("li", {}, reason)));

@@ -1,0 +1,111 @@
+"""`gcs-sysid LOG...`: what a flight is, whether the vehicle is all right, what can be had."""
+
+import argparse
+import functools
+import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.cli import health_command, output
+from gcs_sysid.cli.failures import OneByOne
+from gcs_sysid.cli.health_table import answer_lines
+from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
+from gcs_sysid.health.assessment import beside_analysis, health_of_log
+from gcs_sysid.health.health_file import condition_text, document_of
+from gcs_sysid.health.vehicle_health import Health, as_baseline
+from gcs_sysid.health.whole_analysis import WholeAnalysis
+from gcs_sysid.inspection.inspector import inspect_log
+from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.results.health_view import short_facts
+from gcs_sysid.results.result_view import verdict_sentence
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain_options import ChainOptions
+
+_NAME = 16
+"""Columns of the names at the left."""
+_MOST = 2
+"""Reasons against an identification that have room on a screen."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 where a log does not show whether the vehicle is all right."""
+    output.check_outputs(options.json, force=options.force)
+    given = health_command.given_of(options)
+    documents: list[dict[str, Any]] = []
+    words: list[str] = []
+    one_by_one, deliveries = OneByOne(options.logs), output.Deliveries()
+    for log in options.logs:
+        with one_by_one.attempt(log):
+            health = health_of_log(Path(log), given, options.vehicle)
+            first = as_baseline(health)
+            if given.baseline is None and first is not None:
+                given = replace(given, baseline=replace(first, asked=False))
+            document, lines = _found(log, health, options)
+            documents.append(document)
+            words.append(document["answer"]["word"])
+            text = "\n".join([*([""] if len(documents) > 1 else []), *lines])
+            if options.json != "-":
+                deliveries.give(functools.partial(output.show, text))
+    if documents and options.json is not None:
+        file = output.as_json(documents[0] if len(options.logs) == 1 else documents)
+        deliveries.give(lambda: output.write_text(options.json, file, force=options.force))
+    deliveries.check()
+    if one_by_one.failed:
+        return 2
+    return 1 if "CANNOT TELL" in words else 0
+
+
+def _found(
+    log: str, health: Health, options: argparse.Namespace
+) -> tuple[dict[str, Any], list[str]]:
+    """The content of a file, and the text for a screen."""
+    width = min(output.terminal_width() or output.TEXT_WIDTH, output.TEXT_WIDTH)
+    airframe, progress = health.airframe, output.progress_bar(log)
+    sized = airframe is not None and health.arm_known and airframe.anchor() is not None
+    if airframe is not None and sized and not health.contradicted:
+        chain = ChainOptions(history_interval=None)
+        result = analyze_log(Path(log), airframe, options.vehicle, chain, progress)
+        whole = WholeAnalysis(result, beside_analysis(health, result))
+        document, health = whole.as_json(), whole.health
+        known = verdict_sentence(result)
+        if result.verdict == "refused":
+            known = f"not from this flight: {'; '.join(result.reasons)}"
+        more = [*_entry("identified", known, width), *_next(f"gcs-sysid analyze {log}")]
+    else:
+        document = document_of(health)
+        inspection = inspect_log(Path(log), options.vehicle, progress)
+        more = _entry("can be had", obtainable(inspection), width)
+        against = [one for one in inspection.objections if level_of(one) != "note"]
+        more += objection_lines(against[:_MOST], width)
+        if inspection.verdict != "no":
+            more += _next(next_command(log, inspection.parameters, inspection.kind))
+        else:
+            more += _next(f"gcs-sysid inspect {log}")
+    facts = _facts(log, health, document.get("health", document), width)
+    return document, [*answer_lines(document["answer"], width), "", *facts, *more]
+
+
+def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> Iterator[str]:
+    if not health.available or health.rotor_input is None:
+        yield from _entry(Path(log).name, "; ".join(health.reasons), width)
+        return
+    rotors = f"rotors by {health.rotor_input.words} ({health.rotor_source})"
+    yield from textwrap.wrap(f"{Path(log).name}: {health.seconds:.0f} s of hover, {rotors}", width)
+    for name, text in short_facts(document):
+        yield from _entry(name, text, width)
+    if health.condition is not None:
+        yield from _entry("since the first", condition_text(health.condition), width)
+
+
+def _next(command: str) -> list[str]:
+    return [f"{'all of it':<{_NAME}}{command}"]
+
+
+def _entry(name: str, text: str, width: int) -> list[str]:
+    """A name at the left and its text beside it, wrapped."""
+    return textwrap.wrap(
+        text, width, initial_indent=f"{name:<{_NAME - 1}} ", subsequent_indent=" " * _NAME,
+        break_on_hyphens=False,
+    )  # fmt: skip

@@ -1,0 +1,54 @@
+"""The first line of every answer on a log."""
+
+import pytest
+
+from gcs_sysid.results.first_answer import first_answer
+from gcs_sysid.results.health_view import health_fact, short_facts
+from tests.screen.fake import health
+
+QUANTITY = {"value": 0.25, "std": 0.001, "std_given": 0.0, "unit": "1"}
+
+
+def document(**changed):
+    return {**health(), "order_contradicted": False, "findings": [], **changed}
+
+
+def test_a_flight_without_findings_is_ok_and_says_what_tells_more():
+    answer = first_answer(document(advice=["give --arm"]))
+    assert answer.line.startswith("OK: nothing wrong seen in ")
+    assert answer.action == "give --arm"
+
+
+def test_what_is_found_first_is_to_be_looked_at_and_the_rest_counted():
+    weak = {"at": "rotor 3", "what": "5 % less thrust", "do": "look at it"}
+    other = {"at": "the CG", "what": "9 mm aft", "do": "shift it"}
+    answer = first_answer(document(findings=[weak, weak, other]))
+    assert answer.line == "LOOK AT rotor 3: 5 % less thrust (and 1 more)"
+    assert answer.action == "look at it"
+
+
+@pytest.mark.parametrize(
+    ("reason", "line", "action"),
+    [
+        ("hardly hovers: 2 s; hover for 10 s", "CANNOT TELL: hardly hovers: 2 s", "hover for 10 s"),
+        ("no IMU data", "CANNOT TELL: no IMU data", "gcs-sysid inspect shows"),
+    ],
+)
+def test_a_flight_without_hover_says_why_and_what_to_do(reason, line, action):
+    answer = first_answer(document(verdict="refused", reasons=[reason]))
+    assert answer.line == line
+    assert answer.action.startswith(action)
+
+
+def test_a_wrong_motor_order_is_looked_at():
+    told = document(verdict="refused", reasons=["no: give --airframe"], order_contradicted=True)
+    assert first_answer(told).line == "LOOK AT the motor order: no"
+    assert first_answer(told).action == "give --airframe"
+
+
+def test_a_number_whose_interval_holds_everything_is_not_shown():
+    vain = {"value": -0.67, "std": 0.93, "std_given": 0.0, "unit": "1"}
+    assert health_fact(document(drift_per_minute=vain), "drift_per_minute") is None
+    small = {"value": -0.05, "std": 0.01, "std_given": 0.0, "unit": "1"}
+    assert health_fact(document(drift_per_minute=small), "drift_per_minute") is not None
+    assert "thrust drift" not in dict(short_facts(document(drift_per_minute=vain)))
