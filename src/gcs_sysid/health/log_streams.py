@@ -10,6 +10,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
+from gcs_sysid.signals.motor_order import MotorOrder, out_of_order
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together
 from gcs_sysid.signals.rotor_source_selector import family
@@ -96,10 +97,11 @@ def streams_of(
         parameters: the autopilot's.
     """
     tracks: list[Track] = []
+    order = MotorOrder.of(autopilot, parameters, len(airframe.rotors))
     boots: list[int] = []
     for block in blocks:
         boots += [order for order, event in block.events if event.kind == "reboot"]
-        tracks += block.tracks
+        tracks += order.tracks(block.tracks)
     joined = {key: _steady(track, boots) for key, track in by_key(tracks).items()}
     starts = [float(track.t[0]) for track in joined.values() if len(track.t)]
     start = min(starts, default=0.0)
@@ -120,6 +122,8 @@ def streams_of(
     for (stream, name), parts in rotors.items():
         samples = _per_rotor(parts, count, start)
         problem = _problem(samples, count)
+        if len(samples) < count:
+            problem += order.gap_in(name, len(samples))
         if not problem and stream is Stream.ROTOR_SPEED:
             problem = _constant_reading(samples) or held_reading(samples)
         if problem:
@@ -136,6 +140,13 @@ def streams_of(
             samples = tuple((t, normalized(v, range_).clip(0.0, None)) for t, v in samples)
             one = RotorStream(name, samples, one.rate, range_, raw)
         found.setdefault(stream, []).append(one)
+    sources = {one.source: (stream, one.samples) for stream, some in found.items() for one in some}
+    refused |= (unordered := out_of_order(sources))
+    found = {
+        stream: sound
+        for stream, some in found.items()
+        if (sound := [one for one in some if one.source not in unordered])
+    }
     best = {
         stream: max(sources, key=lambda one: min(one.rate, TUNING.enough_rate))
         for stream, sources in found.items()

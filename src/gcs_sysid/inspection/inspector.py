@@ -41,6 +41,7 @@ from gcs_sysid.inspection.stream_watch import (
 from gcs_sysid.judgement.clock_doubt import clock_doubt
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import Key, RecordBlock
+from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import ROTOR_STREAMS, Record, Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.telemetry.clock import WRAP_US
@@ -244,26 +245,31 @@ class Inspector:
         for (stream, source, offset), watch in self._streams.items():
             if stream in _ROTORS:
                 joined.setdefault((stream, family(source)), {})[offset] = watch
-        found = []
+        vehicle, found = self._telemetry.vehicle, []
+        key = "" if vehicle is None else vehicle.key
+        order = MotorOrder.of(key, self._telemetry.parameters, rotors)
         for (stream, name), watches in joined.items():
             facts: dict[int, RotorFacts] = {}
             for (kind, source, offset), ranges in self._rotors.items():
                 if kind is stream and family(source) == name:
                     facts |= {offset + i: rotor for i, rotor in enumerate(ranges.rotors())}
             rates = [watch.tally.rate for watch in watches.values() if watch.tally.rate]
-            found.append(
-                RotorMessage(
-                    message=name,
-                    kind=ROTOR_STREAMS[stream],
-                    rate=min(rates, default=None),
-                    repeats_percent=max(w.tally.repeats_percent for w in watches.values()),
-                    rotors=tuple(
-                        facts[i]
-                        for i in sorted(facts)
-                        if (i < rotors if rotors else _used(facts[i]))
-                    ),
+            for reading, outputs in order.readings(name):
+                columns = outputs or sorted(facts)
+                found.append(
+                    RotorMessage(
+                        message=reading,
+                        kind=ROTOR_STREAMS[stream],
+                        rate=min(rates, default=None),
+                        repeats_percent=max(w.tally.repeats_percent for w in watches.values()),
+                        rotors=tuple(
+                            facts[column]
+                            for i, column in enumerate(columns)
+                            if column in facts
+                            and (i < rotors if rotors else outputs or _used(facts[column]))
+                        ),
+                    )
                 )
-            )
         return tuple(found)
 
 

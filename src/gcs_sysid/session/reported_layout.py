@@ -21,6 +21,7 @@ from gcs_sysid.model.airframe import (
     load_airframe,
 )
 from gcs_sysid.results.words import WRONG_AIRFRAME
+from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
@@ -67,8 +68,6 @@ _FRAME_TYPES = {
     "octo": {0: "plus", 1: "x"},
 }  # fmt: skip
 """FRAME_TYPE -> shape, of each class; others have motors elsewhere than on a circle."""
-_PX4_MOTOR_1, _MOTOR_1, _MOTOR_9 = 101, 33, 82
-"""Numbers of motors as functions of an output: PX4's first; ArduPilot's first and ninth."""
 
 
 @dataclass(frozen=True)
@@ -79,24 +78,13 @@ class ReportedLayout:
         rotors: in motor order; of mean distance 1 where no size is reported.
         sized: whether the distances are meters.
         by: the parameters that define it.
-        outputs: motor that each output drives, from 0, as far as outputs drive motors.
+        outputs: motors, from 0, in the order of the outputs that drive them.
     """
 
     rotors: tuple[Rotor, ...]
     sized: bool
     by: str
     outputs: tuple[int, ...] = ()
-
-    @property
-    def reordered(self) -> bool:
-        """Whether outputs are not in the order of motors."""
-        return self.outputs != tuple(range(len(self.outputs)))
-
-    @property
-    def by_output(self) -> tuple[Rotor, ...]:
-        """The rotors in the order of outputs, where reported; else in motor order."""
-        whole = sorted(self.outputs) == list(range(len(self.rotors)))
-        return tuple(self.rotors[i] for i in self.outputs) if whole else self.rotors
 
     def as_json(self) -> dict[str, object]:
         """For the result's `telemetry`."""
@@ -122,7 +110,9 @@ def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> Reported
         return None
     if reported is None:
         return None
-    return replace(reported, outputs=_outputs(autopilot, parameters, len(reported.rotors)))
+    drivers = motor_outputs(autopilot, parameters).values()
+    outputs = min((tuple(sorted(driver, key=driver.__getitem__)) for driver in drivers), default=())
+    return replace(reported, outputs=outputs)
 
 
 def suggested_airframe(kind: str, vehicle: MavlinkSystem | None) -> str | None:
@@ -201,20 +191,6 @@ def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
     return {f"{kind} {form}": _circle(f"{kind}-{form}") for form in forms}
 
 
-def _outputs(autopilot: str, parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
-    name = "PWM_MAIN_FUNC{0}" if autopilot == "px4" else "SERVO{0}_FUNCTION"
-    motors = []
-    for i in range(1, 17):
-        function = round(parameters.get(name.format(i), 0.0))
-        if autopilot == "px4":
-            motor = function - _PX4_MOTOR_1
-        else:
-            motor = function - (_MOTOR_1 if function < _MOTOR_9 else _MOTOR_9 - 8)
-        if 0 <= motor < count:
-            motors.append(motor)
-    return tuple(motors)
-
-
 # --- the airframe for it
 
 
@@ -228,7 +204,7 @@ def airframe_of_layout(reported: ReportedLayout, arm: float | None) -> Airframe:
     Raises:
         InputError: neither gives its size.
     """
-    airframe = Airframe("auto", reported.by_output)
+    airframe = Airframe("auto", reported.rotors)
     if arm is not None:
         return airframe.with_arm(arm)
     if not reported.sized:
@@ -250,19 +226,10 @@ def proposal(reported: ReportedLayout) -> str:
 
 
 def differences(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
-    """What an airframe says otherwise than the vehicle, in words; empty where they agree.
-
-    Rotors may be listed in the order of motors or in that of outputs.
-    """
-    found = [
-        _differences(airframe.rotors, rotors) for rotors in (reported.rotors, reported.by_output)
-    ]
-    least = min(found, key=len)
-    if not least:
-        return ()
-    first = _differences(airframe.rotors, reported.rotors)
+    """What an airframe says otherwise than the vehicle, in words; empty where they agree."""
     return tuple(
-        f"{WRONG_AIRFRAME} {airframe.name}: {what} (the vehicle: {reported.by})" for what in first
+        f"{WRONG_AIRFRAME} {airframe.name}: {what} (the vehicle: {reported.by})"
+        for what in _differences(airframe.rotors, reported.rotors)
     )
 
 
@@ -275,12 +242,9 @@ def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
             f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
             "is proportional to the arm, so measure it"
         )
-    if reported.reordered and not _differences(airframe.rotors, reported.rotors):
+    if reported.outputs != tuple(range(len(reported.outputs))):
         order = ", ".join(str(motor + 1) for motor in reported.outputs)
-        out.append(
-            f"outputs 1 to {len(reported.outputs)} drive motors {order}: where commands are "
-            "the input, list the rotors in the order of outputs (--airframe auto does)"
-        )
+        out.append(f"its outputs drive motors {order}, in this order: sorted by motor here")
     return tuple(out)
 
 

@@ -20,6 +20,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.motor_order import MotorOrder, is_function, out_of_order
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_readings import OddReading, held_reading, odd_reading, together
@@ -152,7 +153,7 @@ class RotorSourceSelector:
         """Another source of commands that says what the chosen one says."""
         self.refused: dict[str, str] = {}
         """Source -> why it was not chosen, from the latest judgement."""
-        self.autopilot = ""
+        self._autopilot = ""
         self.parameters: dict[str, float] = {}
         """Those of the autopilot that matter here."""
         self.judged = False
@@ -164,13 +165,36 @@ class RotorSourceSelector:
         self._standing: set[tuple[int, float]] = set()
         self._found_dead: dict[str, set[tuple[int, float]]] = {}
         self._airframe = airframe
+        self._order: MotorOrder | None = None
         self.anchor = anchor
         self._restart()
 
+    @property
+    def autopilot(self) -> str:
+        """The vehicle's, "px4", "ardupilot" or another key; "" while unknown."""
+        return self._autopilot
+
+    @autopilot.setter
+    def autopilot(self, key: str) -> None:
+        self._autopilot, self._order = key, None
+
+    @property
+    def order(self) -> MotorOrder:
+        """Which motor each output drives: what the choice rests on, else by what is known now."""
+        return self._known_order if self.choice is None else self.choice.order
+
+    @property
+    def _known_order(self) -> MotorOrder:
+        if self._order is None:
+            count = len(self._airframe.rotors)
+            self._order = MotorOrder.of(self._autopilot, self.parameters, count)
+        return self._order
+
     def learn(self, name: str, value: float) -> None:
         """Take a parameter of the autopilot."""
-        if name.startswith(PARAMETER_NAMES):
+        if name.startswith(PARAMETER_NAMES) or is_function(name):
             self.parameters[name] = value
+            self._order = None
 
     def extend(self, tracks: Sequence[Track]) -> None:
         """Take the samples of a while of flight; those of rotors count."""
@@ -183,8 +207,12 @@ class RotorSourceSelector:
     @property
     def outdated(self) -> bool:
         """Whether parameters that came since would have given the commands another range."""
-        used = None if self.choice is None else self.choice.range
-        if used is None or self.choice is None:
+        if self.choice is None:
+            return False
+        used = self.choice.range
+        if self.choice.order != self._known_order:
+            return True
+        if used is None:
             return False
         command = self._airframe.command
         now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
@@ -214,7 +242,7 @@ class RotorSourceSelector:
         refused = {}
         judgements = {}
         for name, stretch in self._stretches.items():
-            problem = self._unsound(stretch) or self._dead(name, stretch)
+            problem = self._unsound(name, stretch) or self._dead(name, stretch)
             if problem:
                 refused[name] = problem
             else:
@@ -226,13 +254,16 @@ class RotorSourceSelector:
             self.twin = self._twin(self.choice, judgements)
             self._restart()
             return
+        for name, problem in self._out_of_order(judgements).items():
+            refused[name] = problem
+            del judgements[name]
         chosen = self._choose(judgements, refused)
         gone = ""
         if self.choice is not None:
             name = self.choice.name
             gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
-            chosen = replace(chosen, why=gone + chosen.why, refused=refused)
+            chosen = replace(chosen, why=gone + chosen.why, refused=refused, order=self.order)
         self.choice, self.refused = chosen, refused
         self.twin = None if chosen is None else self._twin(chosen, judgements)
         if chosen is not None:
@@ -243,12 +274,12 @@ class RotorSourceSelector:
         self._stretches: dict[str, Stretch] = {}
         self._seconds = 0.0
 
-    def _unsound(self, stretch: Stretch) -> str:
+    def _unsound(self, name: str, stretch: Stretch) -> str:
         """Why a stretch of a source cannot be used; empty when it can."""
         count = len(self._airframe.rotors)
         rotors = stretch.rotors(count)
         if len(rotors) < count:
-            return f"covers {len(rotors)} of {count} rotors"
+            return f"covers {len(rotors)} of {count} rotors{self.order.gap_in(name, len(rotors))}"
         rotors, seconds = _until_landing(rotors, self._seconds)
         rate = min(len(t) for t, _ in rotors) / seconds
         if rate < MIN_RATE:
@@ -336,6 +367,15 @@ class RotorSourceSelector:
         for name in stretches:
             refused.setdefault(name, f"{wanted or 'auto'} is wanted")
         return None
+
+    def _out_of_order(self, stretches: Mapping[str, Stretch]) -> dict[str, str]:
+        """Of streams that came in several orders those not to be used, and why."""
+        return out_of_order(
+            {
+                name: (stretch.stream, stretch.rotors(len(self._airframe.rotors)))
+                for name, stretch in stretches.items()
+            }
+        )
 
     def _twin(self, choice: RotorSource, stretches: Mapping[str, Stretch]) -> str | None:
         name = twin_of(choice.name)

@@ -6,26 +6,24 @@ part of the result.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import CommandRange
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.signals.motor_order import MotorOrder, motor_outputs
 
 Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
-PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM_AUX_M",
-                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
+PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
+                   "SIM_GZ_EC_", "HIL_ACT_M", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
                    "motorOutput", "minthrottle", "maxthrottle", "RCMAP_THROTTLE", "MOT_TCRV_",
                    "THR_MIN", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
-"""How the names of the parameters that matter here begin."""
+"""How the names of the parameters that matter here begin, beside functions of outputs."""
 
-FIRST_MOTOR = 101
-"""Output function of motor 1 in PX4."""
-_PX4_DRIVERS = ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC")
 _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
 _DSHOT = (48.0, 2047.0)
@@ -128,13 +126,11 @@ def _of_blackbox(parameters: Parameters) -> Range:
 
 def _of_px4(parameters: Parameters) -> Range | None:
     """Of the driver whose output is motor 1, where its parameters give a range."""
-    for driver in _PX4_DRIVERS:
-        for output in range(1, 17):
-            if parameters.get(f"{driver}_FUNC{output}") == FIRST_MOTOR:
-                low = parameters.get(f"{driver}_MIN{output}")
-                high = parameters.get(f"{driver}_MAX{output}")
-                if low is not None and high is not None and low < high:
-                    return Range(low, high, f"{driver}_MIN{output}, {driver}_MAX{output}")
+    for driver, outputs in motor_outputs("px4", parameters).items():
+        output = outputs.get(0, -1) + 1
+        low, high = (parameters.get(f"{driver}_{end}{output}") for end in ("MIN", "MAX"))
+        if low is not None and high is not None and low < high:
+            return Range(low, high, f"{driver}_MIN{output}, {driver}_MAX{output}")
     return None
 
 
@@ -182,6 +178,7 @@ class RotorSource:
         scale: of speeds: rad/s for what the decoder took for rad/s.
         refused: name -> why not, of the others.
         interval: s between readings; 0 where that does not matter.
+        order: of motors among outputs, by which the stream is sorted.
     """
 
     kind: RotorInput
@@ -191,10 +188,13 @@ class RotorSource:
     scale: float = 1.0
     refused: Mapping[str, str] | None = None
     interval: float = 0.0
+    order: MotorOrder = field(default_factory=MotorOrder)
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""
-        return (self.name, self.range, self.scale) == (other.name, other.range, other.scale)
+        return (self.name, self.range, self.scale, self.order) == (
+            other.name, other.range, other.scale, other.order
+        )  # fmt: skip
 
     def read(self, values: Array) -> Array:
         """(n, rotors) of the stream to rad/s, or to commands of 0 (stopped) to 1 (full).

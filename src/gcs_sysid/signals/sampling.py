@@ -157,13 +157,15 @@ class Sampler:
         How samples are grouped changes no number: what is decided (a rotor stream, flight, what
         is still held back) is decided at the ticks of the time base.
         """
-        for part in self._without_steps_back(tracks):
+        for part in self._without_steps_back([*self.rotor_selector.order.tracks(tracks)]):
             inside = list(self._inside(part))
             if not inside:
                 continue
             self.seen |= {track.stream for track in inside}
             unseen = _Unseen(inside, self.rotor_selector)
-            for block in self.time_base.feed_tracks(inside):
+            for block in self.time_base.feed_tracks(
+                [track for track in inside if track.values.size]
+            ):
                 yield from self._take(block, unseen)
             unseen.show(None, flying=self.flying)
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
+from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import EVERY, DataflashLog
 from gcs_sysid.telemetry.dialect import mavlink
@@ -25,8 +26,8 @@ from gcs_sysid.telemetry.track_collector import Recording
 
 _EV_ARMED, _EV_DISARMED, _EV_LANDED, _EV_NOT_LANDED = 10, 11, 18, 28
 _MODE_LAND = 9
-_MOTORS = (*range(33, 41), *range(82, 86))
-"""SERVOn_FUNCTION of motors 1 to 12."""
+_OUTPUTS = ("RCOU", "RCO2", "RCO3")
+"""Entries with outputs, RCOU with the first."""
 _EKF_2 = 2.0
 """AHRS_EKF_TYPE."""
 _FRAME_CLASSES = {
@@ -79,7 +80,7 @@ _EKF_2_FIRST = {"XKQ": 2, "NKQ": 1, "XKF1": 2, "NKF1": 1}
 
 
 def _is_read(name: str, column: str) -> bool:
-    if name == "RCOU":
+    if name in _OUTPUTS:
         return column in _TIMES or _CHANNEL.fullmatch(column) is not None
     return name in _READ and (column in _READ[name] or column in (*_TIMES, *_NUMBERS))
 
@@ -226,29 +227,25 @@ class _EntryReader:
         other = _EKF_2_FIRST.get(row.name, row.rank)
         return other if self._latest.get("AHRS_EKF_TYPE") == _EKF_2 else row.rank
 
-    def _channels(self) -> list[int]:
-        """Output channel of each motor, from 0; empty when the parameters do not define it."""
-        channels = {
-            int(self._latest.get(f"SERVO{channel}_FUNCTION", 0.0)): channel - 1
-            for channel in range(16, 0, -1)
-        }
-        motors = [channels[function] for function in _MOTORS if function in channels]
-        return motors if len(motors) >= 4 else []
-
     def _add_outputs(self, recording: Recording) -> None:
-        channels = {
-            int(match[1]) - 1: column
-            for column in self._log.names("RCOU")
-            if (match := _CHANNEL.fullmatch(column)) is not None
-        }
-        motors = [channel for channel in self._channels() if channel in channels]
-        if not motors:
-            columns = self._log.numbers("RCOU", channels.values())
-            used = [c for c in sorted(channels) if c < 4 or columns[channels[c]].any()]
-            motors = [c for i, c in enumerate(used) if c == i]
-        values = self._named("RCOU", [channels[channel] for channel in motors])
-        if values is not None:
-            recording.add(Stream.ROTOR_COMMAND, self._times("RCOU"), values, source="RCOU")
+        """All outputs; where no parameter says which are motors', the first that are used."""
+        known = motor_outputs("ardupilot", self._latest)
+        for name in _OUTPUTS:
+            channels = {
+                int(match[1]) - 1: column
+                for column in self._log.names(name)
+                if (match := _CHANNEL.fullmatch(column)) is not None
+            }
+            first = min(channels, default=0)
+            whole = [c for i, c in enumerate(sorted(channels), first) if c == i]
+            if not known:
+                columns = self._log.numbers(name, channels.values())
+                used = [c for c in whole if c < 4 or columns[channels[c]].any()]
+                whole = [c for i, c in enumerate(used, first) if c == i]
+            values = self._named(name, [channels[channel] for channel in whole])
+            if values is not None:
+                t = self._times(name)
+                recording.add(Stream.ROTOR_COMMAND, t, values, first, source=_OUTPUTS[0])
 
     def _add_escs(self, recording: Recording) -> None:
         """One stream when all ESCs are written at the same times, else one of each."""
@@ -268,19 +265,20 @@ class _EntryReader:
                 speed = self._speed(f"ESC{instance + 1}")
                 if speed is not None:
                     escs[instance] = self._times(f"ESC{instance + 1}"), speed
-        # An ESC has the number of its channel; those that drive no motor are left out.
-        motors = {channel: motor for motor, channel in enumerate(self._channels())}
-        if motors.keys() & escs.keys():
-            escs = {motors[channel]: esc for channel, esc in escs.items() if channel in motors}
+        # An ESC has the number of its output; old firmware counts those that drive motors.
+        outputs = motor_outputs("ardupilot", self._latest).get("SERVO", {})
+        if outputs and not escs.keys() & set(outputs.values()):
+            escs = {outputs.get(number, number): esc for number, esc in escs.items()}
         first = next(iter(escs.values()), None)
-        together = first is not None and sorted(escs) == list(range(len(escs)))
+        start = min(escs, default=0)
+        together = first is not None and sorted(escs) == list(range(start, start + len(escs)))
         if (
             first is not None
             and together
             and all(np.array_equal(t, first[0]) for t, _ in escs.values())
         ):
             speeds = np.column_stack([escs[motor][1] for motor in sorted(escs)])
-            recording.add(Stream.ROTOR_SPEED, first[0], speeds, source="ESC")
+            recording.add(Stream.ROTOR_SPEED, first[0], speeds, start, source="ESC")
             return
         for motor, (t, speed) in sorted(escs.items()):
             recording.add(Stream.ROTOR_SPEED, t, speed, motor, "ESC")

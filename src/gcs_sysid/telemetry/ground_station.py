@@ -130,6 +130,7 @@ class GroundStation:
             (monitor.lost, monitor.sent),
             intake.intervals,
             intake.parameters.get("SCHED_LOOP_RATE"),
+            intake.motor_order.outputs,
         )
         self._parameters.tick(now, intake.vehicle, intake.parameters)
         self._events += self._streams.take_events()

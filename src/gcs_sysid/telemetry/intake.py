@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
+from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.decode import RecordDecoder
@@ -90,6 +91,11 @@ class Intake:
         return self.decoder.parameters
 
     @property
+    def motor_order(self) -> MotorOrder:
+        """Which motor each output drives, by the parameters received so far."""
+        return MotorOrder.of("" if self.vehicle is None else self.vehicle.key, self.parameters)
+
+    @property
     def intervals(self) -> dict[int, tuple[int, int]]:
         """Intervals from MESSAGE_INTERVAL, see `VehicleStates`."""
         return self.decoder.states.intervals
@@ -131,7 +137,7 @@ class Intake:
         block = out.block()
         for track in block.tracks:
             if track.stream is Stream.ROTOR_SPEED and track.source not in self.turning:
-                self._note_turning(track.source, track.values)
+                self._note_turning(track)
         return block
 
     def _take_some(self, frames: FrameBlock, out: TrackCollector) -> int:
@@ -383,10 +389,13 @@ class Intake:
                 f"(choose with --vehicle {other.system}:{other.component})",
             )
 
-    def _note_turning(self, source: str, speeds: Array) -> None:
+    def _note_turning(self, track: Track) -> None:
         # Outputs without a motor stay at zero in messages that have room for more.
-        if (np.count_nonzero(speeds, axis=1) >= min(4, speeds.shape[1])).any():
-            self.turning.add(source)
+        for motors in self.motor_order.tracks([track]):
+            speeds = motors.values
+            least = max(min(4, speeds.shape[1]), 1)
+            if (np.count_nonzero(speeds, axis=1) >= least).any():
+                self.turning.add(track.source)
 
     def _note(self, kind: str, text: str) -> None:
         self._events.append(IntakeEvent(self.clock or 0.0, kind, text))

@@ -5,7 +5,7 @@ may reset the rates at any time, so only what arrives counts. There is no clock 
 caller says what time it is.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 from gcs_sysid.signals.samples import NEEDED_RATE
@@ -169,6 +169,7 @@ class StreamRequests:
         self._groups: GroupRequests | None = None
         self._restoration = restoration
         self._loop_rate: float | None = None
+        self._outputs: tuple[int, ...] = ()
 
     def tick(
         self,
@@ -179,6 +180,7 @@ class StreamRequests:
         lost_of: tuple[int, int] = (0, 0),
         intervals: Mapping[int, tuple[int, int]] = MappingProxyType({}),
         loop_rate: float | None = None,
+        outputs: Sequence[int] = (),
     ) -> None:
         """Do what is due.
 
@@ -190,6 +192,7 @@ class StreamRequests:
             lost_of: messages of the vehicle lost and sent so far.
             intervals: as of `StreamRestoration.tick`.
             loop_rate: ArduPilot's SCHED_LOOP_RATE, Hz; None: not known.
+            outputs: that drive motors, from 0; empty while unknown.
         """
         if self._gate.listen_only:
             return
@@ -206,7 +209,7 @@ class StreamRequests:
         self._heartbeat(now, vehicle)
         if vehicle is None:
             return
-        self._loop_rate = loop_rate
+        self._loop_rate, self._outputs = loop_rate, tuple(outputs)
         restoration = self._restoration
         if restoration is not None and not restoration.tick(now, arriving, intervals):
             return
@@ -240,9 +243,12 @@ class StreamRequests:
         if vehicle is not None:
             self._gate.version = vehicle.version
 
+    def _rotor_streams(self, vehicle: MavlinkSystem) -> tuple[tuple[str, ...], str]:
+        return rotor_streams(vehicle.key, self._rotors, vehicle.version, self._outputs)
+
     def _plan(self, vehicle: MavlinkSystem) -> None:
         """Decide what to ask for; ask at once for what has changed."""
-        speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        speeds, commands = self._rotor_streams(vehicle)
         signed = self._gate.signing and vehicle.version == 2
         capacity = self._capacity
         absent = {name for name in ("HIGHRES_IMU", *speeds, commands) if self._is_absent(name)}
@@ -300,7 +306,7 @@ class StreamRequests:
         """
         if vehicle.key != "ardupilot" or "HIGHRES_IMU" in self._came:
             return False
-        _, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        _, commands = self._rotor_streams(vehicle)
         if arriving.get(commands, 0.0) > 1.1 * MOST_OF_GROUP:
             return False
         return all(
@@ -323,7 +329,7 @@ class StreamRequests:
         now: float,
         arriving: Mapping[str, float],
     ) -> None:
-        speeds, _ = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        speeds, _ = self._rotor_streams(vehicle)
         turning = speeds[0] if speeds and self._turning.issuperset(speeds) else None
         groups.tick(now, arriving, self._rate, self._capacity, turning)
         self.asked = dict(groups.asked)

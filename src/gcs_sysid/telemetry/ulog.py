@@ -9,7 +9,7 @@ Which topic is which message was measured on a flight recorded both ways:
   unit, is usually thinned to 10 Hz.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.signals.motor_order import motor_of, motor_outputs
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import FIRST_MOTOR
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
@@ -122,7 +122,7 @@ def _recording(path: Path, log: UlogFile) -> Recording:
         topic = take((name, multi_id), {})
         t = topic["timestamp"] * 1e-6
         try:
-            _add_topic(recording, name, multi_id, t, topic, topics, first.get("THR_MDL_FAC", 0.0))
+            _add_topic(recording, name, multi_id, t, topic, topics, first)
         except KeyError as error:  # of another age, or its description is damaged
             recording.dropped[f"{name} has no field {error}"] = len(t)
     return recording
@@ -135,7 +135,7 @@ def _add_topic(
     t: Array,
     topic: Topic,
     topics: dict[tuple[str, int], Topic],
-    thrust_factor: float,
+    parameters: Mapping[str, float],
 ) -> None:
     source = f"{name}_{multi_id}" if multi_id else name
     for row in TOPICS:
@@ -146,9 +146,10 @@ def _add_topic(
     if multi_id:
         return
     if name == _MOTORS:
-        recording.add(Stream.ROTOR_COMMAND, t, _motors(topic, thrust_factor), source=source)
+        commands = _motors(topic, parameters.get("THR_MDL_FAC", 0.0))
+        recording.add(Stream.ROTOR_COMMAND, t, commands, source=source)
     elif name == _ESCS:
-        recording.add(Stream.ROTOR_SPEED, t, _speeds(topic), source=source)
+        recording.add(Stream.ROTOR_SPEED, t, _speeds(topic, parameters), source=source)
     elif name == _BATTERY:
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name == _LANDED:
@@ -220,17 +221,25 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     return np.copysign(magnitude, thrust)
 
 
-def _speeds(topic: Topic) -> Array:
-    """(n, motors) rad/s without sign, in motor order where the ESCs report their motors."""
+def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
+    """(n, motors) rad/s without sign, by motor.
+
+    ESCs report which they drive; those of firmware that does not say are in the order of outputs.
+    """
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
     count = min(max(_whole(topic["esc_count"].max()), 0), count) or count
     if not count:
         raise KeyError("esc")
     rpm = np.column_stack([topic[f"esc[{i}].esc_rpm"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
-    motors = [_whole(f.max()) - FIRST_MOTOR for f in functions if f is not None]
-    if sorted(motors) == list(range(count)):
-        rpm = rpm[:, np.argsort(motors)]
+    motors = [motor_of("px4", float(f.max())) for f in functions if f is not None]
+    if not motors:
+        drivers = motor_outputs("px4", parameters).values()
+        outputs = {output: motor for driver in drivers for motor, output in driver.items()}
+        motors = [outputs.get(i, -1) for i in range(count)]
+    where = {motor: i for i, motor in enumerate(motors) if motor >= 0}
+    if where and sorted(where) == list(range(len(where))):
+        rpm = rpm[:, [where[motor] for motor in range(len(where))]]
     speeds: Array = np.abs(rpm.astype(float)) * RPM
     return speeds
 

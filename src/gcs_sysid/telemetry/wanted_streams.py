@@ -1,7 +1,7 @@
 """Which messages identification needs of an autopilot, and at which rates they fit a link."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from gcs_sysid.signals.samples import NEEDED_RATE
@@ -75,16 +75,22 @@ _ESC_TELEMETRY_SIZE = 56
 SIGNATURE_SIZE = 13
 
 
-def rotor_streams(autopilot: str, rotors: int, version: int = 2) -> tuple[tuple[str, ...], str]:
+def rotor_streams(
+    autopilot: str, rotors: int, version: int = 2, outputs: Sequence[int] = ()
+) -> tuple[tuple[str, ...], str]:
     """Names of the messages with measured speeds, and of the one with commands.
 
     Args:
         autopilot: "px4", "ardupilot"; any other is asked as PX4 is.
         rotors: how many the airframe has.
         version: of MAVLink; version 1 has no room for message numbers above 255.
+        outputs: that drive its motors, from 0; empty while unknown: the first.
     """
     key = "ardupilot" if autopilot == "ardupilot" else "px4"
-    speeds = SPEEDS[key] if key == "px4" else SPEEDS[key][: -(-rotors // 4)]
+    speeds = SPEEDS[key]
+    if key == "ardupilot":
+        groups = {output // 4 for output in outputs or range(rotors)}
+        speeds = tuple(name for i, name in enumerate(speeds) if i in groups)
     if version == 1:
         return tuple(n for n in speeds if MESSAGE_IDS[n] <= LAST_ID_OF_VERSION_1), (
             "SERVO_OUTPUT_RAW"

@@ -54,8 +54,8 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
         "airframe": None
         if layout is None
         else {
-            "rotors": Airframe("log", layout.by_output).as_json()["rotors"],
-            "arm": Airframe("log", layout.by_output).arm if layout.sized else None,
+            "rotors": Airframe("log", layout.rotors).as_json()["rotors"],
+            "arm": Airframe("log", layout.rotors).arm if layout.sized else None,
             "by": layout.by,
             "words": proposal(layout),
         },

@@ -1,0 +1,238 @@
+"""Which rotor each value of a stream belongs to: decided here alone, by what outputs are for.
+
+An autopilot sends and logs most rotor streams by output. Which motor an output drives is what the
+vehicle's parameters say (SERVOn_FUNCTION; PWM_MAIN_FUNCn, UAVCAN_EC_FUNCn and their like); what
+drives none is no rotor's. Readers and links leave streams as they are sent, and all that use them
+(the chain, health, inspection) have them sorted here.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
+
+_FUNCTION = {
+    "ardupilot": re.compile(r"(SERVO)(\d+)_FUNCTION"),
+    "px4": re.compile(r"(\w+)_FUNC(\d+)"),
+}
+_MOTORS = {
+    "ardupilot": (*range(33, 41), *range(82, 86), *range(160, 180)),
+    "px4": tuple(range(101, 113)),
+}
+"""Autopilot -> functions of motor 1 and those after it."""
+_BY_OUTPUT = {
+    "ardupilot": re.compile(r"SERVO_OUTPUT_RAW|RCOU|ESC|ESC_TELEMETRY(_\d+_TO_\d+)?"),
+    "px4": re.compile(r"ACTUATOR_OUTPUT_STATUS|SERVO_OUTPUT_RAW|actuator_outputs(_\d+)?"),
+}
+"""Autopilot -> sources whose values are those of outputs."""
+_EITHER_ORDER = "ESC_STATUS"
+"""Of PX4: by output, and since late 2025 by motor; the message does not say which."""
+_BY = " by "
+"""In the name of a stream that comes once in each order that it may have."""
+_OF_VERSION_1 = 8
+"""Outputs that SERVO_OUTPUT_RAW has in MAVLink 1."""
+
+
+def is_function(name: str) -> bool:
+    """Whether a parameter says what an output is for."""
+    return any(pattern.fullmatch(name) for pattern in _FUNCTION.values())
+
+
+def motor_of(autopilot: str, function: float) -> int:
+    """The motor, from 0, that an output of a function drives; -1: none."""
+    motors = _MOTORS.get(autopilot, ())
+    return motors.index(int(function)) if function in motors else -1
+
+
+def motor_outputs(autopilot: str, parameters: Mapping[str, float]) -> dict[str, dict[int, int]]:
+    """Driver ("SERVO", "PWM_MAIN", ...) -> motor -> its output, both from 0.
+
+    Args:
+        autopilot: "px4", "ardupilot"; of others nothing is known.
+        parameters: by name, as far as they are known.
+    """
+    found: dict[str, dict[int, int]] = {}
+    if autopilot not in _FUNCTION:
+        return found
+    for name in sorted(parameters, reverse=True):  # of two for one motor, the first
+        match = _FUNCTION[autopilot].fullmatch(name)
+        motor = motor_of(autopilot, parameters[name]) if match else -1
+        if match and motor >= 0 and _is_in_use(match[1], parameters):
+            outputs = found.setdefault(match[1], {})
+            outputs[motor] = min(int(match[2]) - 1, outputs.get(motor, 1 << 16))
+    return found
+
+
+def _is_in_use(driver: str, parameters: Mapping[str, float]) -> bool:
+    """Whether a driver of PX4 may drive anything, as far as the parameters say."""
+    if parameters.get("SYS_HITL", 0.0) > 0.0:
+        return driver == "HIL_ACT"
+    if driver == "HIL_ACT":
+        return False
+    return driver != "UAVCAN_EC" or parameters.get("UAVCAN_ENABLE", 3.0) >= 3.0
+
+
+@dataclass(frozen=True)
+class MotorOrder:
+    """Which motor each output of one vehicle drives.
+
+    Attributes:
+        autopilot: "px4", "ardupilot"; any other's streams are by motor.
+        orders: name of the order -> output of each motor; several where it is not known which
+            driver turns the motors. Empty: nothing is known, outputs are taken for motors.
+        split: whether no driver has all motors, so that outputs in one stream are not all.
+    """
+
+    autopilot: str = ""
+    orders: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    split: bool = False
+
+    @classmethod
+    def of(
+        cls, autopilot: str, parameters: Mapping[str, float], rotors: int | None = None
+    ) -> "MotorOrder":
+        """By the parameters so far.
+
+        Args:
+            autopilot: as above.
+            parameters: by name.
+            rotors: how many the airframe has; None: as many as there are outputs for.
+        """
+        drivers = motor_outputs(autopilot, parameters)
+        known = {motor for outputs in drivers.values() for motor in outputs}
+        count = rotors or max(known, default=-1) + 1
+        if not count or not known.issuperset(range(count)):
+            return cls(autopilot)  # not all have come
+        whole = {
+            tuple(outputs[motor] for motor in range(count)): driver
+            for driver, outputs in sorted(drivers.items(), reverse=True)
+            if outputs.keys() >= set(range(count))
+        }
+        named = sorted((driver, outputs) for outputs, driver in whole.items())
+        return cls(autopilot, tuple(named), split=not named)
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """That drive motors, as far as they are known."""
+        return tuple(sorted({output for _, outputs in self.orders for output in outputs}))
+
+    def readings(self, source: str) -> list[tuple[str, tuple[int, ...] | None]]:
+        """Names that a source's streams get, and the output of each motor; None: as they are."""
+        by_output = _BY_OUTPUT.get(self.autopilot)
+        either = self.autopilot == "px4" and source == _EITHER_ORDER
+        if not (either or (by_output is not None and by_output.fullmatch(source))):
+            return [(source, None)]
+        if self.split:
+            return [(source, None if either else ())]
+        orders: dict[tuple[int, ...], str] = {}
+        if either and self.orders:
+            orders[tuple(range(len(self.orders[0][1])))] = "motor"
+        for driver, outputs in self.orders:
+            orders.setdefault(outputs, "output" if len(self.orders) == 1 else driver)
+        if not orders:
+            return [(source, None)]
+        if len(orders) == 1:
+            return [(source, outputs) for outputs in orders]
+        return [(f"{source}{_BY}{name}", outputs) for outputs, name in orders.items()]
+
+    def tracks(self, tracks: Iterable[Track]) -> Iterator[Track]:
+        """Tracks with rotor streams by motor; one that has none of its outputs has no columns.
+
+        A stream whose order is open comes once in each, under different names.
+        """
+        for track in tracks:
+            if track.stream not in ROTOR_STREAMS:
+                yield track
+                continue
+            for name, outputs in self.readings(track.source):
+                if outputs is None:
+                    yield track
+                else:
+                    yield from _by_motor(replace(track, source=name), outputs)
+
+    def gap_in(self, source: str, first_missing: int) -> str:
+        """Why a source lacks a motor, where its output tells; begins with a colon."""
+        if self.split and any(outputs == () for _, outputs in self.readings(source)):
+            return ": no driver has all motors"
+        outputs = next((o for _, o in self.readings(source) if o), ())
+        if first_missing >= len(outputs):
+            return ""
+        output = outputs[first_missing]
+        why = f": motor {first_missing + 1} is on output {output + 1}"
+        if source == "SERVO_OUTPUT_RAW" and output >= _OF_VERSION_1:
+            why += (
+                f", and MAVLink 1 has {_OF_VERSION_1}: set the port to MAVLink 2 "
+                "(SERIALn_PROTOCOL, MAV_PROTO_VER)"
+            )
+        return why
+
+
+def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
+    """The columns of motors, those of neighboring ones together."""
+    last = track.offset + track.values.shape[1]
+    there = [motor for motor, output in enumerate(outputs) if track.offset <= output < last]
+    cuts = [0, *(i for i, (a, b) in enumerate(pairwise(there), 1) if b != a + 1), len(there)]
+    for start, stop in pairwise(cuts):
+        run = there[start:stop]
+        columns = [outputs[motor] - track.offset for motor in run]
+        whole = columns == list(range(track.values.shape[1]))
+        values = track.values if whole else np.ascontiguousarray(track.values[:, columns])
+        yield replace(track, offset=run[0] if run else 0, values=values)
+
+
+Rotors = Sequence[tuple[Array, Array]]
+"""(n,) s and (n,) values of each rotor."""
+
+
+def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]]) -> dict[str, str]:
+    """Of streams that came in several orders, those that are not used, and why.
+
+    A rotor follows its own command: what sets it apart from the others is that of its command.
+
+    Args:
+        sources: name -> whether speeds or commands, and all rotors'.
+    """
+    alike: dict[str, list[str]] = {}
+    for name in sources:
+        source, by, _ = name.partition(_BY)
+        if by:
+            alike.setdefault(source, []).append(name)
+    sure = [
+        rotors
+        for name, (stream, rotors) in sources.items()
+        if stream is Stream.ROTOR_COMMAND and _BY not in name
+    ]
+    refused: dict[str, str] = {}
+    for source, names in alike.items():
+        scores = {
+            name: max((_likeness(sources[name][1], asked) for asked in sure), default=0.0)
+            for name in names
+        }
+        first, *others = sorted(names, key=lambda name: -scores[name])
+        # More alike than not, and twice as alike as in any other order.
+        if scores[first] > max([0.5, *(2.0 * scores[name] for name in others)]):
+            refused |= dict.fromkeys(others, f"does not follow the commands as {first} does")
+        else:
+            orders = " or ".join(name.removeprefix(source + _BY) for name in names)
+            refused |= dict.fromkeys(
+                names, f"may be in the order of {orders}, and no commands show which"
+            )
+    return refused
+
+
+def _likeness(speeds: Rotors, commands: Rotors) -> float:
+    """Correlation of what sets each rotor apart from the mean of all."""
+    t = speeds[0][0]
+    own, asked = (
+        np.column_stack([np.interp(t, *rotor) for rotor in rotors]) for rotors in (speeds, commands)
+    )
+    own, asked = (v - v.mean(axis=1, keepdims=True) for v in (own, asked))
+    power = float((own**2).sum() * (asked**2).sum())
+    return float((own * asked).sum()) / math.sqrt(power) if power > 0.0 else 0.0
