@@ -14,7 +14,13 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import judge, judged
-from gcs_sysid.judgement.plausibility import RANGES, implausible, placeholder_arm, reread_speeds
+from gcs_sysid.judgement.plausibility import (
+    RANGES,
+    assumed_unit,
+    implausible,
+    placeholder_arm,
+    reread_speeds,
+)
 from gcs_sysid.judgement.status import NOTHING, by_interval
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.estimate import Estimate, Objection, Status
@@ -171,6 +177,15 @@ def test_reinterpreted_units_concern_what_goes_with_the_mass():
     assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
     assert statuses["Ixx"].status == "weak"
     assert statuses["cg_x"].status == "identified"
+
+
+def test_an_assumed_unit_concerns_what_goes_with_it_and_no_inertia():
+    statuses = judged(replace(evidence(), assumed="14 poles assumed"))
+    assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
+    assert statuses["Ixx"].status == statuses["moment_ratio"].status == "identified"
+    of_commands = replace(evidence(rotor_input=RotorInput.COMMAND), assumed="pulses assumed")
+    (objection,) = assumed_unit(of_commands)
+    assert {"Ixx", "T_max", "thrust_curve"} <= objection.parameters
 
 
 def test_vehicles_of_the_documentation_are_well_within_the_range():

@@ -16,6 +16,7 @@ from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
 from gcs_sysid.signals.rotor_units import (
     Range,
     RotorSource,
+    are_pulses,
     command_range,
     gyro_cutoff,
     normalized,
@@ -324,13 +325,38 @@ BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
+        # A mapping has made them commands already, whatever the airframe's range is of.
+        ("commands", CommandRange(0, 65535, given=True), "generic", {}, 0.7, (0, 1)),
+        ("commands", CommandRange(0.1, 0.9, given=True), "generic", {}, 0.7, (0.1, 0.9)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 640, None),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 5000, None),
     ],
 )
 def test_range_of_commands(source, given, autopilot, parameters, largest, expected):
     found = command_range(source, given, autopilot, parameters, largest)
-    assert (found and (found.low, found.high)) == (expected and pytest.approx(expected))
+    if expected is None:
+        assert "unknown unit" in found
+    else:
+        assert (found.low, found.high) == pytest.approx(expected)
+
+
+def test_numbers_of_dshot_are_no_pulses():
+    outputs = np.array([150.0, 700.0, 1500.0])
+    dshot = {"motorOutput[1]": 2047.0}
+    assert not are_pulses("motor", dshot, outputs).any()
+    assert are_pulses("motor", {"motorOutput[1]": 2000.0}, outputs).tolist() == [False, True, True]
+    assert are_pulses("RCOU", dshot, outputs).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(("source", "low"), [("eRPM", True), ("ESC_STATUS", False)])
+def test_a_unit_that_firmware_defines_is_not_guessed(source, low):
+    """Ever so slow for the mass: ESCs may send rad/s as rpm, Betaflight does not."""
+    t, _u, v = signals()
+    rotor_selector = judged(speeds(0.1 * v, t, source))
+    assert (rotor_selector.choice.scale == 1.0) is low
+    assert rotor_selector.choice.assumed == (
+        "eRPM without motor_poles in the log: 14 poles assumed" if low else ""
+    )
 
 
 def test_stopped_is_zero():

@@ -205,6 +205,12 @@ def test_the_header_tells_the_range_of_commands():
     pulses = range_of(minthrottle=1070.0, maxthrottle=1900.0)
     assert (pulses.low, pulses.high) == (1070.0, 1900.0)
     assert (range_of().low, range_of().high) == (1000.0, 2000.0)
+    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, motor_pwm_protocol=6.0)
+    assert lost.assumed
+    assert "no motorOutput" in lost.origin
+    assert not pulses.assumed
+    assert range_of(minthrottle=1070.0, maxthrottle=2000.0, dshot_bidir=1.0).high == 2047.0
+    assert "3D mode" in range_of(features=4096.0)
 
 
 @pytest.fixture

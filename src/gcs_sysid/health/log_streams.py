@@ -133,8 +133,8 @@ def streams_of(
         if stream is Stream.ROTOR_COMMAND:
             largest = max(float(v.max()) for _, v in samples)
             range_ = command_range(name, airframe.command, autopilot, parameters, largest)
-            if range_ is None:
-                refused[name] = "is in a unit that is not known: give [command] min and max"
+            if isinstance(range_, str):
+                refused[name] = range_
                 continue
             raw = samples
             samples = tuple((t, normalized(v, range_).clip(0.0, None)) for t, v in samples)

@@ -79,6 +79,7 @@ class Evidence:
         interval: s between samples.
         filtered: whether the gyro comes through a low-pass, which colors its noise.
         given: name -> standard deviation that comes from what was given, SI.
+        assumed: of the unit of the rotors' input, in words; empty where it is known.
         reread: whether rotor speeds declared as rpm were read as rad/s.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
@@ -99,6 +100,7 @@ class Evidence:
     interval: float = 0.0
     filtered: bool = False
     given: Mapping[str, float] = field(default_factory=dict)
+    assumed: str = ""
     reread: bool = False
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None

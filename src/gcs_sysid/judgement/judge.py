@@ -57,6 +57,7 @@ PRODUCERS = (
     Producer("data", received.missing_data, Stage.BELIEF, first=True),
     Producer("arm", plausibility.placeholder_arm, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
+    Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
     Producer("gyro", gyro.misread_gyro, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),

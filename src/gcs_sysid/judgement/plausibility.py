@@ -53,6 +53,8 @@ _BY_ARM = frozenset(name for name, p in PARAMETERS.items() if p.theta)
 """Read off torque over angular acceleration, in proportion to the arm."""
 _BY_SPIN = frozenset({"k_M", "moment_ratio", "rotor_inertia"})
 """Read off what the rotors' spins do to yaw."""
+_BY_SPEED = frozenset({"k_T", "k_M", "rotor_inertia"})
+"""In proportion to the square of the rotors' speeds, or to the speeds."""
 _BY_SCALE = frozenset(name for name, p in PARAMETERS.items() if p.scale != "none")
 """In proportion to mass or thrust."""
 
@@ -80,6 +82,17 @@ def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
             cap="weak",
             verdict="partial",
         )
+
+
+def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
+    """A unit that the log does not define: what is in proportion to it is not known.
+
+    Speeds by the mass leave torques, and so inertia, as they are.
+    """
+    if evidence.assumed:
+        speeds = evidence.rotor_input is RotorInput.SPEED and evidence.anchor != "k_T"
+        parameters = _BY_SPEED if speeds else _BY_SCALE | {"thrust_curve"}
+        yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
 
 
 def implausible(evidence: Evidence) -> Iterator[Objection]:

@@ -110,6 +110,7 @@ class Findings:
         return replace(
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
+            assumed="" if source is None else source.assumed,
             reread=source is not None and source.scale != 1.0,
             clock=None if chain.origin is None else chain.origin.clock_doubt,
         )

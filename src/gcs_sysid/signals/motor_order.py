@@ -158,7 +158,7 @@ class MotorOrder:
                     yield from _by_motor(replace(track, source=name), outputs)
 
     def gap_in(self, source: str, first_missing: int) -> str:
-        """Why a source lacks a motor, where its output tells; begins with a colon."""
+        """Why a source lacks a motor, where its output explains it; begins with a colon."""
         if self.split and any(outputs == () for _, outputs in self.readings(source)):
             return ": no driver has all motors"
         outputs = next((o for _, o in self.readings(source) if o), ())

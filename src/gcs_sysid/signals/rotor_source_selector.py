@@ -24,7 +24,14 @@ from gcs_sysid.signals.motor_order import MotorOrder, is_function, out_of_order
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_readings import OddReading, held_reading, odd_reading, together
-from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
+from gcs_sysid.signals.rotor_units import (
+    DEFINED_SPEEDS,
+    PARAMETER_NAMES,
+    Range,
+    RotorSource,
+    assumed_unit,
+    command_range,
+)
 
 STRETCH = 2.5
 """s of flight used for a judgement."""
@@ -216,7 +223,7 @@ class RotorSourceSelector:
             return False
         command = self._airframe.command
         now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
-        return now is not None and (now.low, now.high) != (used.low, used.high)
+        return not isinstance(now, str) and (now.low, now.high) != (used.low, used.high)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""
@@ -263,7 +270,9 @@ class RotorSourceSelector:
             name = self.choice.name
             gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
-            chosen = replace(chosen, why=gone + chosen.why, refused=refused, order=self.order)
+            assumed = assumed_unit(chosen.name, chosen.range, self.parameters)
+            why = gone + chosen.why + (f" ({assumed})" if assumed else "")
+            chosen = replace(chosen, why=why, refused=refused, order=self.order, assumed=assumed)
         self.choice, self.refused = chosen, refused
         self.twin = None if chosen is None else self._twin(chosen, judgements)
         if chosen is not None:
@@ -346,17 +355,14 @@ class RotorSourceSelector:
                 refused[name] = odd.words
                 continue
             why, scale = RotorInput.SPEED.words, 1.0
-            if self._too_slow(stretch):
+            if name not in DEFINED_SPEEDS and self._too_slow(stretch):
                 why += ", read as rad/s in an rpm field, by the thrust needed"
                 scale = 1.0 / _RPM
             return RotorSource(RotorInput.SPEED, name, why, scale=scale, interval=_apart(stretch))
         for name in commands if wanted in (None, RotorInput.COMMAND) else ():
             range_ = self._range(name, stretches[name])
-            if range_ is None:
-                refused[name] = (
-                    "has an unknown unit: give [command] min and max in the airframe "
-                    "file, the outputs without thrust and at full thrust"
-                )
+            if isinstance(range_, str):
+                refused[name] = range_
                 continue
             if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
                 refused[name] = "shows stopped rotors in flight"
@@ -401,7 +407,7 @@ class RotorSourceSelector:
 
         return sorted(rates, key=rank)
 
-    def _range(self, name: str, stretch: Stretch) -> Range | None:
+    def _range(self, name: str, stretch: Stretch) -> Range | str:
         values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
         largest = max(float(v.max()) for v in values)
         command = self._airframe.command

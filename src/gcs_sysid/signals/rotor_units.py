@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.airframe import CommandRange
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.motor_order import MotorOrder, motor_outputs
@@ -20,7 +20,8 @@ Parameters = Mapping[str, float]
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
                    "SIM_GZ_EC_", "HIL_ACT_M", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
-                   "motorOutput", "minthrottle", "maxthrottle", "RCMAP_THROTTLE", "MOT_TCRV_",
+                   "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
+                   "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
                    "THR_MIN", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
 """How the names of the parameters that matter here begin, beside functions of outputs."""
 
@@ -28,6 +29,10 @@ _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
 _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor."""
+DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
+"""Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
+_REVERSIBLE = 1 << 12
+"""Bit of Betaflight's features: motors turn either way."""
 _STOPPED = -0.05
 """Commands below are none; curves between samples do not reach so far."""
 ARDUPILOT_GYRO_FILTER = 20.0
@@ -44,12 +49,14 @@ class Range:
     high: float
     origin: str
     """Where it comes from, in words."""
+    assumed: bool = False
+    """Whether the log lacks what would define it."""
 
 
 def command_range(
     source: str, given: CommandRange, autopilot: str, parameters: Parameters, largest: float
-) -> Range | None:
-    """The range of a source of commands; None when its unit is not known.
+) -> Range | str:
+    """The range of a source of commands, or why it has none.
 
     Args:
         source: as in `Record`.
@@ -60,20 +67,26 @@ def command_range(
     """
     if source == "actuator_motors":  # PX4's own commands, before any unit
         return Range(0.0, 1.0, "actuator_motors is 0..1")
-    if given.given:
+    # What stays below 1 is normalized already, as by the mapping of a table.
+    if given.given and not largest <= 1.0 < given.max:
         return Range(given.min, given.max, "the airframe file")
     if largest <= 1.0:
         return Range(0.0, 1.0, "outputs up to 1")
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
     if source == "motor":
+        if int(parameters.get("features", 0.0)) & _REVERSIBLE:
+            return "is of 3D mode, in which outputs turn motors either way"
         return _of_blackbox(parameters)
     found = _of_px4(parameters)
     if found is not None and largest <= 1.05 * found.high:
         return found
     if _USUAL[0] <= largest <= _USUAL[1]:
         return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention")
-    return None
+    return (
+        "has an unknown unit: give [command] min and max in the airframe file, the outputs "
+        "without thrust and at full thrust"
+    )
 
 
 def _of_ardupilot(parameters: Parameters) -> Range:
@@ -115,13 +128,34 @@ def _pulses_of_ardupilot(parameters: Parameters) -> tuple[float, float, str]:
 
 def _of_blackbox(parameters: Parameters) -> Range:
     """Of Betaflight and its kin, by the header of their log."""
-    high = parameters.get("motorOutput[1]", parameters.get("maxthrottle", 0.0))
-    if high == _DSHOT[1]:
+    high = parameters.get("motorOutput[1]")
+    if high == _DSHOT[1] or (high is None and parameters.get("dshot_bidir") == 1.0):
         return Range(*_DSHOT, "DShot is 48..2047")
+    # Firmware that knows DShot writes motorOutput; older firmware has pulses alone.
+    lost = high is None and bool(parameters.keys() & {"dshot_bidir", "motor_pwm_protocol"})
+    high = parameters.get("maxthrottle", 0.0) if high is None else high
     low = parameters.get("minthrottle", parameters.get("motorOutput[0]", 0.0))
     if 0.0 < low < high:
-        return Range(low, high, "minthrottle and maxthrottle")
-    return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention")
+        origin = "minthrottle and maxthrottle" + lost * " assumed: the log has no motorOutput"
+        return Range(low, high, origin, lost)
+    return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention", assumed=True)
+
+
+def are_pulses(source: str, parameters: Parameters, values: Array) -> Mask:
+    """Which outputs are pulses in us, of which 1000 stop a motor: DShot's numbers are none."""
+    if source == "motor" and _of_blackbox(parameters).low < 600.0:
+        return np.zeros(values.shape, bool)
+    pulses: Mask = (values >= 600.0) & (values <= 2400.0)
+    return pulses
+
+
+def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> str:
+    """What is assumed of the unit of a rotor stream, in words; empty where it is known."""
+    if range_ is not None:
+        return f"{source}: {range_.origin}" if range_.assumed else ""
+    if source == "eRPM" and not parameters.get("motor_poles", 0.0) >= 2.0:
+        return "eRPM without motor_poles in the log: 14 poles assumed"
+    return ""
 
 
 def _of_px4(parameters: Parameters) -> Range | None:
@@ -179,6 +213,7 @@ class RotorSource:
         refused: name -> why not, of the others.
         interval: s between readings; 0 where that does not matter.
         order: of motors among outputs, by which the stream is sorted.
+        assumed: of its unit, in words; empty where that is known.
     """
 
     kind: RotorInput
@@ -189,6 +224,7 @@ class RotorSource:
     refused: Mapping[str, str] | None = None
     interval: float = 0.0
     order: MotorOrder = field(default_factory=MotorOrder)
+    assumed: str = ""
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""

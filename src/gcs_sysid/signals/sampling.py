@@ -14,7 +14,7 @@ from gcs_sysid.signals.gyro_check import GyroCheck
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
-from gcs_sysid.signals.rotor_units import RotorSource
+from gcs_sysid.signals.rotor_units import RotorSource, are_pulses
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.time_base import Block, TimeBase
 
@@ -393,12 +393,13 @@ class Sampler:
     def _turning(self, block: Block, n: int) -> Array:
         """(n, rotors) above zero where a rotor turns, as far as any stream shows."""
         turning = np.full((n, self._rotors), np.nan)
-        for (stream, _, offset), values in block.values.items():
+        parameters = self.rotor_selector.parameters
+        for (stream, source, offset), values in block.values.items():
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
                 if stream is Stream.ROTOR_COMMAND:
                     # Pulses of stopped motors are at most 1000 us; other units start from zero.
                     # The half is for what interpolation adds.
-                    stopped = (values >= 600.0) & (values <= 1000.5)
+                    stopped = are_pulses(source, parameters, values) & (values <= 1000.5)
                     values = np.where(stopped, 0.0, values)
                 least = _STOPPED_COMMAND if stream is Stream.ROTOR_COMMAND else _STOPPED_SPEED
                 values = np.where(values <= least, 0.0, values)
@@ -408,12 +409,13 @@ class Sampler:
 
     def _thrust(self, block: Block, n: int) -> Array:
         """(n, 2) mean over rotors of squared speeds, and of commands: what thrust grows with."""
+        parameters = self.rotor_selector.parameters
         sums: dict[tuple[int, str], tuple[Array, int]] = {}
         for (stream, source, offset), values in block.values.items():
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
                 k = int(stream is Stream.ROTOR_COMMAND)
                 # Pulses start from 1000 us.
-                pulse = (values >= 600.0) & (values <= 2400.0) if k else np.zeros(1, bool)
+                pulse = are_pulses(source, parameters, values) if k else np.zeros(1, bool)
                 values = np.where(pulse, np.maximum(values - 1000.0, 0.0), values)
                 effort = values[:, : self._rotors - offset] ** (2 - k)
                 # Of the rotors that all groups of a source have, not of one group.
