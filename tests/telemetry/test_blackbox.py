@@ -1,7 +1,9 @@
 """Logs of Betaflight, INAV and Indiflight give the records that a link would have given."""
 
 import math
+import operator
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,9 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_session
 from gcs_sysid.fleet.batch import find_logs
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.attitude import to_euler
+from gcs_sysid.session.reported_layout import differences, notes, place_words, reported_layout
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_units import command_range
 from gcs_sysid.telemetry.blackbox import flight_sessions, read_blackbox
@@ -211,6 +215,40 @@ def test_the_header_tells_the_range_of_commands():
     assert not pulses.assumed
     assert range_of(minthrottle=1070.0, maxthrottle=2000.0, dshot_bidir=1.0).high == 2047.0
     assert "3D mode" in range_of(features=4096.0)
+
+
+@pytest.mark.parametrize("yaw", [1, -1])
+def test_the_mixer_is_what_the_pid_sums_do_to_the_motors(read, yaw):
+    """Whatever crashes and limits do beside it; props-out where yaw is reversed."""
+    rng = random.Random(1)
+    wanted = [[round(rng.gauss(0, 60)) for _ in range(3)] for _ in range(1500)]
+    mixer = ((-1, 1, yaw), (-1, -1, -yaw), (1, 1, -yaw), (1, -1, yaw))
+
+    def motors(k):
+        if k % 10 == 0:
+            return (48, 2047, 48, 2047)
+        free = [800 + 2 * sum(map(operator.mul, row, wanted[k])) for row in mixer]
+        return [min(max(round(m), 48), 2047) for m in free]
+
+    columns = {
+        "axisP": (3, lambda k: [one // 2 for one in wanted[k]]),
+        "axisI": (3, lambda k: [one - one // 2 for one in wanted[k]]),
+        "gyroADC": (3, lambda k: (k % 7, 0, 0)),
+        "motor": (4, motors),
+    }
+    told = {name: value for _, name, value in read(log_of(columns, 1500)).parameters}
+    layout = reported_layout("generic", told)
+    places = ["rear right", "front right", "rear left", "front left"]
+    assert [place_words(rotor) for rotor in layout.rotors] == places
+    usual = load_airframe("betaflight-quad-x")
+    assert [r.spin for r in layout.rotors] == [yaw * r.spin for r in usual.rotors]
+    assert differences(usual, layout) == ()
+    assert ["props-out" in note for note in notes(usual, layout)] == [True] * (yaw < 0)
+    swapped = replace(usual, rotors=usual.rotors[::-1])
+    assert differences(swapped, layout)
+    columns["motor"] = 4, lambda k: [rng.randrange(200, 1800) for _ in range(4)]
+    told = {name: value for _, name, value in read(log_of(columns, 1500)).parameters}
+    assert reported_layout("generic", told) is None
 
 
 @pytest.fixture

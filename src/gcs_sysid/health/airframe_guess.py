@@ -19,7 +19,12 @@ from gcs_sysid.health.hover import Averager, flight_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams, rate_of, streams_of
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.session.reported_layout import place_words, reported_layout, usual_layouts
+from gcs_sysid.session.reported_layout import (
+    differences,
+    place_words,
+    reported_layout,
+    usual_layouts,
+)
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -90,8 +95,10 @@ def guess_airframe(
     Raises:
         InputError: the rotor positions are unknown.
     """
+    reported = reported_layout(vehicle.key, parameters)
     if given is not None:
-        return GuessedAirframe(given, f"{given.name}, as given")
+        shown = reported is not None and reported.shown and not differences(given, reported)
+        return GuessedAirframe(given, f"{given.name}, as given", shown=shown)
     found = _of_px4(parameters) if vehicle.key == "px4" else None
     if found is None:
         found = _by_type(vehicle, parameters)
@@ -135,7 +142,8 @@ def _by_type(vehicle: MavlinkSystem, parameters: Mapping[str, float]) -> Guessed
     reported = reported_layout(vehicle.key, parameters)
     if reported is not None:
         airframe = Airframe("reported", reported.rotors).with_arm(_USUAL_ARM)
-        return GuessedAirframe(airframe, f"{reported.by}, {size}", _UNKNOWN_ARM)
+        origin = f"{reported.by}, {size}"
+        return GuessedAirframe(airframe, origin, _UNKNOWN_ARM, shown=reported.shown)
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "
@@ -193,8 +201,11 @@ def layout_by_motion(
     guess = replace(guess, explained=_least(own), explained_coupled=coupled)
     first = _clearly_best(count, seen)
     if not guess.assumed:
-        as_flown = "" if first is None else _contradiction(first, airframe, _least(own))
-        return replace(guess, shown=shown and not as_flown, as_flown=as_flown), streams
+        as_flown = (
+            "" if guess.shown or first is None else _contradiction(first, airframe, _least(own))
+        )
+        shown = guess.shown or (shown and not as_flown)
+        return replace(guess, shown=shown, as_flown=as_flown), streams
     if first is None:
         return replace(guess, shown=shown), streams
     rotors = first.rotors

@@ -21,7 +21,7 @@ from gcs_sysid.model.airframe import (
     load_airframe,
 )
 from gcs_sysid.results.words import WRONG_AIRFRAME
-from gcs_sysid.signals.motor_order import motor_outputs
+from gcs_sysid.signals.motor_order import MIXER, motor_outputs
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
@@ -78,6 +78,7 @@ class ReportedLayout:
         rotors: in motor order; of mean distance 1 where no size is reported.
         sized: whether the distances are meters.
         by: the parameters that define it.
+        shown: whether the log shows the mixer at work, which no airframe file outweighs.
         outputs: motors, from 0, in the order of the outputs that drive them.
     """
 
@@ -85,6 +86,7 @@ class ReportedLayout:
     sized: bool
     by: str
     outputs: tuple[int, ...] = ()
+    shown: bool = False
 
     def as_json(self) -> dict[str, object]:
         """For the result's `telemetry`."""
@@ -107,7 +109,7 @@ def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> Reported
     elif autopilot == "ardupilot":
         reported = _ardupilot(parameters)
     else:
-        return None
+        reported = _by_mixer(parameters)
     if reported is None:
         return None
     drivers = motor_outputs(autopilot, parameters).values()
@@ -176,6 +178,26 @@ def _ardupilot(parameters: Mapping[str, float]) -> ReportedLayout | None:
     return ReportedLayout(rotors, False, f"FRAME_CLASS {kind} and FRAME_TYPE {form}")
 
 
+def _by_mixer(parameters: Mapping[str, float]) -> ReportedLayout | None:
+    """By what PID sums do to the motors, about axes forward, left and up.
+
+    Motors that a sum to the right raises are on the left; those that one to the left about the
+    upright axis raises turn clockwise, as their reaction is what turns the vehicle.
+    """
+    rotors = []
+    for i in range(_MOST_ROTORS):
+        gains = [parameters.get(f"{MIXER}{axis}[{i}]") for axis in ("roll", "pitch", "yaw")]
+        if None in gains:
+            break
+        roll, pitch, yaw = (gain or 0.0 for gain in gains)
+        rotors.append(Rotor(-pitch, -roll, -1 if yaw > 0.0 else 1))
+    arm = Airframe("mixer", tuple(rotors)).arm if len(rotors) >= 4 else 0.0
+    if arm == 0.0:
+        return None
+    placed = tuple(replace(r, x=r.x / arm, y=r.y / arm) for r in rotors)
+    return ReportedLayout(placed, False, "PID sums and motors of the log", shown=True)
+
+
 def _circle(shape: str) -> tuple[Rotor, ...]:
     """Rotors of a usual frame, at a distance of 1."""
     if shape not in _SHAPES:
@@ -226,7 +248,12 @@ def proposal(reported: ReportedLayout) -> str:
 
 
 def differences(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
-    """What an airframe says otherwise than the vehicle, in words; empty where they agree."""
+    """What an airframe says otherwise than the vehicle, in words; empty where they agree.
+
+    Props-out is a note where the log shows the mixer: nothing but k_M rests on it.
+    """
+    if reported.shown and _are_reversed(airframe.rotors, reported.rotors):
+        return ()
     return tuple(
         f"{WRONG_AIRFRAME} {airframe.name}: {what} (the vehicle: {reported.by})"
         for what in _differences(airframe.rotors, reported.rotors)
@@ -242,10 +269,20 @@ def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
             f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
             "is proportional to the arm, so measure it"
         )
+    if reported.shown and _are_reversed(airframe.rotors, reported.rotors):
+        out.append(
+            f"props-out: all rotors spin the other way than those of {airframe.name}, by "
+            f"{reported.by}; --airframe auto takes them from the log"
+        )
     if reported.outputs != tuple(range(len(reported.outputs))):
         order = ", ".join(str(motor + 1) for motor in reported.outputs)
         out.append(f"its outputs drive motors {order}, in this order: sorted by motor here")
     return tuple(out)
+
+
+def _are_reversed(ours: Sequence[Rotor], theirs: Sequence[Rotor]) -> bool:
+    turned = [replace(rotor, spin=-rotor.spin) for rotor in theirs]
+    return not _differences(ours, turned)
 
 
 def _arm(rotors: Sequence[Rotor]) -> float:

@@ -34,6 +34,8 @@ _BY_OUTPUT = {
 """Autopilot -> sources whose values are those of outputs."""
 _EITHER_ORDER = "ESC_STATUS"
 """Of PX4: by output, and since late 2025 by motor; the message does not say which."""
+MIXER = "mixer "
+"""Begins the names of what a blackbox log shows of its mixer: axis and motor follow."""
 _BY = " by "
 """In the name of a stream that comes once in each order that it may have."""
 _OF_VERSION_1 = 8

@@ -19,6 +19,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.motor_order import MIXER
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
@@ -43,6 +44,10 @@ _SCALES, _RADIANS = (1e-12, 1e3), 1e-6
 """Scales of a gyro that can be, and below which they are in rad/us."""
 _MOTOR_POLES = 14.0
 """Betaflight's default."""
+_PID_TERMS = ("axisP", "axisI", "axisD", "axisF", "axisS")
+_FEWEST_MIXED, _MIXED = 1000, 0.9
+"""Frames, and share of what sets each motor apart that PID sums explain, from which they show the
+mixer: a mixer alone gives .99 and more."""
 _MODES, _ARM = "flightModeFlags", 1
 """Field of S frames, and its bit: the switch is at "armed"."""
 _TYPES = {
@@ -57,7 +62,8 @@ _ARRAYS = {
     "gyroADC": 3, "gyroData": 3, "gyroADCafterRpm": 3, "accSmooth": 3, "accUnfiltered": 3,
     "motor": _MOST_MOTORS, "eRPM": _MOST_MOTORS, "omegaUnfiltered": _MOST_MOTORS, "quat": 4,
     "imuQuaternion": 3, "attitude": 3, "extPos": 3, "extVel": 3, "pos": 3, "vel": 3, "navPos": 3,
-    "navVel": 3, "setpoint": 3, "gyroSp": 3,
+    "navVel": 3, "setpoint": 3, "gyroSp": 3, "axisP": 3, "axisI": 3, "axisD": 3, "axisF": 3,
+    "axisS": 3,
 }  # fmt: skip
 _WANTED = {f"{name}[{i}]" for name, count in _ARRAYS.items() for i in range(count)} | {
     "vbatLatest",
@@ -175,6 +181,7 @@ class _SessionReader:
         )
         if frames.lost:
             recording.dropped["frames that cannot be computed"] = frames.lost
+        self._add_mixer(recording)
         self._add_imu(recording)
         self._add_attitude(recording)
         self._add_velocity(recording)
@@ -205,6 +212,34 @@ class _SessionReader:
                 name = line if len(numbers) == 1 else f"{line}[{i}]"
                 dated.append((float(self._t[0]), name, value))
         return dated
+
+    def _add_mixer(self, recording: Recording) -> None:
+        """What a PID sum of one adds to each motor, as parameters, where the log shows it."""
+        motors = self._fields("motor", self._motors)
+        if motors is None or not self._motors:
+            return
+        sums = np.zeros((len(motors), 3))
+        for axis in range(3):
+            for term in _PID_TERMS:
+                part = self._frames.main.columns(f"{term}[{axis}]")
+                if part is not None:
+                    sums[:, axis] += part[:, 0]
+        # Motors at a limit do not follow; the throttle is what all have in common.
+        low, high = motors.min(), motors.max()
+        edge = 0.01 * (high - low)
+        free = ((motors > low + edge) & (motors < high - edge)).all(axis=1)
+        apart = (motors - motors.mean(axis=1, keepdims=True))[free]
+        known = np.column_stack([sums[free], np.ones(len(apart))])
+        if len(apart) < _FEWEST_MIXED or not (known.std(axis=0)[:3] > 0.0).all():
+            return
+        gains, *_ = np.linalg.lstsq(known, apart, rcond=None)
+        rest, power = ((apart - known @ gains) ** 2).sum(axis=0), apart.var(axis=0) * len(apart)
+        if (rest < (1.0 - _MIXED) * power).all():
+            recording.parameters += [
+                (float(self._t[0]), f"{MIXER}{axis}[{motor}]", float(gain))
+                for axis, row in zip(("roll", "pitch", "yaw"), gains, strict=False)
+                for motor, gain in enumerate(row)
+            ]
 
     def _add_imu(self, recording: Recording) -> None:
         gyro = self._first_of("gyroADCafterRpm", "gyroADC", "gyroData")
