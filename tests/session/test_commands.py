@@ -162,7 +162,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     # The same parameter after the flight is too late, and is told so.
     late = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
     late.rotor_selector.autopilot = "ardupilot"
-    feed(late, (*records, parameter))
+    feed(late, (*records[: len(records) // 2], parameter))
     late.finish()
     assert late.outdated == (cutoff != 20)
 
