@@ -8,12 +8,12 @@ import pytest
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.parameters.individual_values import (
+from gcs_sysid.estimation.parameters.physical_parameters import (
     axis_dampings,
     mean_damping,
+    parameter_covariance,
     rotor_coefficients,
 )
-from gcs_sysid.estimation.parameters.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe

@@ -4,19 +4,15 @@ What these numbers may be worth is decided in `judgement`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.parameters.individual_values import (
-    axis_dampings,
-    mean_damping,
-    rotor_coefficients,
-)
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
@@ -359,3 +355,119 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> tuple[f
     if which == Coordinate.LAG:
         doubt = ERRORS.lag * value
     return value, math.hypot(std, doubt)
+
+
+def axis_dampings(fit: RotationFit, bend: float = 0.0) -> tuple[Array, Array]:
+    """(3,) of roll, pitch and yaw relative to thrust, and their (3,) standard deviations.
+
+    Linear in the unknowns [theta, coordinates, deviations], as rotors' coefficients are. Where a
+    kind of deviation had no evidence, each has the mean's value.
+
+    Args:
+        fit: with deviations or none.
+        bend: relative change of thrust with the thrust curve, which the standard deviations are
+            to include.
+    """
+    deviating = fit.deviating
+    maps = np.zeros((3, N_UNKNOWNS + len(deviating.std)))
+    maps[:, rb.DAMPING] = 1.0
+    maps[:, N_UNKNOWNS:] = deviating.dampings.T
+    return _linear(fit, maps, bend)
+
+
+def mean_damping(fit: RotationFit, bend: float = 0.0) -> tuple[float, float]:
+    """Of roll and pitch, relative to thrust, and its standard deviation; see `axis_dampings`."""
+    deviating = fit.deviating
+    maps = np.zeros((1, N_UNKNOWNS + len(deviating.std)))
+    maps[:, rb.DAMPING] = 1.0
+    maps[:, N_UNKNOWNS:] = deviating.dampings[:, :2].mean(axis=1)
+    value, std = _linear(fit, maps, bend)
+    return float(value[0]), float(std[0])
+
+
+def rotor_coefficients(fit: RotationFit, rotors: int) -> tuple[Array, Array, Array, Array]:
+    """Of each rotor, relative to the mean k_T: thrust and torque, with standard deviations.
+
+    Args:
+        fit: with deviations or none.
+        rotors: how many there are.
+
+    Returns:
+        (rotors,) k_T of each over the mean, its standard deviation, k_M over the mean k_T in m, and
+        its standard deviation.
+    """
+    deviating = fit.deviating
+    m = len(deviating.std)
+    thrust = np.zeros((rotors, N_UNKNOWNS + m))
+    ratio = np.zeros_like(thrust)
+    ratio[:, rb.MOMENT_RATIO] = 1.0
+    if m:
+        thrust[:, N_UNKNOWNS:] = deviating.thrusts.T
+        ratio[:, N_UNKNOWNS:] = deviating.ratios.T
+    k_T, k_T_std = _linear(fit, thrust)
+    return 1.0 + k_T, k_T_std, *_linear(fit, ratio)
+
+
+def _linear(fit: RotationFit, maps: Array, bend: float = 0.0) -> tuple[Array, Array]:
+    """Values of (k, N_UNKNOWNS + m) maps of the unknowns, and standard deviations."""
+    unknowns = np.concatenate([fit.unknowns, fit.deviations])
+    covariance, values = fit.extended_covariance, maps @ unknowns
+    maps = maps.copy()
+    # d (x T) / dc = T (dx / dc + x bend)
+    maps[:, Unknown.CURVE] += bend * values
+    variance = np.einsum("ki,ij,kj->k", maps, covariance, maps)
+    return values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def parameter_covariance(
+    rotation: RotationFit,
+    scale: AbsoluteScale,
+    values: Mapping[str, tuple[float, float]],
+    given: Mapping[str, Array],
+) -> tuple[Sequence[str], Array, Array]:
+    """Names, (n, n) covariance and (n, causes) effects of what is given, SI.
+
+    Entries of theta correlate as in the fit; parameters scaled by thrust share the error of the
+    scale, and those that depend on given arms or masses share theirs. Standard deviations are those
+    of the result, with all that widens them.
+
+    Args:
+        rotation: the fit, relative to thrust.
+        scale: mass and thrust with relative standard deviations.
+        values: name -> value and standard deviation of the result.
+        given: name -> (causes,) what one standard deviation of each thing given does to it, see
+            `given_errors.given_effects`.
+
+    Returns:
+        Names of all that has a standard deviation, their covariance, and (n, causes) the effects
+        of what is given, whose products are a part of it.
+    """
+    names = [name for name, (_, std) in values.items() if std > 0.0]
+    thrust = scale.thrust or 1.0
+    maps = np.zeros((len(names), N_UNKNOWNS))
+    # Of thrust, of mass, and of each thing given.
+    causes = max((len(effect) for effect in given.values()), default=0)
+    common = np.zeros((len(names), 2 + causes))
+    for i, name in enumerate(names):
+        p, (value, _) = REGISTRY[name], values[name]
+        if p.theta:
+            maps[i, rb.THETA.index(p.theta)] = thrust if p.scale == "thrust" else 1.0
+        elif name in COORDINATE_NAMES:
+            maps[i, rb.N_THETA + COORDINATE_NAMES.index(name)] = 1.0
+        if p.scale == "thrust":
+            common[i, 0] = value * scale.thrust_share
+        elif p.scale == "mass":
+            common[i, 1] = value * scale.mass_share
+        common[i, 2:] = given.get(name, 0.0)
+    fit = maps @ rotation.full_covariance @ maps.T
+    stds = np.array([values[name][1] for name in names])
+    shared = (common**2).sum(axis=1)
+    common *= np.minimum(1.0, stds / np.sqrt(np.maximum(shared, 1e-300)))[:, None]
+    # What else widens a parameter (systematic errors, the IMU's alignment) has the correlations of
+    # the fit: Izz and k_M, which it can hardly separate, do not separate by adding error.
+    rest = np.maximum(stds**2 - shared, 0.0)
+    own = np.diag(fit)
+    widening = np.sqrt(np.divide(rest, own, out=np.zeros_like(own), where=own > 0.0))
+    covariance = fit * np.outer(widening, widening) + common @ common.T
+    covariance[np.diag_indices(len(names))] = stds**2
+    return names, covariance, common[:, 2:]
