@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.live.hover_watch import HoverWatch
+from gcs_sysid.live.live_estimate import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions

@@ -4,8 +4,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.origin import Origin
-from gcs_sysid.telemetry.frame_gathering import FrameGathering
-from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.intake import FrameGathering, Intake
 
 
 def linked(airframe: Airframe, options: ChainOptions | None = None) -> tuple[Chain, FrameGathering]:

@@ -8,8 +8,7 @@ from gcs_sysid.estimation.changes.change_watch import ChangeWatch
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
 from gcs_sysid.live.flight_coach import Coach
-from gcs_sysid.live.hover_watch import HoverWatch
-from gcs_sysid.live.live_estimate import LiveEstimate
+from gcs_sysid.live.live_estimate import HoverWatch, LiveEstimate
 from gcs_sysid.live.live_session import LiveSession
 
 LONG_MS = 5.0

@@ -14,7 +14,7 @@ from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.noise.whitening import bank_for_commands
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record import command_record, tuned_motors
+from gcs_sysid.estimation.record import command_record
 from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuned_motors import FirstPlace, TunedRows
@@ -103,7 +103,7 @@ def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeyp
     few = [number for number in usual.makings if number is not None]
     assert few
     assert max(few) < 10
-    monkeypatch.setattr(tuned_motors, "_NEAR", np.inf)
+    monkeypatch.setattr(command_record, "_NEAR", np.inf)
     expected, std_of_all = outcome(flown(truth, samples))
     assert max(number for number in makings if number is not None) > 15
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-3)
@@ -112,7 +112,7 @@ def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeyp
 
 def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, monkeypatch):
     found, std = usual.outcome
-    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
+    monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)
     expected, std_of_all = outcome(flown(truth, samples))
     assert len(makings) > len(usual.makings)
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-9)
@@ -266,7 +266,7 @@ def test_rows_that_are_gone_on_with_have_all_whiteners(truth, samples, monkeypat
         return cost(tuned) - 1e6 * (len(tuned.white.whiteners) < len(bank))
 
     monkeypatch.setattr(TunedRows, "cost", property(flattered))
-    monkeypatch.setattr(tuned_motors, "_NO_RIVAL", np.inf)
+    monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)
     commands = flown(truth, samples)._record.commands
     assert len(commands.white.whiteners) == len(bank)
     with commands.settled():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.live.hover_watch import HoverWatch
+from gcs_sysid.live.live_estimate import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Stream
