@@ -22,7 +22,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.results.snapshot import History
+from gcs_sysid.results.history import History
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions

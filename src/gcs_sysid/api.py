@@ -26,10 +26,10 @@ from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
 from gcs_sysid.report.data import Recorder
 from gcs_sysid.report.prediction_series import predict
+from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.chain import WINDOW, Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track

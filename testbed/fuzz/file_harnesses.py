@@ -13,7 +13,7 @@ from gcs_sysid.cli.output import read_truth
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.results.result import SCHEMA
+from gcs_sysid.results.result_data import SCHEMA
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import airframe_text, checked
 from gcs_sysid.setup_help.layouts import ASCII

@@ -11,7 +11,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameter_file import read_parameter_file
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 COMMON = {
     "Ixx": 0.0165, "Iyy": 0.017, "Izz": 0.029, "Ixy": 1e-4, "Iyz": 1e-4, "Ixz": -1e-4,

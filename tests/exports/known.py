@@ -8,7 +8,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 VALUES = {
     "mass": 1.5, "Ixx": 0.0165, "Iyy": 0.021, "Izz": 0.0292, "Ixy": 0.00136, "Iyz": 0.00255,

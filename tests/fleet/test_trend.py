@@ -21,7 +21,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 STD = 0.01
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")

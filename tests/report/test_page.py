@@ -17,8 +17,10 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.data import Provenance, ReportData
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
-from gcs_sysid.results.result import Result, Scale
-from gcs_sysid.results.snapshot import Event, History
+from gcs_sysid.results.history import History
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
+from gcs_sysid.results.snapshot import Event
 from gcs_sysid.results.words import STATUS
 
 from .reading import Page

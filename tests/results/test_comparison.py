@@ -13,7 +13,8 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.comparison import compare
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 from gcs_sysid.web.result_json import comparison_rows
 
 STD = 0.01

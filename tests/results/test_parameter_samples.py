@@ -12,8 +12,9 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rigid_body import are_physical
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
-from gcs_sysid.results.snapshot import Acceleration, History
+from gcs_sysid.results.history import Acceleration, History
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 VALUES = {
     "mass": (1.5, 0.0), "Ixx": (0.0165, 1e-4), "Iyy": (0.0167, 1e-4), "Izz": (0.0294, 6e-4),

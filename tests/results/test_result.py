@@ -7,7 +7,8 @@ import pytest
 
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 
 def result(**estimates):

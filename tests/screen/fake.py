@@ -12,14 +12,14 @@ import numpy as np
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.history import Acceleration, History
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import (
-    Acceleration,
     Advice,
     Event,
     FoundVehicle,
     Gain,
-    History,
     LinkState,
     LinkStatus,
     Playback,

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.estimate_history import known_history, settled_range
-from gcs_sysid.results.snapshot import Advice, Gain, History, LinkState
+from gcs_sysid.results.history import History, known_history, settled_range
+from gcs_sysid.results.snapshot import Advice, Gain, LinkState
 from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.pilot_view import blocks
 from gcs_sysid.screen.snapshot_view import (

@@ -10,7 +10,8 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import MotionState
 from gcs_sysid.model.parameters import ARM, PARAMETERS, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 from sim_bridge.dynamics import Dynamics
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.vehicle_files import load_vehicle

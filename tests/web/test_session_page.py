@@ -10,8 +10,9 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.history import History
 from gcs_sysid.results.notebook_view import text
-from gcs_sysid.results.snapshot import History, LinkState
+from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.formatting import choose_exponents
 from gcs_sysid.screen.scene import Scene

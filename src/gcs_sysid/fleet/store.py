@@ -7,7 +7,7 @@ from pathlib import Path
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import log_file, read_text, write_whole
 from gcs_sysid.fleet.jobs import FAILURE, Document, Task
-from gcs_sysid.results.result import SCHEMA
+from gcs_sysid.results.result_data import SCHEMA
 from gcs_sysid.results.result_file import MOST_BYTES
 from gcs_sysid.strict_json import json_text
 

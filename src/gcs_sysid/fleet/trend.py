@@ -19,7 +19,8 @@ from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
 from gcs_sysid.results.comparison import Comparison, Difference, compare
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 
 FEWEST = 4
 """Fewest flights for an estimate of their scatter."""

@@ -17,7 +17,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordi
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.snapshot import Acceleration
+from gcs_sysid.results.history import Acceleration
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.signals.smoothers import WindowSmoother

@@ -6,15 +6,9 @@ from gcs_sysid.judgement.judge import object_to
 from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.reception import Source
 from gcs_sysid.model.estimate import Objection
+from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import (
-    Acceleration,
-    Advice,
-    FoundVehicle,
-    LinkState,
-    LinkStatus,
-    Snapshot,
-)
+from gcs_sysid.results.snapshot import Advice, FoundVehicle, LinkState, LinkStatus, Snapshot
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake

@@ -21,8 +21,9 @@ from gcs_sysid.files import log_file
 from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.prediction_series import Prediction, Spectrum, predict, residual_spectrum
+from gcs_sysid.results.history import History
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Event, History
+from gcs_sysid.results.snapshot import Event
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 

@@ -15,11 +15,10 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.report.data import ReportData
-from gcs_sysid.results.estimate_history import known_history, settled_range
+from gcs_sysid.results.history import History, known_history, settled_range
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
-from gcs_sysid.results.snapshot import History
 from gcs_sysid.results.words import event_text
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200

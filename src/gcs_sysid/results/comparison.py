@@ -8,7 +8,7 @@ for all of them together (`change_test`).
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from gcs_sysid.change_test import FALSE_ALARM_RATE, chance, holm
 from gcs_sysid.errors import InputError
@@ -17,10 +17,11 @@ from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
+from gcs_sysid.results.words import Change
 
 SCHEMA = "gcs-sysid/compare/1"
-Change = Literal["changed", "no_change_seen", "cannot_tell"]
 
 _KNOWN = {name: parameter for name, parameter in REGISTRY.items() if parameter.of_vehicle}
 _SAME_PLACE = 1e-6
@@ -117,6 +118,19 @@ class Comparison:
             "parameters": {name: found.as_json() for name, found in self.differences.items()},
             "notes": list(self.notes),
         }
+
+
+def comparison_sentences(comparison: Comparison) -> list[str]:
+    """Has the vehicle changed, in a sentence or two."""
+    changed = comparison.named("changed")
+    same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
+    if comparison.verdict == "cannot_tell":
+        return ["Undetermined: no parameter is identified in both results."]
+    if changed:
+        sentences = [f"The vehicle has changed: {', '.join(changed)}."]
+    else:
+        sentences = [f"No change seen in {', '.join(same)}."]
+    return [*sentences, f"Undetermined: {', '.join(unknown)}."] if unknown else sentences
 
 
 def compare(before: Result, after: Result) -> Comparison:

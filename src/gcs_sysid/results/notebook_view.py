@@ -14,7 +14,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.number_format import pretty_unit
-from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import ResultData
 from gcs_sysid.results.result_view import parameter_rows, rows
 from gcs_sysid.results.words import VERDICT
 
@@ -46,7 +46,7 @@ def needed(module: str, purpose: str) -> Any:
         ) from error
 
 
-def text(result: Result, most: int = 4) -> str:
+def text(result: ResultData, most: int = 4) -> str:
     """The result in at most some thirty lines of eighty columns, `most` of them reasons."""
     lines = [f"{VERDICT[result.verdict].meaning}: {result.source or 'no source'}"]
     if result.scale is not None:
@@ -67,7 +67,7 @@ def text(result: Result, most: int = 4) -> str:
     return "\n".join(lines)
 
 
-def html(result: Result) -> str:
+def html(result: ResultData) -> str:
     """The same as a table; nothing is loaded, and all text is escaped."""
     body = "".join(
         f"<tr><td>{escape(row.name)}</td><td>{escape(row.figures.value)}</td>"
@@ -86,7 +86,7 @@ def html(result: Result) -> str:
     )
 
 
-def dataframe(result: Result) -> "pandas.DataFrame":
+def dataframe(result: ResultData) -> "pandas.DataFrame":
     """A row per parameter and timing value.
 
     Raises:
@@ -111,7 +111,7 @@ def dataframe(result: Result) -> "pandas.DataFrame":
     return pandas.DataFrame(table).set_index("parameter")
 
 
-def plot(result: Result, kind: PlotKind | None = None) -> "Figure":
+def plot(result: ResultData, kind: PlotKind | None = None) -> "Figure":
     """Draw convergence, correlation or prediction; by default all that there is to draw.
 
     Raises:
@@ -141,7 +141,7 @@ _ABSENT: dict[PlotKind, str] = {
 }
 
 
-def _drawings(result: Result) -> "Mapping[PlotKind, Callable[[Axes], None]]":
+def _drawings(result: ResultData) -> "Mapping[PlotKind, Callable[[Axes], None]]":
     out: dict[PlotKind, Callable[[Axes], None]] = {}
     if result.history is not None and len(result.history.t):
         out["convergence"] = lambda axes: _convergence(result, axes)
@@ -152,7 +152,7 @@ def _drawings(result: Result) -> "Mapping[PlotKind, Callable[[Axes], None]]":
     return out
 
 
-def _convergence(result: Result, axes: "Axes") -> None:
+def _convergence(result: ResultData, axes: "Axes") -> None:
     """Estimates over their final values, with their 95 % intervals."""
     history = result.history
     assert history is not None
@@ -168,7 +168,7 @@ def _convergence(result: Result, axes: "Axes") -> None:
     axes.legend(ncols=2, fontsize="small")
 
 
-def _correlation(result: Result, axes: "Axes") -> None:
+def _correlation(result: ResultData, axes: "Axes") -> None:
     names = [str(name) for name in result.covariance["names"]]
     matrix = np.asarray(result.covariance["matrix"], np.float64)
     std = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -179,7 +179,7 @@ def _correlation(result: Result, axes: "Axes") -> None:
     axes.figure.colorbar(image, ax=axes)
 
 
-def _prediction(result: Result, axes: "Axes") -> None:
+def _prediction(result: ResultData, axes: "Axes") -> None:
     prediction = result.prediction
     assert prediction is not None
     for axis, (name, color) in enumerate(zip(AXES, _COLORS, strict=True)):

@@ -14,7 +14,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import FURTHER, FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
 from gcs_sysid.results.notebook_view import needed
-from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import ResultData
 
 if TYPE_CHECKING:
     import pandas
@@ -63,7 +63,7 @@ class ParameterSamples(Mapping[str, Array]):
         return needed("pandas", "to_dataframe()").DataFrame(self.table, columns=list(self.names))
 
 
-def draw_samples(result: Result, n: int, seed: int, *, given: bool = True) -> ParameterSamples:
+def draw_samples(result: ResultData, n: int, seed: int, *, given: bool = True) -> ParameterSamples:
     """Draw vehicles from the normal distribution of a result's covariance, cut to physical ones.
 
     Inertia matrices are those of rigid bodies, masses and coefficients positive; damping, drag,
@@ -103,7 +103,7 @@ def draw_samples(result: Result, n: int, seed: int, *, given: bool = True) -> Pa
     return ParameterSamples(names, np.concatenate(kept)[:n])
 
 
-def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
+def covariance_of(result: ResultData) -> tuple[tuple[str, ...], Array]:
     """Names and (n, n) covariance, SI.
 
     Raises:
@@ -125,7 +125,7 @@ def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
     return tuple(map(str, names)), matrix
 
 
-def flight_model(result: Result, samples: ParameterSamples | None = None) -> FlightModel:
+def flight_model(result: ResultData, samples: ParameterSamples | None = None) -> FlightModel:
     """The equations of motion with a result's numbers in them.
 
     What the flight does not show of damping, drag and rotor inertia is zero. Rotors have the shares
@@ -184,12 +184,12 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
     )
 
 
-def _estimates(result: Result) -> dict[str, Estimate]:
+def _estimates(result: ResultData) -> dict[str, Estimate]:
     """All that a vehicle is drawn of."""
     return result.parameters | result.timing
 
 
-def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
+def _root(result: ResultData, names: tuple[str, ...], *, given: bool) -> Array:
     """(names, names) A with A A' the covariance; what it does not name varies by itself."""
     names_known, matrix = covariance_of(result)
     estimates = [_estimates(result)[name] for name in names]
@@ -219,7 +219,7 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     return scaled
 
 
-def _effects(result: Result, count: int) -> Array | None:
+def _effects(result: ResultData, count: int) -> Array | None:
     """(names, causes) effects of errors in given values on the parameters; None: unknown."""
     try:
         effects = np.asarray(result.covariance.get("given"), np.float64)
@@ -230,7 +230,7 @@ def _effects(result: Result, count: int) -> Array | None:
     return effects
 
 
-def _shares(result: Result, name: str, rotors: int) -> Array:
+def _shares(result: ResultData, name: str, rotors: int) -> Array:
     """(rotors,) each rotor's coefficient over their mean; ones where they are not separate."""
     each = [rotor[name].value for rotor in result.rotors if name in rotor]
     values = np.array([np.nan if value is None else value for value in each])

@@ -1,14 +1,9 @@
 """The result of an identification, as files, screens and reports take it."""
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from gcs_sysid.errors import InputError
-from gcs_sysid.files import write_whole
-from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate, Objection, Verdict
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.strict_json import json_text
+from gcs_sysid.results.result_data import ResultData
 
 if TYPE_CHECKING:
     import pandas
@@ -17,37 +12,10 @@ if TYPE_CHECKING:
     from gcs_sysid.model.flight_model import FlightModel
     from gcs_sysid.results.notebook_view import PlotKind
     from gcs_sysid.results.parameter_samples import ParameterSamples
-    from gcs_sysid.results.snapshot import Acceleration, History
-
-SCHEMA = "gcs-sysid/1"
-
-
-@dataclass(frozen=True)
-class Scale:
-    """The anchor that sets the scale of all masses, inertias and coefficients."""
-
-    anchor: Literal["mass", "k_T", "T_max", "added_mass"]
-    value: float
-    unit: str
-    std: float = 0.0
-    """Of the value; zero where it was given."""
-    origin: str = ""
-    """Where the value comes from, if it was not given."""
-    std_given: float = 0.0
-    """Of the value, by the error of what was given at first."""
-
-    def as_json(self) -> dict[str, Any]:
-        """The scale as the result file writes it."""
-        out: dict[str, Any] = {"anchor": self.anchor, "value": self.value, "unit": self.unit}
-        if self.origin:
-            out |= {"std": self.std, "from": self.origin}
-        if self.std_given:
-            out["std_given"] = self.std_given
-        return out
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(ResultData):
     """The complete result of an identification at one instant.
 
     Example:
@@ -58,86 +26,6 @@ class Result:
         >>> result.scale.anchor, result.as_json()["parameters"]["mass"]["unit"]
         ('mass', 'kg')
     """
-
-    verdict: Verdict
-    reasons: tuple[str, ...]
-    source: str
-    vehicle: dict[str, Any]
-    scale: Scale | None
-    rotor_input: RotorInput
-    parameters: dict[str, Estimate]
-    estimator: Literal["online", "offline"] = "online"
-    method: str = ""
-    """Which offline estimator: "filter error", "whitener bank" or "maximum likelihood", perhaps
-    with "instruments"."""
-    timing: dict[str, Estimate] = field(default_factory=dict)
-    events: tuple[dict[str, Any], ...] = ()
-    segments: tuple[dict[str, Any], ...] = ()
-    validation: dict[str, Any] = field(default_factory=dict)
-    priors: dict[str, Any] = field(default_factory=dict)
-    """What was known beforehand: name -> value and std."""
-    telemetry: dict[str, Any] = field(default_factory=dict)
-    airframe: dict[str, Any] = field(default_factory=dict)
-    """Name and rotors that the identification rests on, as in airframe files."""
-
-    disturbance: dict[str, float] = field(default_factory=dict)
-    """Axis -> nats a second by which an unmodeled moment explains it better; above 1 there is one.
-    Empty where rows were not whitened."""
-    rotors: tuple[dict[str, Estimate], ...] = ()
-    """k_T and k_M of each rotor in motor order, with measured rotor speeds."""
-    covariance: dict[str, Any] = field(default_factory=dict)
-    """`names` and `matrix`, of all parameters with a value and a standard deviation."""
-
-    objections: tuple[Objection, ...] = field(default=(), compare=False)
-    """What stands behind the reasons; those to single parameters are in the estimates."""
-
-    advice: dict[str, Any] | None = None
-    """What to fly next, of a running session: see `Advice`."""
-
-    health: dict[str, Any] | None = field(default=None, compare=False)
-    """A health file's content: what the last minutes of hover show, of a running session."""
-
-    history: "History | None" = field(default=None, compare=False)
-    """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
-    prediction: "Acceleration | None" = field(default=None, compare=False)
-    """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
-
-    def identified(self, name: str) -> IdentifiedEstimate:
-        """A reliable parameter, typed accordingly: its value is a float.
-
-        Args:
-            name: of a parameter or timing value that is identified, given, or known to be small.
-
-        Raises:
-            InputError: there is no such parameter, or it is weak or unobservable.
-
-        Example:
-            >>> import gcs_sysid
-            >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper")
-            >>> low, high = result.identified("Izz").ci95
-            >>> low < 0.0294 < high
-            True
-        """
-        estimate = self.parameters.get(name) or self.timing.get(name)
-        if estimate is None:
-            known = ", ".join([*self.parameters, *self.timing])
-            raise InputError(f"the result has no {name!r}; it has {known}")
-        if (
-            estimate.value is None
-            or estimate.std is None
-            or estimate.status in ("weak", "unobservable")
-        ):
-            raise InputError(f"{name} is {estimate.status} in this result, not identified")
-        return IdentifiedEstimate(
-            estimate.value,
-            estimate.std,
-            estimate.unit,
-            estimate.status,
-            estimate.bound,
-            estimate.rests_on,
-            estimate.std_given,
-            estimate.not_negative,
-        )
 
     def samples(self, n: int, seed: int = 0, *, given: bool = True) -> "ParameterSamples":
         """Vehicles drawn from the full covariance, all of them physical; see `draw_samples`.
@@ -204,44 +92,3 @@ class Result:
         from gcs_sysid.results.notebook_view import html
 
         return html(self)
-
-    def as_json(self) -> dict[str, Any]:
-        """The result as the dictionary that `--json` writes."""
-        advice = {} if self.advice is None else {"advice": self.advice}
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "reasons": list(self.reasons),
-            "objections": [objection.as_json() for objection in self.objections],
-            "source": self.source,
-            "vehicle": self.vehicle,
-            "airframe": self.airframe,
-            "scale": None if self.scale is None else self.scale.as_json(),
-            "estimator": self.estimator,
-            **({"method": self.method} if self.method else {}),
-            "rotor_input": self.rotor_input,
-            "parameters": {k: v.as_json() for k, v in self.parameters.items()},
-            "timing": {k: v.as_json() for k, v in self.timing.items()},
-            "events": list(self.events),
-            "segments": list(self.segments),
-            "validation": self.validation,
-            "priors": self.priors,
-            "disturbance": self.disturbance,
-            "rotors": [{k: v.as_json() for k, v in rotor.items()} for rotor in self.rotors],
-            "covariance": self.covariance,
-            "telemetry": self.telemetry,
-            **advice,
-            **({} if self.health is None else {"health": self.health}),
-        }
-
-    def dumps(self, indent: int | None = 2) -> str:
-        """The result as JSON text (strict: no NaN or infinity)."""
-        return json_text(self.as_json(), indent)
-
-    def write(self, path: Path, *, force: bool = False) -> None:
-        """Write the result to a file; over another one only if forced.
-
-        Raises:
-            InputError: it cannot be written, or is there already.
-        """
-        write_whole(path, self.dumps() + "\n", replace=force)

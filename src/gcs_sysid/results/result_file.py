@@ -12,7 +12,8 @@ from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import SCHEMA, Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import SCHEMA, Scale
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.strict_json import parse_json
 

@@ -1,4 +1,4 @@
-"""What a person is shown of a result: figures, rows, verdict, notes, comparison.
+"""What a person is shown of a result: figures, rows, verdict, notes.
 
 Terminal, screen, page, report and notebook draw what is made here; type, color and width are
 theirs. A `Notation` says how numbers and units are written there.
@@ -12,7 +12,6 @@ from typing import Any, Literal
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, INERTIA, REGISTRY, Parameter, grouped
-from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.number_format import (
     PAGE,
     PLAIN,
@@ -24,7 +23,7 @@ from gcs_sysid.results.number_format import (
     significant,
     times_power,
 )
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result_data import ResultData, Scale
 from gcs_sysid.results.words import STATUS, WAITING, event_text
 
 
@@ -205,14 +204,14 @@ class ParameterRow:
         return self.parameter.name
 
 
-def rows(result: Result) -> list[tuple[Parameter, Estimate]]:
+def rows(result: ResultData) -> list[tuple[Parameter, Estimate]]:
     """The parameters and timing values of a result, in the order of all tables."""
     there = result.parameters | result.timing
     return [(p, there[name]) for name, p in REGISTRY.items() if name in there]
 
 
 def parameter_rows(
-    result: Result,
+    result: ResultData,
     notation: Notation = PLAIN,
     *,
     si: bool = False,
@@ -289,7 +288,7 @@ def names_text(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + " and " + names[-1]
 
 
-def verdict_sentence(result: Result) -> str:
+def verdict_sentence(result: ResultData) -> str:
     """What is known, and how well, in words that a pilot understands."""
     if result.verdict == "refused":
         return "The vehicle cannot be identified from this recording."
@@ -349,7 +348,7 @@ def _within(first: Parameter, entries: Mapping[str, Estimate], core: Mapping[str
 # Notes ------------------------------------------------------------------------------------------
 
 
-def result_notes(result: Result) -> list[str]:
+def result_notes(result: ResultData) -> list[str]:
     """What is worth knowing beside the numbers, a line each; the reasons come last."""
     leaning: dict[str, list[str]] = {}
     for name, estimate in result.parameters.items():
@@ -384,19 +383,3 @@ def _event_notes(events: Sequence[Mapping[str, Any]], most: int = 3) -> list[str
     if many:
         notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
     return notes
-
-
-# Comparison -------------------------------------------------------------------------------------
-
-
-def comparison_sentences(comparison: Comparison) -> list[str]:
-    """Has the vehicle changed, in a sentence or two."""
-    changed = comparison.named("changed")
-    same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
-    if comparison.verdict == "cannot_tell":
-        return ["Undetermined: no parameter is identified in both results."]
-    if changed:
-        sentences = [f"The vehicle has changed: {', '.join(changed)}."]
-    else:
-        sentences = [f"No change seen in {', '.join(same)}."]
-    return [*sentences, f"Undetermined: {', '.join(unknown)}."] if unknown else sentences

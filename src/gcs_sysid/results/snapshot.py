@@ -1,7 +1,4 @@
-"""Immutable pictures of a running session, for screens and headless output.
-
-The history of the estimates, how they moved over the flight, is kept in bounded memory.
-"""
+"""Immutable pictures of a running session, for screens and headless output."""
 
 import math
 from collections.abc import Mapping
@@ -9,16 +6,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gcs_sysid.arrays import Array
-from gcs_sysid.judgement.status import NOTHING
-from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.results.history import Acceleration, History
 from gcs_sysid.results.result import Result
-
-MAX_POINTS = 4096
 
 
 class LinkState(StrEnum):
@@ -84,44 +73,6 @@ class LinkStatus:
     """Whether so much waits that advice and renewed estimates wait too."""
     dropped: int = 0
     """Datagrams that the system dropped, not read in time."""
-
-
-@dataclass(frozen=True)
-class History:
-    """How the estimates moved over time: one row an instant.
-
-    Attributes:
-        t: (n,) seconds since the start of the session, vehicle clock.
-        value: name -> (n,) values, NaN where there was none.
-        std: name -> (n,) standard deviations.
-    """
-
-    t: NDArray[np.float64]
-    value: dict[str, NDArray[np.float64]]
-    std: dict[str, NDArray[np.float64]]
-
-
-@dataclass(frozen=True)
-class Acceleration:
-    """Angular acceleration of the last seconds, as measured and as predicted.
-
-    Attributes:
-        t: (n,) seconds since the start of the session, vehicle clock.
-        measured: (n, 3) about roll, pitch and yaw, rad/s^2.
-        predicted: (n, 3) the same, each row by the estimate there was before it.
-    """
-
-    t: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    predicted: NDArray[np.float64]
-
-    @property
-    def r_squared(self) -> NDArray[np.float64]:
-        """(3,) share of the measured power that was predicted; NaN where nothing moved."""
-        power = np.sum(self.measured**2, axis=0)
-        error = np.sum((self.measured - self.predicted) ** 2, axis=0)
-        share = 1.0 - np.divide(error, power, out=np.full(3, np.nan), where=power > 0.0)
-        return np.asarray(share, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -234,59 +185,3 @@ class Snapshot:
     """Of a replay."""
     health: Mapping[str, Any] | None = None
     """A health file's content, by the last minutes of hover; None before the first look."""
-
-
-class HistoryRecorder:
-    """Keeps at most `MAX_POINTS` instants: when full, every second one goes.
-
-    What is given out are views, not copies: an instant is written once, and in the place of one
-    that was given out never.
-    """
-
-    def __init__(self) -> None:
-        self._t, self._numbers = _room()
-        self._count = 0
-        self._every = 1
-        self._skipped = 0
-
-    def append(self, t: float, values: Mapping[str, Estimate]) -> None:
-        """Add an instant."""
-        self._skipped += 1
-        if self._skipped < self._every:
-            return
-        self._skipped = 0
-        if self._count == MAX_POINTS:
-            times, numbers = self._t, self._numbers
-            self._t, self._numbers = _room()
-            self._count = MAX_POINTS // 2
-            self._t[: self._count] = times[::2]
-            self._numbers[:, :, : self._count] = numbers[:, :, ::2]
-            self._every *= 2
-        self._t[self._count] = t
-        for i, name in enumerate(PARAMETERS):
-            value = values.get(name, NOTHING)
-            self._numbers[0, i, self._count] = np.nan if value.value is None else value.value
-            self._numbers[1, i, self._count] = np.nan if value.std is None else value.std
-        self._count += 1
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self._t, self._numbers = _room()
-        self._count = self._skipped = 0
-        self._every = 1
-
-    def history(self) -> History:
-        """The instants so far; what is given out does not change any more."""
-        t, numbers = self._t[: self._count], self._numbers[:, :, : self._count]
-        t.flags.writeable = numbers.flags.writeable = False
-        values, stds = numbers
-        return History(
-            t,
-            dict(zip(PARAMETERS, values, strict=True)),
-            dict(zip(PARAMETERS, stds, strict=True)),
-        )
-
-
-def _room() -> tuple[Array, Array]:
-    """(m,) times and (2, parameters, m) values and standard deviations, none of them known."""
-    return np.empty(MAX_POINTS), np.full((2, len(PARAMETERS), MAX_POINTS), np.nan)

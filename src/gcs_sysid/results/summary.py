@@ -19,7 +19,8 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
-from gcs_sysid.results.result import Result, Scale
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.words import WRONG_AIRFRAME, disturbance_text
 

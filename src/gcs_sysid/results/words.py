@@ -6,13 +6,15 @@ Parameters have the names of the JSON everywhere; what they are and what makes t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model.estimate import Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
-from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import PLAIN, Notation
+
+Change = Literal["changed", "no_change_seen", "cannot_tell"]
+"""What two results say of a parameter, or of the vehicle."""
 
 
 @dataclass(frozen=True)

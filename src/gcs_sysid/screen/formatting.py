@@ -9,11 +9,11 @@ import math
 from collections.abc import Iterable, Mapping
 
 from gcs_sysid.model.estimate import Estimate, Status
-from gcs_sysid.results.comparison import Change
 from gcs_sysid.results.number_format import decimals_for, engineering_exponent
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import exponent_key, rows
 from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.results.words import Change
 
 UNKNOWN = "?"
 """Written where there is no number."""

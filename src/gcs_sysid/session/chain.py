@@ -48,8 +48,9 @@ from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
+from gcs_sysid.results.history import History, HistoryRecorder
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Event, History, HistoryRecorder
+from gcs_sysid.results.snapshot import Event
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock

@@ -6,12 +6,11 @@ from typing import Any
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.results.comparison import Comparison, Difference
+from gcs_sysid.results.comparison import Comparison, Difference, comparison_sentences
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import (
     Figures,
-    comparison_sentences,
     figures,
     number_figures,
     parameter_rows,

@@ -8,7 +8,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.page_figures import ChartData, add_history
 from gcs_sysid.results.comparison import compare
-from gcs_sysid.results.estimate_history import known_history
+from gcs_sysid.results.history import known_history
 from gcs_sysid.results.number_format import PAGE, clock, clock_tenths, duration
 from gcs_sysid.results.result_view import number_figures
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.results.snapshot import Acceleration
+from gcs_sysid.results.history import Acceleration
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.view import View

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.results import words
-from gcs_sysid.results.estimate_history import known_history, settled_range
+from gcs_sysid.results.history import History, known_history, settled_range
 from gcs_sysid.results.number_format import scaled_unit
 from gcs_sysid.results.result_view import exponent_key
-from gcs_sysid.results.snapshot import History
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.view import View
