@@ -31,8 +31,6 @@ from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.urls import LOG_SUFFIXES, parse_url
 
-WIDEST = 120
-"""Columns that lines are wrapped to at most: longer ones are hard to read."""
 _KINDS = {
     "tlog": "recording of a ground station (.tlog)",
     "ulog": "PX4's own log (.ulg)",
@@ -88,7 +86,8 @@ def run(options: argparse.Namespace) -> int:
     is_log = _is_log(options.target)
     output.check_outputs(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
-    width = min(shutil.get_terminal_size((80, 24)).columns, WIDEST)
+    # Lines of more than 120 columns are hard to read.
+    width = min(shutil.get_terminal_size((80, 24)).columns, 120)
     document = (options.json, lambda: output.as_json(found.as_json()))
     output.deliver(report(found, width), document, force=options.force)
     return 0 if found.is_received else 1

@@ -45,7 +45,6 @@ _LOW, _HIGH = 0.5, 300.0
 """rad/s, shown."""
 _DECIBELS, _DEGREES = (-40.0, 40.0), (-270.0, -90.0)
 _STROKES = {"now": "#c2571a", "proposed": "#1f6fb4"}
-_POINTS = 160
 
 
 def run(options: argparse.Namespace) -> int:
@@ -195,7 +194,7 @@ def bode_svg(tuning: TuningStudy) -> str:
 
 
 def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:
-    omega = frequencies(loop, _POINTS)
+    omega = frequencies(loop, 160)
     omega = omega[(omega >= _LOW) & (omega <= _HIGH)]
     loops = open_loops(tuning.dynamics, loop, omega)
     for axis in range(3):

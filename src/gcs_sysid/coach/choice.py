@@ -18,8 +18,6 @@ Judge = Callable[[Fit], Mapping[str, float | None]]
 USUAL = 10.0
 """s that a maneuver lasts."""
 _LENGTHS = (*range(5, 16), 18, 20)
-_NARROWER = 0.97
-"""Less of a gain is not worth a word."""
 _BOTH = 0.1
 """Of roll's and pitch's squared rates, what the lesser needs of the greater to start a fit."""
 _CLOSE = 0.9
@@ -49,11 +47,12 @@ class Choice:
     @property
     def names(self) -> list[str]:
         """Parameters that it narrows, the widest first; what is unknown in its usual order."""
+        # To gain less than 3 % is not worth a word.
         gained = [
             (-math.inf if before is None or before > 1.0 else -before, place, name)
             for place, (name, share) in enumerate(self.expected.items())
             for before in (self.now.get(name),)
-            if share is not None and (before is None or share < _NARROWER * before)
+            if share is not None and (before is None or share < 0.97 * before)
         ]
         return [name for _, _, name in sorted(gained)]
 

@@ -32,8 +32,6 @@ _SHRUNK = (1.0, 0.7, 0.5, 0.35, 0.25)
 """Swings that are tried where the rotors cannot give a whole one."""
 _SLOWEST = 0.5
 """Hz; lower frequencies carry no more information than this one: biases and gusts wander."""
-_QUIETEST = 1e-12
-"""rad^2/s^3; no sensor is perfect, but an emulated one may be."""
 _EFFICIENCY = 0.75
 """Information that the online estimator's intervals show over what there is: it weighs all
 frequencies alike, and never claims less scatter than white residuals have (measured on flights of
@@ -178,7 +176,8 @@ class Noise:
         """(n, 3, 3) of the angular acceleration at (n,) rad/s."""
         slowest = 2.0 * np.pi * _SLOWEST
         density: Array = (omega**2 + slowest**2)[:, None, None] * self.gyro + self.torque
-        density = density + _QUIETEST * np.eye(3)
+        # No sensor is perfect, but an emulated one may be.
+        density = density + 1e-12 * np.eye(3)
         return density
 
 

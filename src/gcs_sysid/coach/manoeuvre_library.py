@@ -28,8 +28,6 @@ _STEP = math.radians(5.0)
 """Steps of the angles in call-outs."""
 LEAST = math.radians(5.0)
 """A smaller swing cannot be flown by eye."""
-_MOST_NAMES = 3
-"""Parameters that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ def sentence(
     """All in one sentence, the widest intervals first."""
     gains = [
         gain_words(name, now.get(name), share)
-        for name in names[:_MOST_NAMES]
+        for name in names[:3]
         for share in (expected[name],)
         if share is not None
     ]

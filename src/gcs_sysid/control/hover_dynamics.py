@@ -34,8 +34,6 @@ _WEAK_ENOUGH = ("moment_ratio", "motor_lag")
 _USUAL_REACTION = (0.0, 0.25)
 """s, J_r / (2 k_M Omega) in hover: 0.02 of a Crazyflie with bare propellers, 0.2 where rotor and
 bell are heavy for the propeller (the vehicles of benchmarks/truth: 0.1 to 0.25)."""
-_LEAST_SHARE = 0.02
-"""Of T_max, of a rotor in hover."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +194,8 @@ def _one(
     J = np.array([[v.get(n) or 0.0 for n in row] for row in _ELEMENTS])
     weight = v["mass"] * GRAVITY
     hover = np.linalg.pinv(np.vstack([np.ones(len(spins)), E])) @ [weight, 0.0, 0.0, 0.0]
-    share = np.maximum(hover / (v["T_max"] * thrust), _LEAST_SHARE)
+    # No rotor of a hover gives next to nothing.
+    share = np.maximum(hover / (v["T_max"] * thrust), 0.02)
     f = loop.curve
     c = v.get("thrust_curve")
     c = f if c is None else c

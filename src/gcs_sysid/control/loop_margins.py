@@ -14,8 +14,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.control.hover_dynamics import HoverDynamics
 from gcs_sysid.control.rate_loops import RateLoop
 
-_LOWEST = 0.2
-"""rad/s, of the frequencies that margins are read off; all crossovers lie above."""
 _SECONDS = 16.0
 """s, half the period of the square wave whose response is the step response."""
 
@@ -49,7 +47,8 @@ class Margins:
 
 def frequencies(loop: RateLoop, points: int = 400) -> Array:
     """(w,) rad/s up to just below half the loop rate."""
-    return np.geomspace(_LOWEST, 0.98 * np.pi * loop.rate, points)
+    # From 0.2 rad/s on: all crossovers lie above.
+    return np.geomspace(0.2, 0.98 * np.pi * loop.rate, points)
 
 
 def open_loops(

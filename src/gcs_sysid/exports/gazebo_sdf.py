@@ -21,10 +21,6 @@ from gcs_sysid.exports.file_format import (
 )
 from gcs_sysid.model.parameters import INERTIA
 
-_TOKEN_MASS = 1e-3
-"""Of the vehicle's mass, of one rotor's link."""
-_TOKEN_INERTIA = 1e-4
-"""Of the vehicle's Izz, least inertia of one rotor's link about its axis."""
 _FLAT = 0.6
 """Inertia of a rotor's link about the other axes, over that about its own."""
 
@@ -32,8 +28,9 @@ _FLAT = 0.6
 def _text(vehicle: ExportedVehicle, head: list[str]) -> str:
     """The vehicle as an SDF model, frame of `base_link` at the geometric center."""
     places = vehicle.rotors_flu
-    rotor_mass = _TOKEN_MASS * vehicle["mass"]
-    axial = max(vehicle.get("rotor_inertia") or 0.0, _TOKEN_INERTIA * vehicle["Izz"])
+    # A rotor's link must weigh something.
+    rotor_mass = 1e-3 * vehicle["mass"]
+    axial = max(vehicle.get("rotor_inertia") or 0.0, 1e-4 * vehicle["Izz"])
     rotor_inertia = np.diag([_FLAT * axial, _FLAT * axial, axial])
     mass, cg, inertia = _body(vehicle, places, rotor_mass, rotor_inertia)
     radius = 0.3 * float(np.linalg.norm(places, axis=1).min())

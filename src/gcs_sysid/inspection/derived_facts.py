@@ -18,9 +18,6 @@ from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
-SHORTEST_FLIGHT = 1.0
-"""s; less is a jump of the autopilot's judgement."""
-MOST_FLIGHTS = 1000
 STATES = (Stream.IN_AIR, Stream.ARMED)
 """What an autopilot says of itself."""
 
@@ -69,7 +66,8 @@ class FlightWatch:
         if flying:
             self._since = t
         elif self._since is not None:
-            if t - self._since >= SHORTEST_FLIGHT and len(self.spans) < MOST_FLIGHTS:
+            # Less than a second is a jump of the autopilot's judgement.
+            if t - self._since >= 1.0 and len(self.spans) < 1000:
                 self.spans.append((self._since, t))
             self._since = None
 

@@ -55,9 +55,6 @@ from gcs_sysid.telemetry.message_table import MESSAGES, Message, OnboardMessage
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.ulog import TOPICS
 
-SETTLING = 2.0
-"""s after which a vehicle sends what it was asked for: streams are watched from then on."""
-_POLL, _ASK_EVERY = 0.05, 0.2
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _ROWS: tuple[Message | OnboardMessage, ...] = (*MESSAGES, *TOPICS, *ENTRIES)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
@@ -392,13 +389,14 @@ def inspect_link(
         link.close()
         raise
     station = GroundStation(transceiver, rotors, rate)
-    settling = 0.0 if listen_only else min(SETTLING, 0.5 * duration)
+    # Streams are watched once the vehicle sends what it was asked for.
+    settling = 0.0 if listen_only else min(2.0, 0.5 * duration)
     began = asked = clock()
     received: float | None = None
     try:
         station.tick(began, intake)
         while not (stop() or link.ended):
-            batches = transceiver.receive(_POLL)
+            batches = transceiver.receive(0.05)
             now = clock()
             frames = [frame for batch in batches for frame in batch.frames]
             intake.garbage_bytes = transceiver.link_report.garbage_bytes
@@ -408,7 +406,7 @@ def inspect_link(
             inspector.add_records(intake.block(FrameBlock.of(frames, now)), count=count)
             station.follow(now, intake)
             passed = now - (began if received is None else received)
-            if now - asked >= _ASK_EVERY:
+            if now - asked >= 0.2:
                 asked = now
                 station.tick(now, intake)
                 if progress:

@@ -19,11 +19,6 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 
 _IDENTIFIED_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
-_SYSTEM_IDENTIFICATION = 1 + 8 + 16
-"""SDLOG_PROFILE: default set, system identification, high rate."""
-_FAST_ATTITUDE, _FAST_IMU = 1 << 0, 1 << 18
-"""Bits of ArduCopter's LOG_BITMASK."""
-_USUAL_BITMASK = 176126
 _ESC_RATE = 100
 """Hz, SERVO_BLH_TRATE that fits identification."""
 _FASTER = {
@@ -83,10 +78,12 @@ def _faster(found: Inspection) -> str:
     """The very settings that log more."""
     if found.kind == "ulog":
         now = int(found.parameters.get("SDLOG_PROFILE", 1.0))
-        return f"log more: set SDLOG_PROFILE = {now | _SYSTEM_IDENTIFICATION} (now {now})"
+        # SDLOG_PROFILE: default set, system identification, high rate.
+        return f"log more: set SDLOG_PROFILE = {now | (1 + 8 + 16)} (now {now})"
     if found.kind == "dataflash":
-        now = int(found.parameters.get("LOG_BITMASK", _USUAL_BITMASK))
-        text = f"log more: set LOG_BITMASK = {now | _FAST_ATTITUDE | _FAST_IMU} (now {now})"
+        now = int(found.parameters.get("LOG_BITMASK", 176126))
+        # Bits of ArduCopter's LOG_BITMASK.
+        text = f"log more: set LOG_BITMASK = {now | (1 << 0) | (1 << 18)} (now {now})"
         if found.parameters.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
             text += f", and SERVO_BLH_TRATE = {_ESC_RATE} (now "
             text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) if the ESCs can send that fast"

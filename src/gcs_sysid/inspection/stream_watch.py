@@ -24,7 +24,6 @@ UNWATCHED = (Stream.IN_AIR, Stream.ARMED, Stream.RATE_SETPOINT)
 """Of which no rate is shown: nothing needs them."""
 BIN = 0.1
 """s over which the gyro is averaged for the motion of an axis."""
-_SAMPLES_PER_BIN = 4
 
 
 @dataclass
@@ -266,7 +265,7 @@ class MotionWatch:
 
     def add_rates(self, t: Array, gyro: Array, usual_step: float) -> None:
         """Take (n,) times in s and (n, 3) rates in rad/s of one stretch of flight."""
-        width = max(BIN, _SAMPLES_PER_BIN * usual_step)
+        width = max(BIN, 4 * usual_step)
         place = ((t - t[0]) / width).astype(int)
         if place[-1] > 10 * len(t):  # a hole of many minutes: empty bins beyond all measure
             return

@@ -19,11 +19,6 @@ NO_CLOCK = 30_000.0
 """ppm, from which on it is a matter of simulated time. A serial port whose clock is off by 2 to 3 %
 is not understood any more."""
 
-_SIH_ON_BOARD = 2.0
-"""SYS_HITL: PX4 simulates its own vehicle."""
-_SIH_FRAMES = (10_000.0, 20_000.0)
-"""SYS_AUTOSTART of vehicles that PX4 simulates on a computer."""
-
 
 def clock_doubt(
     bounds: tuple[float, float] | None, parameters: Mapping[str, float]
@@ -52,8 +47,10 @@ def is_simulated(parameters: Mapping[str, float]) -> bool:
         return True
     if "SIH_MASS" not in parameters:
         return False
-    low, high = _SIH_FRAMES
-    on_board = parameters.get("SYS_HITL") == _SIH_ON_BOARD
+    # SYS_AUTOSTART of vehicles that PX4 simulates on a computer.
+    low, high = 10_000.0, 20_000.0
+    # SYS_HITL: PX4 simulates its own vehicle.
+    on_board = parameters.get("SYS_HITL") == 2.0
     return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
 
 

@@ -7,8 +7,6 @@ from gcs_sysid.live.reception import Source
 TOO_SLOW, CAUGHT_UP = 0.5, 0.1
 """s of data that wait: from which the computer is too slow, until it has caught up. A fit of many
 minutes takes up to 0.4 s, on a core that does nothing else."""
-BUSY = 0.05
-"""s of data that wait, from which there is no time to think about advice."""
 
 
 class Backlog:
@@ -31,7 +29,8 @@ class Backlog:
     @property
     def is_idle(self) -> bool:
         """Whether nothing that matters waits."""
-        return not self.too_slow and self._source.waiting < BUSY
+        # With more data waiting, in s, there is no time to think about advice.
+        return not self.too_slow and self._source.waiting < 0.05
 
     def look(self, now: float) -> list[str]:
         """Check the backlog; messages about it, one line each.

@@ -47,7 +47,6 @@ _FIRST = 6.0
 """s, of the first maneuver of a vehicle of which nothing is known."""
 _MATTERS = 0.1
 """Share of a maneuver's motion from which an axis belongs to it."""
-_MOST_GAINS = 4
 _WINDOW = 1.0
 """s of flight in which motion is compared with what was asked: a period and more."""
 _SWINGING = 0.02
@@ -250,7 +249,7 @@ class Coach:
             # Gains are reported against the intervals that the pilot sees.
             self.choice = found = replace(found, now=now)
             names = found.names_above(self.options.target)
-            self._gains = tuple(names[:_MOST_GAINS])
+            self._gains = tuple(names[:4])
             self._text = sentence(found.manoeuvre, names, now, found.expected)
         if self._damped and self.choice is not None:
             self._text, self._damped = f"{self._damped}; {self._text}", ""

@@ -44,26 +44,16 @@ _LOADED_AHEAD = ("scipy.optimize",)
 """What else a flight loads where it first needs it: data would wait 0.1 s and more."""
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
-_ASK_EVERY = 0.2
-"""s between looks at the rates that arrive."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 1.0
 """s between snapshots; the longer one while the computer is too slow."""
-_RESULT_EVERY = 1.0
-"""s of the vehicle's clock between results that are passed on."""
-_DRAINED_AFTER = 0.7
-"""s of silence after the sender's end, before the session ends too."""
-_LONGEST_MARK = 200
-"""Characters; the rest is cut."""
-
-_MOST_COMMANDS = 64
-"""Commands of users that wait; who asks faster is refused."""
 
 
 class CommandQueue:
     """Commands of users, which wait until the session's thread carries them out."""
 
     def __init__(self) -> None:
-        self._waiting: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_COMMANDS)
+        # Who asks faster is refused.
+        self._waiting: queue.Queue[Callable[[], None]] = queue.Queue(64)
 
     def ask(self, command: Callable[[], None]) -> None:
         """Have something done in the session's thread.
@@ -203,7 +193,7 @@ class LiveSession:
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""
-        self._commands.ask(lambda: self._estimate.note(text[:_LONGEST_MARK]))
+        self._commands.ask(lambda: self._estimate.note(text[:200]))
 
     def reset(self) -> None:
         """Reset the estimate and restart, as the analysis of the recording then does too."""
@@ -360,7 +350,7 @@ class LiveSession:
         station, intake = self._station, self._estimate.intake
         try:
             station.follow(now, intake)
-            if now - self._asked >= _ASK_EVERY:
+            if now - self._asked >= 0.2:
                 self._asked = now
                 station.tick(now, intake)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
@@ -392,7 +382,8 @@ class LiveSession:
         if self._source.link_report.ended:
             return True
         if self._sender_gone is not None and self._sender_gone():
-            return now - (self._station.received_at or began) >= _DRAINED_AFTER
+            # What its line still holds comes within that time.
+            return now - (self._station.received_at or began) >= 0.7
         return False
 
     def _state(self) -> LinkState:
@@ -407,7 +398,8 @@ class LiveSession:
         estimate, t = self._estimate, self._estimate.chain.t
         if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
             return
-        if self._on_result is None or t - self._result_reported_at < _RESULT_EVERY:
+        # Once a second of the vehicle's clock.
+        if self._on_result is None or t - self._result_reported_at < 1.0:
             return
         self._result_reported_at = t
         try:

@@ -19,10 +19,6 @@ from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.logs import Telemetry, open_log
 
-_STEP_BACK = -1.0
-"""s; times further back than this are of a clock that was set back (a reboot)."""
-_RATES_OVER = 5.0
-"""s that rates are taken over."""
 _WINDOW = 2048
 """IMU samples. Only between windows can a state be kept, and at full speed the screen looks."""
 _CHECKPOINTS = 6
@@ -126,9 +122,8 @@ class LogSegments:
             return self.position, self.position
         first = min(float(track.t.min()) for track in part.tracks)
         last = max(float(track.t.max()) for track in part.tracks)
-        newest = (
-            first if self._newest is None or first - self._newest < _STEP_BACK else self._newest
-        )
+        # Times more than a second back are of a clock that was set back (a reboot).
+        newest = first if self._newest is None or first - self._newest < -1.0 else self._newest
         start, end = self.position + first - newest, self.position + last - newest
         return max(start, self.position), max(end, self.position)
 
@@ -137,7 +132,8 @@ class LogSegments:
         for track in part.tracks:
             counts[track.source or track.stream.value] += len(track.t)
         self._recent.append((start, end, counts))
-        while len(self._recent) > 1 and self._recent[1][0] < end - _RATES_OVER:
+        # Rates are those of the last 5 s.
+        while len(self._recent) > 1 and self._recent[1][0] < end - 5.0:
             self._recent.popleft()
 
 

@@ -37,13 +37,9 @@ POLL = 0.05
 GATHER, FEW = 0.004, 64
 """s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
 costs most."""
-REPORT_EVERY = 0.1
-"""s between reports, where something has changed."""
 MOST_WAITING = 64 * 2**20
 """Bytes that wait for a session that does not take them, ten minutes at 1 kHz; what comes beyond is
 recorded, and not handed over."""
-DRAIN = 1.0
-"""s at most in which is taken what the system holds at the end."""
 
 
 class Outbox:
@@ -239,7 +235,8 @@ class ReceiverMain:
     def _finish(self) -> None:
         """Take what has come so far, and end."""
         self._finished = True
-        until = time.monotonic() + DRAIN
+        # What the system holds at the end is taken, for a second at most.
+        until = time.monotonic() + 1.0
         while time.monotonic() < until and (items := self._taken(0.0)):
             self._outbox.put_items(items)
         self._reception.finish()
@@ -247,7 +244,7 @@ class ReceiverMain:
     def _send_report(self) -> None:
         """Report what has changed."""
         now = time.monotonic()
-        if now - self._reported < REPORT_EVERY and not self._finished:
+        if now - self._reported < 0.1 and not self._finished:
             return
         self._reported = now
         reception = self._reception

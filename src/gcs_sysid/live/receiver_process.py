@@ -24,10 +24,6 @@ AT_ONCE = 32
 MOST_WAITING = 64 * 2**20
 """Bytes that wait here; what comes beyond waits in the receiver."""
 _MOST_EVENTS = 100
-_ENDS_WITHIN = 20.0
-"""s that the receiver may take to write everything; then it is killed."""
-_FLUSHED_WITHIN = 15.0
-"""s."""
 _ERRORS: dict[str, type[GcsSysidError]] = {"InputError": InputError, "LinkError": LinkError}
 
 
@@ -236,7 +232,7 @@ class ReceiverProcess:
             number = self._flushes
         self._order("flush", number)
         with self._wake:
-            self._wake.wait_for(lambda: self._flushed[0] >= number or self._over, _FLUSHED_WITHIN)
+            self._wake.wait_for(lambda: self._flushed[0] >= number or self._over, 15.0)
             path = self._flushed[1]
         return None if path is None else Path(path)
 
@@ -253,7 +249,8 @@ class ReceiverProcess:
             self._size = 0
             self._wake.notify_all()
         try:
-            self._process.wait(_ENDS_WITHIN)
+            # It may take its time to write everything; then it is killed.
+            self._process.wait(20.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -8,9 +8,6 @@ from pathlib import Path
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
-_MOST_LINES = 100
-"""Recordings that are listed at the end, the latest."""
-
 
 class SessionRecording:
     """Starts and stops recordings; nothing here waits for the disk, but for `finish`.
@@ -25,7 +22,8 @@ class SessionRecording:
     def __init__(self, path: Path | None) -> None:
         self._writer = TlogWriter(path) if path else None
         self._ending: list[TlogWriter] = []
-        self._lines: deque[str] = deque(maxlen=_MOST_LINES)
+        # The latest are listed at the end.
+        self._lines: deque[str] = deque(maxlen=100)
         self._recorded: Path | None = None
         self._dropped = 0
         self._ended_with = ""

@@ -30,16 +30,10 @@ from gcs_sysid.signals.sampling import SampleBlock
 
 SPEEDS = (1.0, 10.0, math.inf)
 """Seconds of the flight in one second."""
-_PUBLISH_EVERY = 0.2
-"""s between snapshots."""
 _PIECE = 0.1
 """s between looks at the clock; so much of the flight, times the speed, is taken at once."""
-_LONGEST_SILENCE = 3.0
-"""s of the flight in which nothing was recorded, more is skipped."""
 _SEEN = KEPT + 5.0
 """s of the flight before where it stops that are seen there, filters' settling included."""
-_LEAST_WAIT = 1e-3
-"""s; rounding would ask for less than any clock resolves."""
 _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 
@@ -219,11 +213,13 @@ class ReplaySession:
             self._arrive()
             return 0.0
         silence = end - log_segments.position
-        if silence > _LONGEST_SILENCE + _PIECE * self._speed:
+        # Of longer silences the rest is skipped.
+        if silence > 3.0 + _PIECE * self._speed:
             self._chain.note(f"no data for {silence:.0f} s: skipped")
             self._anchor = (self._clock(), end)
             return 0.0
-        return max((end - until) / self._speed, _LEAST_WAIT)
+        # Rounding would ask for less than any clock resolves.
+        return max((end - until) / self._speed, 1e-3)
 
     def _due(self) -> float:
         """Seconds of the flight that the clock has reached."""
@@ -290,7 +286,7 @@ class ReplaySession:
             self._on_result(self._chain.result())
 
     def _is_publishing_due(self) -> bool:
-        return self._clock() - self._published >= _PUBLISH_EVERY
+        return self._clock() - self._published >= 0.2
 
     def _publish(self) -> None:
         result = self._recorded.result if self._ended else self._chain.result()

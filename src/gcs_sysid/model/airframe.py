@@ -48,8 +48,6 @@ SIMULATION_TABLE = "simulation"
 
 _UPRIGHT = (0.0, 0.0, -1.0)
 _MOST_TILT = math.radians(30.0)
-_UNEVEN_CANT = 1e-3
-"""m, rms by which yaw arms of canted rotors may differ from rotor to rotor."""
 
 
 @dataclass(frozen=True)
@@ -433,7 +431,8 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
 def is_evenly_canted(rotors: Sequence[Rotor]) -> bool:
     """Whether rotors' axes add the same to the yaw torque of each, along its spin."""
     arms = np.array([r.spin * r.yaw_arm for r in rotors])
-    return bool(arms.std() <= _UNEVEN_CANT)
+    # To a millimeter rms.
+    return bool(arms.std() <= 1e-3)
 
 
 def _axis(entry: object, where: str) -> tuple[float, float, float]:

@@ -27,8 +27,6 @@ from gcs_sysid.results.snapshot import Event
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 
-_IN_MEMORY = 64 << 20
-"""Bytes of samples kept in memory; more go to a temporary file."""
 NO_COURSE = History(np.empty(0), {}, {})
 
 
@@ -47,7 +45,8 @@ class Recorder:
         self.dt: float | None = None
         """s between samples."""
         self._row = np.dtype([("t", "<f8"), ("x", "<f4", (6 + rotors,))])
-        self._file = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
+        # More samples go to a temporary file.
+        self._file = tempfile.SpooledTemporaryFile(max_size=64 << 20)  # noqa: SIM115
         self._input: object = None
 
     def begin(self) -> None:

@@ -18,10 +18,6 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.smoothers import cosine_window
 
-_MOST_POINTS = 512
-"""Rows in one piece of a spectrum, at most."""
-_LEAST_POINTS = 32
-
 
 @dataclass(frozen=True)
 class Prediction:
@@ -121,7 +117,8 @@ def residual_spectrum(
     )
     stretches = [residual[run] for run, there in runs(complete_rows(residual)) if there]
     longest = max((len(s) for s in stretches), default=0)
-    size = min(_MOST_POINTS, max(_LEAST_POINTS, 2 ** int(np.log2(max(longest // 4, 1)))))
+    # Rows in one piece of the spectrum.
+    size = min(512, max(32, 2 ** int(np.log2(max(longest // 4, 1)))))
     taper = np.hanning(size + 2)[1:-1, None]
     scale = 2.0 * prediction.step / float(np.sum(taper**2))
     found = [

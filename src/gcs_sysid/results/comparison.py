@@ -24,8 +24,6 @@ from gcs_sysid.results.words import Change
 SCHEMA = "gcs-sysid/compare/1"
 
 _KNOWN = {name: parameter for name, parameter in REGISTRY.items() if parameter.of_vehicle}
-_SAME_PLACE = 1e-6
-"""m"""
 
 
 @dataclass(frozen=True)
@@ -227,7 +225,7 @@ def _rotor_notes(before: Result, after: Result) -> Iterable[str]:
             f"{before.source or 'A'} has {first.shape[1]} rotors, {after.source or 'B'} has "
             f"{second.shape[1]}: not the same vehicle"
         )
-    if abs(first - second).max() > _SAME_PLACE:
+    if abs(first - second).max() > 1e-6:
         yield (
             "A and B were analyzed with different rotor positions or spins, which may explain "
             "differences of CG, inertia and torque"

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PREFIX = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
-_MOST_DIGITS = 7
-"""Of a value, however sharp it is."""
 
 
 def decimals_for(half: float, size: float = 0.0, most: int | None = None) -> int:
@@ -37,7 +35,7 @@ def decimals_for(half: float, size: float = 0.0, most: int | None = None) -> int
         return max(5 - math.floor(math.log10(size)), 0) if size > 0.0 else 0
     wanted = 1 - math.floor(math.log10(half))
     if size > 0.0:
-        wanted = min(wanted, _MOST_DIGITS - 1 - math.floor(math.log10(size)))
+        wanted = min(wanted, 6 - math.floor(math.log10(size)))
     return max(wanted if most is None else min(wanted, most), 0)
 
 

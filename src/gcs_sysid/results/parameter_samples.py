@@ -19,8 +19,6 @@ from gcs_sysid.results.result_data import ResultData
 if TYPE_CHECKING:
     import pandas
 
-_LEAST_ACCEPTED = 1e-3
-"""Share of draws that a rigid body must be able to have; below it the covariance says nothing."""
 _FEW = 3
 """Missing parameters whose motions are named one by one."""
 _BY_NAME = tuple(f.name for f in fields(FlightModel) if f.name in REGISTRY and f.name != "mass")
@@ -95,7 +93,8 @@ def draw_samples(result: ResultData, n: int, seed: int, *, given: bool = True) -
         drawn, good = _physical(names, drawn)
         kept.append(drawn[good])
         found, tried = found + int(good.sum()), tried + len(drawn)
-        if found < _LEAST_ACCEPTED * tried and tried >= 10_000:
+        # Below a thousandth the covariance says nothing.
+        if found < 1e-3 * tried and tried >= 10_000:
             raise NoAnswerError(
                 "samples: hardly any draw from the covariance is a possible rigid body; the "
                 "inertia is too uncertain: fly more of all axes, or give priors"

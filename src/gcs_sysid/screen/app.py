@@ -62,8 +62,6 @@ LIGHT = Theme(
     variables={"primary-muted": "#c9dcf0"},
 )
 """Bright ground for sunlight on a field."""
-POLL_SECONDS = 0.2
-"""At most five redraws a second."""
 
 
 class SysidApp(App[None]):
@@ -153,7 +151,8 @@ class SysidApp(App[None]):
     def on_mount(self) -> None:
         """Start polling; the first snapshot is drawn as soon as the screen stands."""
         self.announcer.ring = self.bell
-        self.set_interval(POLL_SECONDS, self.poll)
+        # At most five redraws a second.
+        self.set_interval(0.2, self.poll)
 
     def on_unmount(self) -> None:
         """No call-out outlives the screen."""

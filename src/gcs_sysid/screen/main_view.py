@@ -26,16 +26,6 @@ from gcs_sysid.screen.widgets.parameter_table import ParameterTable
 from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
 from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
-COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
-"""From this size on, all panels stand side by side; below it, pages."""
-WIDE_WIDTH, WIDE_HEIGHT = 196, 40
-"""From this size on, the right side has two columns of its own."""
-NARROW_WIDTH = 62
-"""Below it the table needs the columns of the scroll bar."""
-TALL_HEIGHT = 40
-"""From this height on, the first page holds the plot too."""
-
-
 Hiding = Banner | VerdictPanel | CoachPanel
 """Panels that hide themselves while they have nothing to say."""
 
@@ -93,14 +83,18 @@ class PageBar(Widget):
 def layout_classes(width: int, height: int) -> set[str]:
     """The CSS classes of a terminal size."""
     classes = set()
-    if width < COLUMNS_WIDTH or height < COLUMNS_HEIGHT:
+    # From this size on, all panels stand side by side; below it, pages.
+    if width < 118 or height < 34:
         classes.add("-paged")
-        if height >= TALL_HEIGHT:
+        # From this height on, the first page holds the plot too.
+        if height >= 40:
             classes.add("-tall")
-        if width < NARROW_WIDTH:
+        # Below it the table needs the columns of the scroll bar.
+        if width < 62:
             classes.add("-narrow")
     else:
-        wide = width >= WIDE_WIDTH and height >= WIDE_HEIGHT
+        # From this size on, the right side has two columns of its own.
+        wide = width >= 196 and height >= 40
         classes.add("-wide" if wide else "-columns")
     return classes
 

@@ -66,7 +66,6 @@ if TYPE_CHECKING:
 
 
 _MOST_NOTES = 300
-_MOST_OF_ORIGIN = 1000
 
 
 class ChainEvents:
@@ -79,7 +78,7 @@ class ChainEvents:
 
     def __init__(self) -> None:
         self.of_rotors: deque[dict[str, Any]] = deque(maxlen=_MOST_NOTES)
-        self.of_origin: deque[dict[str, Any]] = deque(maxlen=_MOST_OF_ORIGIN)
+        self.of_origin: deque[dict[str, Any]] = deque(maxlen=1000)
         self._notes: deque[Event] = deque(maxlen=_MOST_NOTES)
         self._usable = True
         self._spiked = self._stood_still = False

@@ -23,13 +23,11 @@ from gcs_sysid.model.airframe import (
 from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.signals.motor_order import MIXER, motor_outputs
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.parameter_requests import MOST_ROTORS
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
-_MOST_ROTORS = 12
 _UNIT = 1e-3
 """Of a mean distance of 1 or sqrt(2): as simulators and mixers report, which need no lengths."""
-_SAME_ARM = 0.1
-"""Share by which arms may differ before it is worth a word."""
 _LEAST_UPRIGHT = math.cos(math.radians(30.0))
 """Of an axis; others are not of rotors that lift."""
 _MULTIROTOR = 0.0
@@ -137,7 +135,7 @@ def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:
         shape = _AUTOSTART.get(round(parameters.get("SYS_AUTOSTART", 0.0)))
         name = f"SYS_AUTOSTART {parameters.get('SYS_AUTOSTART', 0.0):.0f}"
         return None if shape is None else ReportedLayout(_circle(shape), False, name)
-    if not 4 <= count <= _MOST_ROTORS:
+    if not 4 <= count <= MOST_ROTORS:
         return None
     rotors = []
     for i in range(round(count)):
@@ -264,7 +262,8 @@ def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
     """What is worth knowing where they agree in kind."""
     out = []
     ours, theirs = airframe.arm, _arm(reported.rotors)
-    if reported.sized and abs(ours / theirs - 1.0) > _SAME_ARM:
+    # A tenth of the arm is not worth a word.
+    if reported.sized and abs(ours / theirs - 1.0) > 0.1:
         out.append(
             f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
             "is proportional to the arm, so measure it"

@@ -19,8 +19,6 @@ from gcs_sysid.signals.recursions import lfilter
 DEFAULT_K_P = 0.7
 """1/s. Slow noise of the reference wants it lower, noise and drift of the gyro higher; what either
 way costs is measured in benchmarks/filter_claims.py."""
-BIAS_INTERVAL = 0.1
-"""s between renewals of the bias."""
 DEFAULT_K_I = 0.05
 """1/s^2 for the gyro bias: settles in about 15 s (until then the attitude is off by bias / k_p).
 With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
@@ -63,7 +61,8 @@ class ComplementaryFilter:
         """(n, 3) the bias that was taken off each sample of the last block."""
         self._error = np.zeros(3)
         self._error_sum = np.zeros(3)
-        self._bias_samples = max(1, round(BIAS_INTERVAL / dt))
+        # Ten times a second.
+        self._bias_samples = max(1, round(0.1 / dt))
         self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
         self._last_rates = np.zeros((2, 3))

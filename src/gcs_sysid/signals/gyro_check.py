@@ -33,8 +33,6 @@ _LEAST_SHARE = 0.05
 """Explained, below which noise hides everything."""
 _NOISY = 0.25
 """Share of noise in an attitude's turns, known to some 0.2, up to which they are turns."""
-_ROUNDS = 10
-"""Of the reweighted fit."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def _robust(columns: Array, y: Array) -> tuple[Array, Array, float]:
     """(k,) Cauchy-weighted least squares, (k, k) its sandwich covariance, explained share."""
     weights = np.ones(len(y))
     ridge = 1e-9 * np.diag((columns**2).sum(axis=0) + math.ulp(1.0))
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         weighted = columns.T * weights
         inverse = np.linalg.inv(weighted @ columns + ridge)
         value = inverse @ (weighted @ y)

@@ -23,7 +23,6 @@ _TWINS = ("ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW")
 _FEW = 20
 _AS_OFTEN = 0.7
 """Of the messages of one, that the other has at least; a slow stream would only blur a fast one."""
-_SLACK = 1.2
 _ROUNDING = 1.0
 """Of SERVO_OUTPUT_RAW, which sends whole microseconds."""
 
@@ -49,7 +48,7 @@ def _fits(t: Array, values: Array, other_t: Array, other_values: Array) -> bool:
         return False
     own = _beside(t, values)
     off = other_values[inside] - np.interp(other_t[inside], t, values)
-    return float(np.sqrt(np.mean(off**2))) <= _SLACK * float(np.sqrt(np.mean(own**2))) + _ROUNDING
+    return float(np.sqrt(np.mean(off**2))) <= 1.2 * float(np.sqrt(np.mean(own**2))) + _ROUNDING
 
 
 def _beside(t: Array, values: Array) -> Array:

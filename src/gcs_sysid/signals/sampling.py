@@ -20,8 +20,6 @@ from gcs_sysid.signals.time_base import Block, TimeBase
 
 _STEP_BACK = 1.0
 """s; records further back than this are not late: the clock was set back."""
-_MOST_HELD = 10.0
-"""s of samples held back while no rotor stream is chosen."""
 
 
 @dataclass(frozen=True)
@@ -278,7 +276,8 @@ class Sampler:
     def _waits(self, newest: _Held) -> bool:
         """Whether what is held, with the newest, may have a rotor stream yet."""
         held = [*self._held, newest]
-        return sum(each.seconds for each in held) < _MOST_HELD and any(e.flies for e in held)
+        # For 10 s while no rotor stream is chosen.
+        return sum(each.seconds for each in held) < 10.0 and any(e.flies for e in held)
 
     def _release(self, newest_at: float) -> Iterator[SampleBlock]:
         """The blocks held back, with the rotor stream now selected."""

@@ -24,9 +24,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gcs_sysid.arrays import Array
 from gcs_sysid.signals.differentiator import LinearDifferentiator
 
-_MOST_ROWS = 8
-"""Rows of a block up to which a banded matrix is the fastest way to make them."""
-
 
 @dataclass(frozen=True)
 class Window:
@@ -217,7 +214,8 @@ class WindowSmoother:
         if count == 0:
             none = np.empty((len(self.delays), 0, late))
             return Smoothed(signals[:0], signals[:0], none, none)
-        if count <= _MOST_ROWS and _columns_whole(signals):
+        # Up to so many rows a banded matrix is the fastest way to make them.
+        if count <= 8 and _columns_whole(signals):
             return self._few_rows(signals, late, count)
         windows = sliding_window_view(signals, self._window.length, axis=0)[:: self.step]
         moved = np.moveaxis(windows[:, :late] @ self._late_taps, -1, 0)

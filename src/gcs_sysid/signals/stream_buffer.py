@@ -25,8 +25,6 @@ _RENEW = 16
 """Samples after which the usual interval is updated, and by which a change of it is detected."""
 BREAK = 1.0
 """s; a longer silence is no interval."""
-_KEEP = 8
-"""Samples of a stream kept behind the grid for interpolation."""
 _STILL = 0.3
 """Share of steps that show that a stream's rate is still the same."""
 _REORDER = 0.02
@@ -50,7 +48,7 @@ class StreamBuffer:
     """
 
     def __init__(
-        self, width: int, *, hold: bool = False, bridged: float = 0.0, keep: int = _KEEP
+        self, width: int, *, hold: bool = False, bridged: float = 0.0, keep: int = 8
     ) -> None:
         self.width = width
         self._keep = keep

@@ -36,8 +36,6 @@ def _word_table() -> Array:
 
 
 _WORD = _word_table()
-_OVERLAP = 8
-"""Times that a byte is covered on average, from which on the states of the buffer are taken."""
 LONGEST = 512
 """More than a piece has bytes."""
 _COLUMNS = 128
@@ -70,7 +68,8 @@ def checksums(data: Array, at: Array, length: Array, extra: Array) -> Array:
     """
     if len(at) > ROWS_AT_ONCE:
         first, stop = int(at.min()), int((at + length).max())
-        if int(length.sum()) > _OVERLAP * (stop - first) and int(length.max()) <= LONGEST:
+        # Where bytes are covered many times, the states of the buffer are taken.
+        if int(length.sum()) > 8 * (stop - first) and int(length.max()) <= LONGEST:
             return RunningChecksum(data[first:stop]).of(at - first, length, extra)
     result = np.empty(len(at), np.uint16)
     order = np.argsort(length.astype(np.uint16), kind="stable")  # a radix sort

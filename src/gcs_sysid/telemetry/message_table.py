@@ -147,12 +147,11 @@ def _from_euler(angles: Array) -> Array:
 
 def _sum_of_cells(volts: Array) -> Array:
     """(n, 1) of (n, cells), 0 where none is reported."""
-    total: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
+    # UINT16_MAX: there is no such cell, or its voltage is not known.
+    total: Array = np.where(volts >= 65535.0, 0.0, volts).sum(axis=1, keepdims=True)
     return total
 
 
-_NO_CELL = 65535.0
-"""UINT16_MAX: there is no such cell, or its voltage is not known."""
 _AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 _MILLI = (1e-3, 1e-3, 1e-3, _MILLI_G, _MILLI_G, _MILLI_G)
 _SERVOS = tuple(f"servo{i}_raw" for i in range(1, 17))

@@ -50,15 +50,10 @@ ESC_GROUP = MessageGroup(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
 """The group with ESC_TELEMETRY, which brings much besides."""
 
 LAST_ID_OF_VERSION_1 = 255
-_ARDUPILOT_SHARE = 0.8
-"""Of its loop rate: ArduPilot sends nothing faster."""
 ARDUPILOT_LOOP_RATE = 400.0
 """Hz: SCHED_LOOP_RATE of a copter, unless it reports another."""
-_LONGEST_STEP = 20
-"""ms. A loop whose turns fit into no fewer whole ones has no even rate of use."""
 _ATTITUDE, _POSITION = 100.0, 50.0
 """Hz: more than these adds nothing."""
-_LANDED_STATE = 2.0
 
 # Bytes of whole frames in version 2, as recorded from real autopilots: trailing zeros are cut.
 _SIZES = {
@@ -105,7 +100,7 @@ def default_rates(rotor_messages: tuple[str, ...], rate: float) -> dict[str, flo
         **dict.fromkeys(rotor_messages, rate),
         "ATTITUDE": min(rate, _ATTITUDE),
         "LOCAL_POSITION_NED": min(rate, _POSITION),
-        "EXTENDED_SYS_STATE": min(rate, _LANDED_STATE),
+        "EXTENDED_SYS_STATE": min(rate, 2.0),
     }
 
 
@@ -186,8 +181,10 @@ def interval_us(autopilot: str, hertz: float, loop_rate: float | None = None) ->
     if autopilot != "ardupilot":
         return round(1e6 / hertz)
     loop = loop_rate if loop_rate and 50.0 <= loop_rate <= 10_000.0 else ARDUPILOT_LOOP_RATE
-    shortest = max(1e3 / hertz, 1e3 / (_ARDUPILOT_SHARE * loop))
-    for step in range(1, _LONGEST_STEP + 1):
+    # ArduPilot sends nothing faster than at 0.8 of its loop rate.
+    shortest = max(1e3 / hertz, 1e3 / (0.8 * loop))
+    # A loop whose turns fit into no fewer whole ms has no even rate of use.
+    for step in range(1, 21):
         if (step * loop) % 1e3 < 1e-6:
             return 1000 * step * math.ceil(shortest / step - 1e-9)
     return 1000 * math.ceil(shortest - 1e-9)

@@ -22,8 +22,6 @@ from gcs_sysid.signals.recursions import lfilter
 
 _MEMORIES = (0.03, 0.1, 0.3, 1.0)
 """s."""
-_FADINGS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""s."""
 _AHEAD = (0.3, 1.0)
 """s ahead at which they are compared."""
 _LEAST = 0.3
@@ -107,7 +105,7 @@ def choose_carried(lefts: Sequence[Array], dt: float) -> Carried:
         best = alone - _LEAST
         for m in _MEMORIES:
             d = np.concatenate([_averaged(c, dt, m)[i] for c, i in zip(columns, at, strict=True)])
-            for tau in _FADINGS:
+            for tau in (0.1, 0.3, 1.0, 3.0, 10.0):
                 gains = [tau * (1.0 - math.exp(-n * dt / tau)) for n in ahead]
                 score = sum(
                     math.log(max(float(((r - g * d) ** 2).mean()), 1e-300))

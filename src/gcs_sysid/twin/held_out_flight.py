@@ -31,8 +31,6 @@ from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.prediction_errors import HORIZONS, FlightPart, Twin, judge
 from gcs_sysid.twin.twin_flight import TwinFlight
 
-SAMPLES = 48
-"""Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
 _SETTLING, _SETTLING_SHARE = 5.0, 0.4
 """s in which the complementary filter finds the attitude, and the share of a part of the flight
 that may be left out for it. With the gyro's bias taken from later, errors on emulated flights with
@@ -155,7 +153,8 @@ def _flown(
         notes.append("noise and disturbances of each half of the log are taken from the other half")
     notes += _doubts(flown)
     model = flown.model()
-    samples = flown.samples(SAMPLES, seed, given=False)
+    # Vehicles drawn from the covariance; the standard deviation is then known to 10 %.
+    samples = flown.samples(48, seed, given=False)
     ensemble = flown.model(samples).over_stretches()
     twin = Twin(model, ensemble, record)
     accuracy, growth = judge(twin, judged, record.has_velocity)

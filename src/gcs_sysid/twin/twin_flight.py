@@ -142,8 +142,6 @@ def _row(name: str, seconds: float, a: Accuracy, scale: float) -> str:
 
 _LEFT, _PANEL, _GAP, _TOP, _HEIGHT = 60.0, 250.0, 60.0, 64.0, 220.0
 _MODEL, _GUESS, _BAND = "#1f6fb4", "#888", "#c2571a"
-_DECADES = 1e-4
-"""Of an axis' largest value, where it begins at the latest."""
 
 
 def twin_svg(twin: TwinFlight) -> str:
@@ -187,7 +185,7 @@ def _panel(twin: TwinFlight, name: str, left: float) -> list[str]:
     if not len(values):
         return []
     high = math.ceil(math.log10(values.max()))
-    low = max(math.floor(math.log10(values.min())), high + math.log10(_DECADES))
+    low = max(math.floor(math.log10(values.min())), high - 4)
     low = min(low, high - 1)
     bottom = _TOP + _HEIGHT
 

@@ -32,10 +32,7 @@ MOST_VIEWERS = 16
 """Each is an open response; what it shows is made once for all."""
 _LOOK_EVERY = 0.2
 """s between looks for a new snapshot."""
-_STILL_THERE = 10.0
-"""s of silence after which a word is said, so that a viewer that has gone is noticed."""
 _MOST_TEXT = 200
-_KEPT_PLOTS = 32
 _PICTURE = {"Content-Security-Policy": "default-src 'none'; sandbox"}
 
 
@@ -132,7 +129,8 @@ class SessionPage:
             if health is not self._health:
                 health, silent = self._health, 0.0
                 await response.write(_event({"health": health}))
-            if silent >= _STILL_THERE:
+            # A word now and then, so that a viewer that has gone is noticed.
+            if silent >= 10.0:
                 await response.write(b":\n\n")
                 silent = 0.0
             with contextlib.suppress(TimeoutError):
@@ -147,7 +145,7 @@ class SessionPage:
             raise InputError("no estimate yet")
         if name not in self._plots:
             made = history_view(self._known, name, self._scene.truth)
-            if len(self._plots) >= _KEPT_PLOTS:
+            if len(self._plots) >= 32:
                 self._plots.clear()
             self._plots[name] = json_text(made).encode()
         return web.Response(body=self._plots[name], content_type="application/json")

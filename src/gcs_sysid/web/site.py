@@ -16,8 +16,6 @@ from gcs_sysid.report.page import asset as report_asset
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.web.access import Access, Handler, Role, authority, present_role, refuse
 
-MOST_BODY = 64 << 10
-"""Bytes of a request, but for uploads, which are counted as they come."""
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _ASSETS = ("page.css", "common.js", "analysis.js", "live.js")
 _CHARTS = ("charts.css", "charts.js")
@@ -108,8 +106,9 @@ class Site:
             await runner.cleanup()
 
     def _application(self) -> web.Application:
+        # Uploads are counted as they come.
         application = web.Application(
-            middlewares=[self.access.middleware, _errors_in_a_line], client_max_size=MOST_BODY
+            middlewares=[self.access.middleware, _errors_in_a_line], client_max_size=64 << 10
         )
         application.on_response_prepare.append(self.access.prepare)
         page = asset(self._content.page)

@@ -25,16 +25,10 @@ from gcs_sysid.web.worker_process import WorkerPool
 
 MOST_LOG = 2 << 30
 """Bytes of a log."""
-MOST_RESULT = 8 << 20
-"""Bytes of a result file."""
 MOST_KEPT = 24
 """Logs and results at once; the oldest go."""
 MOST_BYTES = 4 << 30
 """Of all of them."""
-MOST_PROCESSES = 2
-_MOST_UPLOADS = 4
-_SPARE = 1 << 30
-"""Bytes that stay free on the disk."""
 LOG_SUFFIXES = (".tlog", ".ulg", ".bin", ".bbl", ".bfl")
 _SANDBOX = {
     # The report brings a policy of its own, by the hashes of its script and style.
@@ -115,7 +109,7 @@ class Workbench:
         application.cleanup_ctx.append(self._life)
 
     async def _life(self, _: web.Application) -> AsyncIterator[None]:
-        self._pool = WorkerPool(MOST_PROCESSES)
+        self._pool = WorkerPool(2)
         with tempfile.TemporaryDirectory(prefix="gcs-sysid-", ignore_cleanup_errors=True) as folder:
             self._folder = Path(folder)
             yield
@@ -160,11 +154,11 @@ class Workbench:
         if suffix not in (*LOG_SUFFIXES, ".json"):
             raise InputError(f"{name}: drop a .tlog, .ulg, .bin or .bbl log, or a result (.json)")
         kind: Literal["log", "result"] = "result" if suffix == ".json" else "log"
-        most = MOST_RESULT if kind == "result" else MOST_LOG
+        most = (8 << 20) if kind == "result" else MOST_LOG
         too_large = f"{name}: too large, more than {most >> 20} MB"
         if (request.content_length or 0) > most:
             return refuse(413, too_large)
-        if self._uploads >= _MOST_UPLOADS:
+        if self._uploads >= 4:
             return refuse(503, "too many uploads at once: try again in a moment")
         item = Item(secrets.token_hex(8), name, kind, self._folder / secrets.token_hex(8))
         item.folder.mkdir()
@@ -190,7 +184,7 @@ class Workbench:
                 item.size += len(piece)
                 if item.size > most:
                     break
-                if shutil.disk_usage(self._folder).free < _SPARE:
+                if shutil.disk_usage(self._folder).free < (1 << 30):
                     raise InputError("the server's disk is full: remove logs first")
                 file.write(piece)
         if item.size > most:

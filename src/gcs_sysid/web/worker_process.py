@@ -11,9 +11,6 @@ from gcs_sysid.processes import one_thread_environment
 
 T = TypeVar("T")
 
-_LONGEST_LINE = 1 << 20
-"""Bytes that a worker says at once."""
-
 
 class WorkerPool:
     """A few processes at once; later jobs wait.
@@ -49,7 +46,7 @@ class WorkerPool:
                     stdin=asyncio.subprocess.PIPE,
                     stdout=asyncio.subprocess.PIPE,
                     stderr=asyncio.subprocess.DEVNULL,
-                    limit=_LONGEST_LINE,
+                    limit=1 << 20,
                     env=one_thread_environment(),
                 )
             )

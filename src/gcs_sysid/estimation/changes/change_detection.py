@@ -36,8 +36,6 @@ from gcs_sysid.signals.samples import Samples
 
 Channel = Literal["thrust", "roll", "pitch", "yaw"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
-_CALM_AT_ONCE = 16
-"""Frames."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +293,7 @@ class ChangeDetector:
             Samples taken.
         """
         size, levels, means = self._frame, self._levels, self._level_of_means
-        k = min(len(e) // size, _CALM_AT_ONCE)
+        k = min(len(e) // size, 16)
         n = k * size
         e, x = e[:n], x[:n]
         if self._filled or not k or not (x[:, TOTAL] > 0.0).all() or not self._mean_x.any():

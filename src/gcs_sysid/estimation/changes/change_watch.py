@@ -35,8 +35,6 @@ from gcs_sysid.signals.samples import Samples
 
 _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
 """s of samples that are kept to look at alarms."""
-_MOST_ALARMS = 8
-"""Looked at together."""
 _BLURRED = 0.1
 """s after a change's onset that are left out where the onset is known to no more."""
 _EARLY, _EARLY_GROWTH, _EARLY_END = 8.0, 1.45, 40.0
@@ -156,7 +154,7 @@ class ChangeWatch:
         if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):
             return
         self._alarms.append(Alarm(change, onset, detected, self._detector.reference))
-        del self._alarms[:-_MOST_ALARMS]
+        del self._alarms[:-8]  # those looked at together
 
     def arm(self, fit: Fit, seconds: float) -> None:
         """Watch with a better reference, of so many s of flight."""

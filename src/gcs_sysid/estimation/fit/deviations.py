@@ -189,7 +189,7 @@ class DeviationChoice:
         g, H = score * units, information * np.outer(units, units)
         found, last = list(self._least), np.ones(turns)
         best = _evidence(g, H, np.concatenate([np.array(found)[kinds], last]))
-        for _ in range(_ROUNDS):
+        for _ in range(3):
             before = list(found)
             for kind, tried in enumerate(SIZES.values()):
                 least = self._least[kind]
@@ -220,7 +220,6 @@ class DeviationChoice:
 
 
 _THRUST, _TORQUE = 1, 2
-_ROUNDS = 3
 
 
 def _evidence(g: Array, H: Array, std: Array) -> float:

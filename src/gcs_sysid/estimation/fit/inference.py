@@ -36,12 +36,8 @@ from gcs_sysid.model import rigid_body as rb
 
 _FOLLOWED, _FOLLOWED_WHITENED = 2, 3
 """Iterations of a fit that follows, where it is not near."""
-_BLIND_STEP = 3.0
-"""Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _ABSURD = -0.5
 """Share of an axis' acceleration explained: less indicates a false minimum."""
-_HALVINGS = 20
-"""A step that leads out of the physical inertias is shortened so often, then not taken."""
 _AXES = np.arange(3)
 
 
@@ -80,7 +76,8 @@ def follow_rotation(
         else JointProblem(totals, rows, basis, prior, noise if basis.motors else None)
     )
     outcome = Outcome(problem, problem.evaluate(unknowns), of_speeds)
-    near = outcome.take_step(_BLIND_STEP)
+    # A step of less than 3 standard deviations is taken unseen.
+    near = outcome.take_step(3.0)
     scatter, stuck = (before.inflation, before.widening), np.full(len(rows), before.stuck)
     leaks = [start.leak] * len(rows)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)
@@ -331,7 +328,8 @@ class Outcome:
 
     def _moved(self, step: Array) -> Array:
         """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""
-        for _ in range(_HALVINGS):
+        # After so many halvings a step out of the physical inertias is not taken.
+        for _ in range(20):
             unknowns = self._problem.moved(self._unknowns, step)
             physical = self._problem.are_allowed(unknowns)
             if physical.all():

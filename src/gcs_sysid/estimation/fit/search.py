@@ -10,7 +10,6 @@ from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.model import rigid_body as rb
 
 MAX_ITERATIONS = 40
-_SCAN_ITERATIONS, _STARTS = 8, 4
 _NODES_AT_ONCE = 16
 """Of a basis, whose moments are made in one step."""
 
@@ -31,9 +30,9 @@ def scan(problem: JointProblem, unknowns: Array) -> Array:
     there = np.concatenate(parts, axis=1).reshape(-1, WIDTH, WIDTH)
     rows = np.repeat(problem.rows, nodes)
     given = JointProblem(there, rows, PLAIN, problem.prior)
-    point, _ = minimize(given, every, _SCAN_ITERATIONS)
+    point, _ = minimize(given, every, 8)
     cost = point.cost + problem.weak_cost(every) / rows
-    starts = 1 if len(basis.free) == 1 else _STARTS
+    starts = 1 if len(basis.free) == 1 else 4
     best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
     # Rows as they are have no coordinates to move; those of the node are where each search goes on.
     found = point.unknowns.copy()

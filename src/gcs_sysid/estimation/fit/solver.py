@@ -12,8 +12,6 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
-_EASED, _RAISED, _POOR = 0.1, 10.0, 5.0
-"""Factors on the damping after a step that was taken, one that was not, and a poor one."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ def _descend(
         better = allowed & ((fall >= 0.0) | unseen) & ~converged
         point = point.where(better, tried)
         poor = (stopping.poor > 0.0) & ~small & (fall < stopping.poor * gain)
-        factor = np.where(better, np.where(poor, _POOR, _EASED), _RAISED)
+        factor = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
         damping = np.maximum(factor * damping, _LEAST_DAMPING)
         # Where no step however small helps any more, rounding has the last word.
         converged = converged | small | (damping > _MOST_DAMPING)
@@ -185,12 +183,6 @@ def _lift(H: Array) -> Array:
     return np.zeros(len(H))
 
 
-_STEPS, _LEFT = 100, 1e-10
-"""Steps at most, and squared standard deviations to go at which they end."""
-_LONGER, _SHORTER = 2.0, 0.25
-"""Times the share of a step that is taken, after one that came nearer, and one that did not."""
-
-
 def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
     """Where the gradient vanishes, of a problem that has no cost to fall.
 
@@ -211,8 +203,9 @@ def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
     found = problem.evaluate(point.unknowns)
     step, left = to_go(found)
     share = np.ones(len(d))
-    for _ in range(_STEPS):
-        if left.max() < _LEFT:
+    # `left` is in squared standard deviations.
+    for _ in range(100):
+        if left.max() < 1e-10:
             break
         moved = problem.moved(found.unknowns, share[:, None] * step / d)
         allowed = problem.are_allowed(moved)
@@ -222,7 +215,7 @@ def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
         nearer = less <= left
         found = found.where(nearer, tried)
         step, left = np.where(nearer[:, None], further, step), np.where(nearer, less, left)
-        share = np.where(nearer, np.minimum(_LONGER * share, 1.0), _SHORTER * share)
+        share = np.where(nearer, np.minimum(2.0 * share, 1.0), 0.25 * share)
     return found
 
 

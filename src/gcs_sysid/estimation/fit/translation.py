@@ -20,7 +20,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, symmetric_roots
 from gcs_sysid.model.parameters import GRAVITY
 
-_MAX_ITERATIONS = 20
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
@@ -311,7 +310,7 @@ class _Balance:
 
     def converge(self) -> None:
         """Step until the weights are those of the residuals."""
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(20):
             before = self.estimate
             self.step(self.weights)
             if (np.abs(self.estimate - before) <= 1e-11 * np.abs(self.estimate)).all():

@@ -27,7 +27,6 @@ from gcs_sysid.estimation.noise.uncertainty import inflation, meat, student_fact
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, LagPlace
 from gcs_sysid.model import rigid_body as rb
 
-_WARM_ITERATIONS = 12
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR, _ROUNDS = 0.1, 4
@@ -84,7 +83,7 @@ def fit_rotation(
         earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
-        point, converged = minimize(problem, unknowns, _WARM_ITERATIONS)
+        point, converged = minimize(problem, unknowns, 12)
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
         for round_ in range(_ROUNDS + 1):

@@ -6,9 +6,6 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
 
-_RIDGE = 1e-12
-"""Of the scaled information: an unseen direction keeps a huge, finite variance."""
-
 
 def sandwich(bread: Array, scores: Array) -> Array:
     """Covariance of an estimate from the scatter of its batch scores.
@@ -125,7 +122,7 @@ _LEAST_SCATTER = 0.5
 """Of what the information says. On undisturbed flights of the emulator the mean is 0.5 to 1.7."""
 
 
-def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]:
+def symmetric_roots(matrix: Array, ridge: float = 1e-12) -> tuple[Array, Array]:
     """Symmetric roots of (..., p, p) matrices, ridge added, and of their inverses."""
     values, vectors = np.linalg.eigh(matrix)
     roots = np.sqrt(np.maximum(values, 0.0) + max(ridge, 1e-300))[..., None, :]
@@ -163,7 +160,7 @@ def student_factor(
         spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
-    freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, _LEAST_SHARE) ** 2
+    freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, 1e-3) ** 2
     factor: Array = stdtrit(freedom, 0.975) / Z95
     return factor
 
@@ -191,6 +188,5 @@ def watched_factor(seconds: float) -> float:
     return float(np.sqrt((1.0 + 1.0 / t) * (np.log1p(t) - 2.0 * np.log(0.05)))) / Z95
 
 
-_LEAST_SHARE = 1e-3
 _FIRST_LOOK = 1.0
 """s; the first estimates have hardly more. A larger value widens later intervals."""

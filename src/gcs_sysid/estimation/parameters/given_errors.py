@@ -53,8 +53,6 @@ _KNOWN_TO = 0.2
 _IMITATED = math.radians(0.3)
 """rad, what air and unequal rotors may look like: rotorpy's vehicles, whose IMU is not turned at
 all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""
-_STEPS = 3
-"""Of Gauss-Newton; a degree needs two."""
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 _AXES = 3
 
@@ -197,7 +195,8 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     turn = math.radians(airframe.uncertainty.imu_rotation.amount)
     imitated = np.zeros(len(errors))
     imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0
-    for _ in range(_STEPS):
+    # Gauss-Newton; a degree needs two steps.
+    for _ in range(3):
         P, weight = _weighed(now.information / f, imitated)
         step = P @ (weight @ now.gradient / f - eps)
         moved = free - now.S @ step + (now.pull - first.pull)

@@ -71,8 +71,6 @@ _PAST = 0.02
 """s between the past values of H that products are formed with, where speeds are the input: about
 the time in which torque changes by an eighth of a radian at 1 Hz."""
 
-_RIDGE = 1e-12
-
 
 def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
     """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
@@ -115,7 +113,7 @@ _PAIRED = 2.0 * np.pi * np.array([0.4, 1.0, 2.0, 3.5])
 """rad/s, of motion whose products count."""
 _SHARE = 0.01
 """Weight of these products beside the signals themselves: brings them from 0.4 to 0.005, and costs
-the signals next to nothing (1e-5)."""
+the signals next to nothing 1e-5."""
 
 
 def _differentiated(passed: Array, omega: Array, lag: Array, by: int | None) -> Array:
@@ -226,7 +224,7 @@ class _Span:
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
         # resemble each other in a long window: the sum is put right by itself, as rounding in a
         # bordered system would leave it off by 3e-4, and with it every moment of inertia.
-        system = A.T @ A + _RIDGE * np.eye(len(delays))
+        system = A.T @ A + 1e-12 * np.eye(len(delays))
         free, even = np.linalg.solve(system, A.T), np.linalg.solve(system, np.ones(len(delays)))
         self._of_sum = even / even.sum()
         self._of_target = free - np.outer(self._of_sum, free.sum(axis=0))

@@ -55,8 +55,6 @@ _LEAST = 1e-3
 """Of full thrust and command: roots have no slope at none."""
 _SLOWEST = 0.3
 """Of hover, state below which a lag no longer grows."""
-_EXACT = 1e-12
-"""Of full thrust: a step of Newton's method that is smaller leaves nothing but rounding."""
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 _OWN = SIGNALS + len(_COUPLED)
 """Columns of one set of motor parameters."""
@@ -330,7 +328,8 @@ class MotorRows:
             np.clip(after, low, high, out=after)
             moved = float(np.abs(after - x[..., 1:]).max())
             x[..., 1:] = after
-            if moved < _EXACT:
+            # A smaller step, of full thrust, leaves nothing but rounding.
+            if moved < 1e-12:
                 break
         self._state = x[..., -1].copy()
         reached: Array = np.moveaxis(x[..., 1:], -1, 0)

@@ -13,7 +13,6 @@ from gcs_sysid.screen.widgets.lines import Line, RationedPlot
 Floats = NDArray[np.float64]
 
 PREDICTED = "•"
-MIN_WIDTH, MIN_HEIGHT = 20, 4
 MARGIN = 7
 """Columns for an axis' name and scale."""
 
@@ -88,7 +87,7 @@ class AccelerationPanel(RationedPlot):
         found, size = self._found, self.content_size
         if found is None or len(found.t) < 2:
             return [[("no prediction yet", fmt.MUTED)]]
-        if size.width < MIN_WIDTH or size.height < MIN_HEIGHT:
+        if size.width < 20 or size.height < 4:
             return []
         return self._strips(found, size.width, size.height)
 

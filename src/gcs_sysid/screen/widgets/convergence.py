@@ -17,8 +17,6 @@ from gcs_sysid.screen.widgets.lines import Line, RationedPlot
 
 Floats = NDArray[np.float64]
 
-MIN_WIDTH, MIN_HEIGHT = 24, 6
-"""Below this a plot says nothing."""
 _NOTHING, _BAND, _TRUTH, _VALUE = range(4)
 _SIGNS = (" ", "░", "─", "")
 _STYLES = ("", "$primary 70%", "$text-warning", "bold")
@@ -135,7 +133,7 @@ class Convergence(RationedPlot):
         """The picture between its headline and its axis."""
         width, height = self.content_size.width, self.content_size.height
         view = self.view
-        if view is None or view.snapshot is None or width < MIN_WIDTH or height < MIN_HEIGHT:
+        if view is None or view.snapshot is None or width < 24 or height < 6:
             return []
         found = view.estimate(view.selected)
         history, truth = view.snapshot.history, view.truth.get(view.selected)
