@@ -8,7 +8,7 @@ import pytest
 
 from gcs_sysid.estimation.changes.change_detection import ChangeDetector
 from gcs_sysid.estimation.changes.change_hypotheses import judge
-from gcs_sysid.estimation.changes.change_kinds import Cause, describe
+from gcs_sysid.estimation.changes.change_kinds import describe
 from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.changes.sequential_tests import Cusum, Level
 from gcs_sysid.estimation.fit.rotation import RotationFit
@@ -335,14 +335,6 @@ def test_fits_before_and_after_name_the_kind(changes, kind):
         entry = event["parameters"][name]
         assert entry["difference"] == pytest.approx(value - BEFORE[name][0])
         assert entry["ci95"][0] < entry["difference"] < entry["ci95"][1]
-
-
-def test_a_failing_rotor_is_named_in_the_event():
-    cause = Cause("rotor_failure", 2, 0.15, 0.01, 1.0, (0.0, 0.0), 0.99)
-    event = describe(BEFORE, {**BEFORE, "mass": (1.56, 0.002)}, cause)
-    assert event["kind"] == "rotor_failure"
-    assert event["rotor"] == 2
-    assert event["loss"]["ci95"] == pytest.approx([0.1304, 0.1696], abs=1e-4)
 
 
 def test_a_copy_of_the_detector_sees_what_the_detector_sees(changed):

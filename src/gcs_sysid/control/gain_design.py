@@ -55,25 +55,24 @@ class DesignLimits:
 LIMITS = DesignLimits()
 
 
-def propose(dynamics: HoverDynamics, loop: RateLoop, limits: DesignLimits = LIMITS) -> RateLoop:
+def propose(dynamics: HoverDynamics, loop: RateLoop) -> RateLoop:
     """The loop with gains for this vehicle; filters and rates stay as they are.
 
     Args:
         dynamics: the nominal vehicle and draws from its covariance.
         loop: with the filters that the vehicle has.
-        limits: what is kept to.
 
     Raises:
         InputError: no gains keep the margins.
     """
-    few = dynamics.first(limits.draws)
+    few = dynamics.first(LIMITS.draws)
     omega = frequencies(loop, 160)
     plant = few.response(omega, loop.period)
     for axis in range(3):
-        loop = loop.with_gains(axis, _axis(few, plant[:, :, axis, axis], loop, axis, omega, limits))
+        loop = loop.with_gains(axis, _axis(few, plant[:, :, axis, axis], loop, axis, omega))
     # With the other axes' loops closed the margins are a little others: what lacks is taken back.
     for _ in range(12):
-        short = _short(few, loop, limits)
+        short = _short(few, loop)
         if not short.any():
             return loop
         for lacking in map(int, np.flatnonzero(short)):
@@ -85,7 +84,7 @@ def propose(dynamics: HoverDynamics, loop: RateLoop, limits: DesignLimits = LIMI
     )
 
 
-def _short(few: HoverDynamics, loop: RateLoop, limits: DesignLimits) -> Array:
+def _short(few: HoverDynamics, loop: RateLoop) -> Array:
     """(3,) whether an axis lacks margin on any draw."""
     omega = frequencies(loop)
     short = np.zeros(3, bool)
@@ -93,7 +92,7 @@ def _short(few: HoverDynamics, loop: RateLoop, limits: DesignLimits) -> Array:
         loops = open_loops(few, loop, omega, attitude=attitude)
         for axis in range(3):
             phase, gain = margins_of(omega, loops[:, :, axis]).worst()
-            short[axis] |= phase < limits.phase_margin - 0.5 or gain < limits.gain_margin - 0.2
+            short[axis] |= phase < LIMITS.phase_margin - 0.5 or gain < LIMITS.gain_margin - 0.2
     return short
 
 
@@ -110,26 +109,25 @@ def _axis(
     loop: RateLoop,
     axis: int,
     omega: Array,
-    limits: DesignLimits,
 ) -> AxisGains:
     """Gains of one axis, the others open."""
-    most = _most_gain(few, loop, axis, limits)
+    most = _most_gain(few, loop, axis)
     best: tuple[float, AxisGains] | None = None
-    for crossover in np.geomspace(*limits.crossovers)[::-1]:
-        for lead in limits.leads if axis < 2 else (0.0,):
-            gains = _of_crossover(plant[0], loop, axis, omega, float(crossover), lead, limits)
+    for crossover in np.geomspace(*LIMITS.crossovers)[::-1]:
+        for lead in LIMITS.leads if axis < 2 else (0.0,):
+            gains = _of_crossover(plant[0], loop, axis, omega, float(crossover), lead)
             if gains.P + gains.D / max(_lag(loop, axis), lead, 1e-3) > 3.0 * most or most < gains.P:
                 continue
             trial = loop.with_gains(axis, gains)
             # The nominal vehicle first: most fail on it already.
-            if not all(_keeps(p, trial, axis, omega, limits) for p in (plant[:1], plant)):
+            if not all(_keeps(p, trial, axis, omega) for p in (plant[:1], plant)):
                 continue
             if best is None or crossover > best[0]:
                 best = float(crossover), gains
         if best is not None:
             return best[1]
     raise InputError(
-        f"no gains keep {limits.phase_margin:g} deg and {limits.gain_margin:g} dB on {AXES[axis]}: "
+        f"no gains keep {LIMITS.phase_margin:g} deg and {LIMITS.gain_margin:g} dB on {AXES[axis]}: "
         "filters, delay and motor lag are too slow for this inertia, or the intervals are too wide"
     )
 
@@ -146,11 +144,10 @@ def _of_crossover(
     omega: Array,
     crossover: float,
     lead: float,
-    limits: DesignLimits,
 ) -> AxisGains:
     """Gains whose rate loop crosses over there on the nominal vehicle."""
-    attitude = min(limits.attitude * crossover, limits.attitude_most[axis])
-    unit = AxisGains(1.0, limits.integral * crossover, lead, attitude)
+    attitude = min(LIMITS.attitude * crossover, LIMITS.attitude_most[axis])
+    unit = AxisGains(1.0, LIMITS.integral * crossover, lead, attitude)
     trial = loop.with_gains(axis, unit)
     at = np.array([crossover])
     size = np.exp(np.interp(np.log(crossover), np.log(omega), np.log(np.abs(plant))))
@@ -158,23 +155,23 @@ def _of_crossover(
     return AxisGains(P, P * unit.I, P * lead, attitude)
 
 
-def _keeps(plant: Array, loop: RateLoop, axis: int, omega: Array, limits: DesignLimits) -> bool:
+def _keeps(plant: Array, loop: RateLoop, axis: int, omega: Array) -> bool:
     rate, angle, _ = loop.controllers(omega)
     alone = rate[:, axis] * plant
     whole = alone + angle[:, axis] / (1j * omega) * plant
     for loops in (whole, alone):
         margins = margins_of(omega, loops)
         phase, gain = margins.worst()
-        if phase < limits.phase_margin or gain < limits.gain_margin:
+        if phase < LIMITS.phase_margin or gain < LIMITS.gain_margin:
             return False
-        if margins.reduction.min() < limits.reduction_margin:
+        if margins.reduction.min() < LIMITS.reduction_margin:
             return False
     return True
 
 
-def _most_gain(few: HoverDynamics, loop: RateLoop, axis: int, limits: DesignLimits) -> float:
+def _most_gain(few: HoverDynamics, loop: RateLoop, axis: int) -> float:
     """P with which a rate error takes the share of the rotors' room that it may take."""
     hover = few.hover[0]
     column = np.abs(loop.mixer[:, axis])
     room = np.minimum(hover, 1.0 - hover) / np.maximum(column, 1e-9)
-    return float(limits.authority * room[column > 0.0].min() / limits.error[axis])
+    return float(LIMITS.authority * room[column > 0.0].min() / LIMITS.error[axis])

@@ -7,7 +7,7 @@ with # are comments.
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
@@ -46,22 +46,17 @@ def read_parameter_file(path: Path) -> dict[str, float]:
     return found
 
 
-def qgroundcontrol_lines(
-    values: Mapping[str, float], notes: Mapping[str, str], integers: Iterable[str] = ()
-) -> list[str]:
-    """Lines of a .params file: each parameter, below what is said of it.
+def qgroundcontrol_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
+    """Lines of a .params file: each parameter, a real number, below what is said of it.
 
     Args:
         values: name -> value.
         notes: name -> words, for some or all of them.
-        integers: names of the parameters that are integers.
     """
-    whole = set(integers)
     lines = ["# Vehicle-Id Component-Id Name Value Type"]
     for name, value in values.items():
         lines += [f"# {name}: {notes[name]}"] if name in notes else []
-        number = f"{value:.0f}\t{INT32}" if name in whole else f"{value:.9g}\t{REAL32}"
-        lines.append(f"1\t1\t{name}\t{number}")
+        lines.append(f"1\t1\t{name}\t{value:.9g}\t{REAL32}")
     return lines
 
 

@@ -135,7 +135,7 @@ def _as_parquet(table: Table) -> bytes:
     return file.getvalue()
 
 
-def _as_mcap(table: Table, at_once: int = 4096) -> bytes:
+def _as_mcap(table: Table) -> bytes:
     """One topic of JSON messages, stamped with the log's own time from 0."""
     from mcap.writer import Writer
 
@@ -147,8 +147,8 @@ def _as_mcap(table: Table, at_once: int = 4096) -> bytes:
     topic = writer.register_channel("/gcs_sysid/signals", "json", kind)
     names = list(table)
     rows = np.column_stack(list(table.values()))
-    for start in range(0, len(rows), at_once):
-        for row in rows[start : start + at_once].tolist():
+    for start in range(0, len(rows), 4096):
+        for row in rows[start : start + 4096].tolist():
             message = {name: v for name, v in zip(names, row, strict=True) if v == v}
             stamp = round(1e9 * row[0])
             writer.add_message(topic, stamp, json.dumps(message).encode(), stamp)

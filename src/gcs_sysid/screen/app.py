@@ -72,7 +72,6 @@ class SysidApp(App[None]):
         truth: true values by parameter name, where the vehicle is an emulator that reports them.
         actions: what can be done with the source.
         baseline: an earlier result to compare with.
-        title: shown until the vehicle has a name.
         time_source: seconds that only grow; tests put their own here.
     """
 
@@ -89,7 +88,6 @@ class SysidApp(App[None]):
         truth: Mapping[str, float] | None = None,
         actions: Actions | None = None,
         baseline: EarlierResult | None = None,
-        title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
@@ -99,7 +97,7 @@ class SysidApp(App[None]):
         self._marks = 0
         self._at_work: set[str] = set()
         self.truth: Mapping[str, float] = dict(truth or {})
-        self.title = title
+        self.title = "gcs-sysid"
         self.selected = ""
         self.paused = False
         self._time = time_source
@@ -116,7 +114,7 @@ class SysidApp(App[None]):
         """Whether the pilot view comes first."""
         self.defect: Exception | None = None
         """What the screen has failed of."""
-        self._main = MainScreen(title)
+        self._main = MainScreen(self.title)
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = DARK.name

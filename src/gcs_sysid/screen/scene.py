@@ -29,7 +29,6 @@ class ReplayApp(SysidApp):
         truth: as of `SysidApp`.
         actions: as of `SysidApp`.
         baseline: as of `SysidApp`.
-        title: as of `SysidApp`.
         time_source: as of `SysidApp`.
     """
 
@@ -42,10 +41,9 @@ class ReplayApp(SysidApp):
         truth: Mapping[str, float] | None = None,
         actions: Actions | None = None,
         baseline: EarlierResult | None = None,
-        title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(source, truth, actions, baseline, title, time_source)
+        super().__init__(source, truth, actions, baseline, time_source)
         self.transport = transport
         self._bar = TransportBar()
 

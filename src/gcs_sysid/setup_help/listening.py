@@ -72,9 +72,9 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> SetupFinding:
     return SetupFinding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
 
 
-def _who_has(port: int, system: str = platform.system()) -> str:
+def _who_has(port: int) -> str:
     """The command that shows which program has a UDP port."""
-    if system == "Windows":
+    if platform.system() == "Windows":
         return (
             f"who? Get-Process -Id (Get-NetUDPEndpoint -LocalPort {port}).OwningProcess"
             "  (in PowerShell)"

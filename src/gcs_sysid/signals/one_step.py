@@ -19,7 +19,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.signals.smoothers import Smoothed
 
-_TRAPEZOID = np.array([1.0, 1.0]) / 2.0
 _CUBIC = np.array([-1.0, 13.0, 13.0, -1.0]) / 24.0
 _SHORTEST = 0.002
 """s, of a step: faster samples add nothing on rigid-body motion."""
@@ -49,7 +48,6 @@ class OneStep:
         samples: h, of a step.
         mean: whether a value is the mean over a step; else it is that of one sample, whose noise
             nothing within the step can have answered.
-        cubic: whether to integrate the cubic through four samples; else the trapezoid.
     """
 
     def __init__(
@@ -58,7 +56,6 @@ class OneStep:
         shifts: tuple[int, ...] = (0,),
         samples: int = 1,
         *,
-        cubic: bool = True,
         mean: bool = True,
     ) -> None:
         h = self.step = samples
@@ -67,7 +64,7 @@ class OneStep:
         self.delays = np.array(shifts) * self.time
         box = np.ones(h) / h
         value = box if mean else np.ones(1)
-        self._average = np.convolve(np.convolve(box, value), _CUBIC if cubic else _TRAPEZOID)
+        self._average = np.convolve(np.convolve(box, value), _CUBIC)
         change = np.convolve(value, np.concatenate([[-1.0], np.zeros(h - 1), [1.0]])) / self.time
         self._derivative = np.pad(change, (len(self._average) - len(change)) // 2)
         self._shifts = tuple(shift - shifts[0] for shift in shifts)

@@ -50,7 +50,6 @@ class Receiver:
         check: SignatureCheck | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.received_bytes = 0
         self.check = check
         self.whereabouts = Whereabouts()
         self.marks = 0
@@ -80,7 +79,6 @@ class Receiver:
             if frames and abs(arrived - began) > self.TOGETHER:
                 batches.append(ReceivedFrames(last, frames))
                 frames = []
-            self.received_bytes += len(data)
             scanner = self._scanner(source)
             found = scanner.scan(data) if self._link.datagrams else scanner.feed(data)
             began = began if frames else arrived

@@ -29,7 +29,6 @@ EPOCH = 1_420_070_400
 """s since 1970 of 2015-01-01, where the time of signatures begins."""
 UNITS = 100_000
 """Of the time of signatures, a second."""
-LINK_ID = 0
 _MOST_BYTES = 4096
 """Of a key file."""
 LARGEST_TIME = 2**48 - 1
@@ -160,13 +159,11 @@ class Signer:
     Args:
         key: 32 bytes.
         clock: gives the times.
-        link_id: number of the link, 0..255.
     """
 
-    def __init__(self, key: bytes, clock: SigningClock, link_id: int = LINK_ID) -> None:
+    def __init__(self, key: bytes, clock: SigningClock) -> None:
         self._key = key
         self._clock = clock
-        self._link_id = link_id
 
     def sign(self, raw: bytes, crc_extra: int) -> bytes:
         """The frame with its flag set, a new checksum (which covers the flag) and a signature."""
@@ -174,7 +171,7 @@ class Signer:
         body[2] |= FLAG_SIGNED
         checksum = crc16.mcrf4xx(bytes(body[1:]) + bytes([crc_extra]))
         body += checksum.to_bytes(2, "little")
-        body.append(self._link_id)
+        body.append(0)  # there is one link
         body += self._clock.next_time().to_bytes(6, "little")
         return bytes(body) + signature(self._key, bytes(body))
 

@@ -130,13 +130,13 @@ class TlogWriter:
             self._pending.append((data, count))
             self._waiting += len(data)
 
-    def flush(self, patience: float = 10.0) -> None:
+    def flush(self) -> None:
         """Wait until what was written lies with the operating system, but not on a bad disk."""
         with self._wake:
             self._asked += 1
             asked = self._asked
             self._wake.notify_all()
-            self._wake.wait_for(lambda: self._done >= asked or self.ended, patience)
+            self._wake.wait_for(lambda: self._done >= asked or self.ended, 10.0)
 
     def finish(self) -> None:
         """Write what is left and close the file, without waiting for it: see `ended`."""

@@ -88,7 +88,6 @@ def fly_own_flight(
     airframe: Airframe,
     wanted: tuple[int, int | None] | None = None,
     start: float = 0.0,
-    seed: int = 0,
 ) -> TwinFlight:
     """The same of a result of this flight, whose analysis the recorder has looked at.
 
@@ -99,16 +98,13 @@ def fly_own_flight(
         airframe: with a scale.
         wanted: as of `fly_held_out`.
         start: s after the first record, from which the log was analyzed.
-        seed: of the samples of the covariance.
 
     Raises:
         InputError: the log cannot be read.
         NoAnswerError: the result lacks what a flight needs, or the log is too short.
     """
     vehicle = replace(airframe, rotor_input=result.rotor_input), wanted
-    return _flown(
-        result, result, recorder, log, vehicle, lambda _: None, seed, same=True, start=start
-    )
+    return _flown(result, result, recorder, log, vehicle, lambda _: None, 0, same=True, start=start)
 
 
 def _flown(

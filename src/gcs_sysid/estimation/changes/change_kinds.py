@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gcs_sysid.intervals import Z95, interval95
+from gcs_sysid.intervals import interval95
 from gcs_sysid.model.parameters import INERTIA, grouped
 
 Kind = Literal["mass_change", "payload", "cg_shift", "inertia_change", "rotor_failure", "change"]
@@ -57,7 +57,6 @@ class Cause:
 def describe(
     before: Mapping[str, tuple[float | None, float | None]],
     after: Mapping[str, tuple[float | None, float | None]],
-    cause: Cause | None = None,
 ) -> dict[str, Any]:
     """The event of a change, from the estimates on both sides of it.
 
@@ -65,11 +64,10 @@ def describe(
         before: value and standard deviation by parameter name; None where there is none.
         after: the same of the estimate that began after the change, at the scale of unchanged
             rotors (k_T given).
-        cause: from the detector; names a failing rotor.
 
     Returns:
         {"kind": ..., "parameters": {name: {before, after, difference, ci95}}}, the parameters
-        being those that both know, and for a failing rotor {"rotor": index, "loss": ...} too.
+        being those that both know.
     """
     parameters: dict[str, dict[str, Any]] = {}
     changed = set()
@@ -93,13 +91,7 @@ def describe(
         not changed.isdisjoint(grouped("center of gravity")),
         not changed.isdisjoint(INERTIA),
     )
-    event: dict[str, Any] = {"kind": kind, "parameters": parameters}
-    if cause is not None and cause.kind == "rotor_failure":
-        half = Z95 * cause.loss_std
-        event["kind"] = "rotor_failure"
-        event["rotor"] = cause.rotor
-        event["loss"] = {"value": cause.loss, "ci95": [cause.loss - half, cause.loss + half]}
-    return event
+    return {"kind": kind, "parameters": parameters}
 
 
 def kind_of(mass: bool, cg: bool, inertia: bool) -> Kind:

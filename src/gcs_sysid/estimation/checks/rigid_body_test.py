@@ -21,7 +21,6 @@ _OFF, _SURE = 0.3, 4.0
 """By how much, and how many standard deviations, a share must be off to count."""
 _NONE = 1e-8
 """Share of an axis' acceleration below which gyroscopic torque is negligible."""
-_TINY = 1e-300
 _ROUNDING = 1e-30
 """Of the largest input, what the square of one must exceed."""
 

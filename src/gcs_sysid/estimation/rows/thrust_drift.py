@@ -51,6 +51,17 @@ class DriftTuning:
         color: by which neighboring averages that err alike widen the variance.
         least_force: share of g below which the vehicle falls or tumbles, and is not watched.
         believed: standard deviations of D from which, and up to which, it begins to count.
+        jump: standard deviations that make an average a jump (a blow, a mass dropped), and
+        stayed: how many of them in a row make a new level, from which the drift continues.
+        sag: by how much a battery's voltage under load bends the thrust curve, and
+        sags: the drift from which that counts: on five flights of the emulator whose battery drops
+            by 3 % under hover power, curves were off by 0.003 to 0.067, the drift being known
+            exactly.
+        least_fallen: of w, from which the voltage's fall is more than its errors.
+        least_voltage: V, below which there is no battery or no measurement.
+        unmeasured: standard deviation of D between flights without a voltage reported: 4.2 to 3.6 V
+            a cell under load are 0.15.
+        most_effect: of beta.
     """
 
     period: float = 1.0
@@ -68,25 +79,18 @@ class DriftTuning:
     color: float = 2.0
     least_force: float = 0.3
     believed: tuple[float, float] = (3.0, 5.0)
+    jump: float = 4.0
+    stayed: int = 5
+    sag: float = 0.05
+    sags: float = 0.02
+    least_fallen: float = 5e-3
+    least_voltage: float = 1.0
+    unmeasured: float = 0.05
+    most_effect: float = 2.0
 
 
 _TUNING = DriftTuning()
-_JUMP, _STAYED = 4.0, 5
-"""Standard deviations that make an average a jump (a blow, a mass dropped), and how many of them
-in a row make a new level, from which the drift continues."""
-_SAG, _SAGS = 0.05, 0.02
-"""By how much a battery's voltage under load bends the thrust curve, and the drift from which that
-counts: on five flights of the emulator whose battery drops by 3 % under hover power, curves were
-off by 0.003 to 0.067, the drift being known exactly."""
 _D, _RATE, _EFFECT = 3, 4, 5
-_LEAST_FALLEN = 5e-3
-"""Of w, from which the voltage's fall is more than its errors."""
-_LEAST_VOLTAGE = 1.0
-"""V, below which there is no battery or no measurement."""
-_UNMEASURED_BATTERY = 0.05
-"""Standard deviation of D between flights without a voltage reported: 4.2 to 3.6 V a cell under
-load are 0.15."""
-_MOST_EFFECT = 2.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ def hindsight(before: Drift, applied: float, fallen: float) -> Array:
         applied: D of the latest sample.
         fallen: w of the latest sample.
     """
-    if fallen < _LEAST_FALLEN:
+    if fallen < _TUNING.least_fallen:
         return np.ones(len(before.applied))
     return np.exp(before.applied - applied / fallen * before.fallen)
 
@@ -132,12 +136,10 @@ class ThrustDrift:
 
     Args:
         dt: s between samples.
-        tuning: settings.
     """
 
-    def __init__(self, dt: float, tuning: DriftTuning = _TUNING) -> None:
-        self._tuning = tuning
-        self._count = max(round(tuning.period / dt), 1)
+    def __init__(self, dt: float) -> None:
+        self._count = max(round(_TUNING.period / dt), 1)
         self._time = self._count * dt
         self._sums = np.zeros(5)
         """Samples, and sums over them of u, u^2, F and F^2."""
@@ -148,10 +150,10 @@ class ThrustDrift:
         self._measured = 0
         self._fallen = 0.0  # w
         self._started = False
-        self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0, tuning.effect[0]])
-        stds = [10.0, tuning.slope[1], tuning.bend[1], 0.0, tuning.rate, tuning.effect[1]]
+        self._mean = np.array([0.0, _TUNING.slope[0], _TUNING.bend[0], 0.0, 0.0, _TUNING.effect[0]])
+        stds = [10.0, _TUNING.slope[1], _TUNING.bend[1], 0.0, _TUNING.rate, _TUNING.effect[1]]
         self._covariance = np.diag(np.square(stds))
-        self._noise, self._worth = tuning.noise**2, tuning.worth
+        self._noise, self._worth = _TUNING.noise**2, _TUNING.worth
         self._jumps = 0
         self._step = np.eye(6)
         self._step[_D, _RATE] = self._time
@@ -166,18 +168,18 @@ class ThrustDrift:
     @property
     def curve_doubt(self) -> float:
         """One standard deviation of the thrust curve for what a battery that sags does besides."""
-        return _SAG * min(abs(self._target) / _SAGS, 1.0)
+        return _TUNING.sag * min(abs(self._target) / _TUNING.sags, 1.0)
 
     @property
     def thrust_doubt(self) -> float:
         """One standard deviation of what the battery may do to thrust unseen, relative."""
         slope = max(float(self._mean[1]), 0.25)
         if self.voltage is None:
-            return _UNMEASURED_BATTERY / slope
+            return _TUNING.unmeasured / slope
         drift, std = self._drift_and_std()
         # An effect that no battery has is that of climbs or gusts: the true one is as far off.
         effect = float(self._mean[_EFFECT])
-        impossible = effect - min(max(effect, 0.0), _MOST_EFFECT)
+        impossible = effect - min(max(effect, 0.0), _TUNING.most_effect)
         return float(np.linalg.norm([drift - self._target, std, impossible * self._fallen])) / slope
 
     def go_on_from(self, before: "ThrustDrift", *, landed: bool) -> None:
@@ -195,7 +197,7 @@ class ThrustDrift:
         self._noise, self._worth = before._noise, before._worth
         if landed and not measured:
             self._set(_D, 0.0)
-            self._set(_RATE, self._tuning.rate)
+            self._set(_RATE, _TUNING.rate)
         elif not landed or measured:
             self._target = self._now = before._target
 
@@ -216,7 +218,7 @@ class ThrustDrift:
         terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
         volts = np.full(len(out), np.nan) if voltage is None else voltage
         with np.errstate(invalid="ignore"):
-            measured = whole & (volts > _LEAST_VOLTAGE)
+            measured = whole & (volts > _TUNING.least_voltage)
         volts = np.column_stack([measured, np.where(measured, volts, 0.0)])
         counted = np.cumsum(whole) + self._sums[0]
         start = 0
@@ -241,7 +243,7 @@ class ThrustDrift:
         self._now, self._fallen_before = self._target, self._fallen
         self._add_voltage()
         u, square, force, power = means.tolist()
-        t = self._tuning
+        t = _TUNING
         if u <= 0.0 or force < t.least_force * GRAVITY:
             return
         bend = -(square / u**2 - 1.0)
@@ -260,11 +262,11 @@ class ThrustDrift:
         variance = float(row @ spread) + noise
         # Over its own variance an innovation has unit power; a jump also indicates more noise.
         self._worth = min(self._worth + 1.0, t.memory)
-        surplus = min(t.color * innovation**2 / variance, _JUMP**2) - 1.0
+        surplus = min(t.color * innovation**2 / variance, _TUNING.jump**2) - 1.0
         self._noise *= 1.0 + surplus / self._worth
-        if innovation**2 > _JUMP**2 * variance:
+        if innovation**2 > _TUNING.jump**2 * variance:
             self._jumps += 1
-            if self._jumps >= _STAYED:
+            if self._jumps >= _TUNING.stayed:
                 self._covariance[0, 0] += 1.0
             return
         self._jumps = 0
@@ -286,13 +288,13 @@ class ThrustDrift:
         volts = total / count
         self._measured += 1
         if self.voltage is None:
-            if self._measured < self._tuning.settled:
+            if self._measured < _TUNING.settled:
                 return
             self.voltage = volts
             # What the voltage explains need not be drift; none of it is before V_0.
             self._mean[0] += self._mean[_D]
             self._set(_D, 0.0)
-            self._set(_RATE, self._tuning.measured_rate * self._tuning.rate)
+            self._set(_RATE, _TUNING.measured_rate * _TUNING.rate)
         self._fallen = float(np.log(self.voltage / volts))
 
     def _drift_and_std(self) -> tuple[float, float]:
@@ -300,12 +302,12 @@ class ThrustDrift:
         row = np.zeros(6)
         row[_D], row[_EFFECT] = 1.0, self._fallen
         drift, std = float(row @ self._mean), float(row @ self._covariance @ row) ** 0.5
-        effect = min(max(float(self._mean[_EFFECT]), 0.0), _MOST_EFFECT)
+        effect = min(max(float(self._mean[_EFFECT]), 0.0), _TUNING.most_effect)
         return max(drift, min(effect * self._fallen, 0.0)), std
 
     def _believe(self) -> None:
         """Go by the drift as far as it stands out, or as what the voltage does is known."""
-        low, high = self._tuning.believed
+        low, high = _TUNING.believed
         drift, std = self._drift_and_std()
         sigmas = abs(drift) / max(std, 1e-12)
         if self.voltage is not None:
