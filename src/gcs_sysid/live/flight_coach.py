@@ -29,35 +29,46 @@ from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 
-_EVERY = 1.0
-"""s of vehicle time between looks."""
-_STALE = 10.0
-"""s after which advice that is not followed is reconsidered."""
-_AGAIN = 5.0
-"""The same where no maneuver was found."""
-_BEGUN = 0.1
-"""Progress from which advice is being followed."""
-_FLOWN = 0.9
-"""Progress at which it has been flown: swings never have exactly the size asked."""
-_LEAST_SECONDS = 3.0
-"""s of flight from which its residuals give the noise, and hover the CG."""
-_GROPING = 0.5
-"""Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
-_FIRST = 6.0
-"""s, of the first maneuver of a vehicle of which nothing is known."""
-_MATTERS = 0.1
-"""Share of a maneuver's motion from which an axis belongs to it."""
-_WINDOW = 1.0
-"""s of flight in which motion is compared with what was asked: a period and more."""
-_SWINGING = 0.02
-"""Share of the asked squared rates from which the maneuver counts as begun: a seventh of the
-swing."""
-_TRIED_FOR = 4.0
-"""s of that after which what comes is what the autopilot lets through."""
-_REACTS_WITHIN = 2.0
-"""s in which a pilot reads the advice and goes over to it."""
-_DAMPED = 0.6
-"""Share of the asked swing below which another pace may give more information."""
+
+@dataclass(frozen=True)
+class CoachRules:
+    """When the coach looks, waits, and takes a maneuver for flown.
+
+    Attributes:
+        every: s of vehicle time between looks.
+        stale: s after which advice that is not followed is reconsidered.
+        again: the same where no maneuver was found.
+        begun: progress from which advice is being followed.
+        flown: progress at which it has been flown: swings never have exactly the size asked.
+        least_seconds: s of flight from which its residuals give the noise, and hover the CG.
+        groping: share of an interval of Ixx or Iyy from which a fit is not gone on from.
+        first: s, of the first maneuver of a vehicle of which nothing is known.
+        matters: share of a maneuver's motion from which an axis belongs to it.
+        window: s of flight in which motion is compared with what was asked: a period and more.
+        swinging: share of the asked squared rates from which the maneuver counts as begun: a
+            seventh of the swing.
+        tried_for: s of that after which what comes is what the autopilot lets through.
+        reacts_within: s in which a pilot reads the advice and goes over to it.
+        damped: share of the asked swing below which another pace may give more information.
+    """
+
+    every: float = 1.0
+    stale: float = 10.0
+    again: float = 5.0
+    begun: float = 0.1
+    flown: float = 0.9
+    least_seconds: float = 3.0
+    groping: float = 0.5
+    first: float = 6.0
+    matters: float = 0.1
+    window: float = 1.0
+    swinging: float = 0.02
+    tried_for: float = 4.0
+    reacts_within: float = 2.0
+    damped: float = 0.6
+
+
+RULES = CoachRules()
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -122,12 +133,12 @@ class Coach:
 
     def _compare(self, squares: Array, seconds: float) -> None:
         """Keep the motion while the advised maneuver is flown."""
-        if self._chain.t - self._chosen_at < _REACTS_WITHIN:
+        if self._chain.t - self._chosen_at < RULES.reacts_within:
             return  # what was advised before
         self._window += (*squares, seconds)
-        if self._window[3] < _WINDOW:
+        if self._window[3] < RULES.window:
             return
-        if self._window[:3].sum() >= _SWINGING * self._asked.sum() * self._window[3] > 0.0:
+        if self._window[:3].sum() >= RULES.swinging * self._asked.sum() * self._window[3] > 0.0:
             self._tried += self._window
         self._window[:] = 0.0
 
@@ -144,7 +155,7 @@ class Coach:
             self._forget()
             self._next_look = 0.0
         elif chain.t >= self._next_look:
-            self._next_look = chain.t + _EVERY
+            self._next_look = chain.t + RULES.every
             self._see()
         return self._advice
 
@@ -162,7 +173,7 @@ class Coach:
     def _see(self) -> None:
         """Look how things stand, and begin to think where that is worth it."""
         fit = self._chain.fit
-        if fit.seconds < _LEAST_SECONDS:
+        if fit.seconds < RULES.least_seconds:
             self._forget()
             return
         now = self._judge(fit)
@@ -178,10 +189,10 @@ class Coach:
         progress = self._progress()
         since = self._chain.t - self._chosen_at
         if (
-            (self.choice is None and since >= _AGAIN)
+            (self.choice is None and since >= RULES.again)
             or fit.seconds < self._seconds  # something has changed, or was reset
-            or progress >= _FLOWN
-            or (progress < _BEGUN and since >= _STALE)
+            or progress >= RULES.flown
+            or (progress < RULES.begun and since >= RULES.stale)
         ):
             self._begin(fit, now)
         else:
@@ -190,20 +201,20 @@ class Coach:
 
     def _is_damped(self) -> bool:
         """Whether the advised maneuver comes out much smaller than asked, which is then kept."""
-        if self.choice is None or self._tried[3] < _TRIED_FOR:
+        if self.choice is None or self._tried[3] < RULES.tried_for:
             return False
         asked = self.choice.manoeuvre
         share = np.sqrt(self._tried[:3] / self._tried[3] / np.maximum(self._asked, 1e-12))
         self._tried[:] = 0.0
         found = False
         for axis, came, squares in zip(_AXES, share, self._asked, strict=True):
-            if squares <= _MATTERS * self._asked.max():
+            if squares <= RULES.matters * self._asked.max():
                 continue
             key = axis, asked.yaw_pace if axis == "yaw" else asked.pace
             before = self._swings.get(key, 1.0)
-            if came < _DAMPED or came > before:
+            if came < RULES.damped or came > before:
                 self._swings[key] = float(min(came, 1.0))
-            if came < _DAMPED * before:
+            if came < RULES.damped * before:
                 found = True
                 self._damped = damped_words(asked, float(came))
         return found
@@ -219,7 +230,7 @@ class Coach:
 
     def _begin(self, fit: Fit, now: dict[str, float | None]) -> None:
         """Begin to think about what to fly next."""
-        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
+        if any((now[name] or 1.0) >= RULES.groping for name in ("Ixx", "Iyy")):
             # What a hover's noise looks like is no vehicle.
             fit = replace(fit, rotation=None)
         self._thought = fit, now
@@ -243,7 +254,7 @@ class Coach:
         self._asked[:] = 0.0 if found is None else self._asked_squares(found)
         if found is not None and fit.rotation is None:
             # A rule of thumb picks the maneuver, but promises nothing.
-            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
+            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(RULES.first))
             self._text = f"{motion_words(self.choice.manoeuvre)}: first estimates of all parameters"
         elif found is not None:
             # Gains are reported against the intervals that the pilot sees.
@@ -308,7 +319,7 @@ class Coach:
         if self.choice is None:
             return 0.0
         wanted = _motion(self.choice)
-        counts = wanted > _MATTERS * wanted[:3].max() if wanted[:3].any() else wanted > 0.0
+        counts = wanted > RULES.matters * wanted[:3].max() if wanted[:3].any() else wanted > 0.0
         return float(min((self._gathered[counts] / wanted[counts]).min(), 1.0))
 
     def _met(self, now: Mapping[str, float | None]) -> str:

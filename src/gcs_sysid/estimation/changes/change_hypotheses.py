@@ -197,10 +197,12 @@ class _StepTrial:
             lift = self._fit({0: self._rotor(i, self._since(self.at))[0]})
             less, off = float(lift.value[0]), float(lift.std[0])
             # Of vehicles whose thrust is not well known, that it agrees must do, in the end.
-            agrees = last and less > _AGREES * off and abs(less - loss) < _AGREES * off
+            agrees = (
+                last and less > TUNING.agreeing * off and abs(less - loss) < TUNING.agreeing * off
+            )
             holds = (
                 loss >= max(tuning.least_loss, sure * std)
-                and (less > _SURE * off or agrees)
+                and (less > TUNING.named * off or agrees)
                 and share > tuning.explained
                 and speed < tuning.far[0]
                 and pull < tuning.far[1]
@@ -208,7 +210,7 @@ class _StepTrial:
             )
             return cause, holds
         share, std = float(mass.value[0]), float(mass.std[0])
-        least = np.maximum(_SURE * moved.std, _MIN_CG)
+        least = np.maximum(TUNING.named * moved.std, TUNING.least_cg)
         moves = bool(moved.std.any()) and bool((np.abs(moved.value) > least).any())
         # Thrust alone cannot distinguish a heavier vehicle from a weaker rotor.
         kind = kind_of(True, moves, False) if self._watched[1:3].all() else "change"
@@ -229,7 +231,7 @@ class _StepTrial:
         """Whether a weaker rotor explains it: a tenth of its thrust hardly shows in all."""
         return (
             cause.kind == "rotor_failure"
-            and cause.loss >= max(self._tuning.least_loss, _SURE * cause.loss_std)
+            and cause.loss >= max(self._tuning.least_loss, TUNING.named * cause.loss_std)
             and cause.explained > self._tuning.explained
         )
 
@@ -243,14 +245,14 @@ class _StepTrial:
             return False
         fit = self.mass()
         share = float(fit.value[0])
-        return abs(share) > _SURE * fit.std[0] and self._is_aloft(share)
+        return abs(share) > TUNING.named * fit.std[0] and self._is_aloft(share)
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
         if not self._watched[0]:
             return True
         fit = self.mass()
-        return bool(abs(fit.value[0]) < _SURE * fit.std[0])
+        return bool(abs(fit.value[0]) < TUNING.named * fit.std[0])
 
     def disturbance(self, cause: Cause, *, force: bool) -> Cause:
         """Name of a disturbance that is not a change."""
@@ -260,14 +262,14 @@ class _StepTrial:
     def _name(self) -> Disturbance:
         window, thrust = self._window, self._thrust
         later, before = slice(self.at, None), slice(0, self.at)
-        if self._stands() or float(np.median(window.y[later, 0])) > _FALLS * GRAVITY:
+        if self._stands() or float(np.median(window.y[later, 0])) > TUNING.falls * GRAVITY:
             return "contact"
         usual = float(np.median(thrust[before]))
-        if thrust[later].max() > _PUNCH * usual or thrust[later].min() < usual / _PUNCH:
+        if thrust[later].max() > TUNING.punch * usual or thrust[later].min() < usual / TUNING.punch:
             return "thrust"
-        if np.abs(window.air[later, 2]).max() > _CLIMB:
+        if np.abs(window.air[later, 2]).max() > TUNING.calm[0]:
             return "climb"
-        if np.linalg.norm(window.air[later, :2], axis=1).max() > _SPEED:
+        if np.linalg.norm(window.air[later, :2], axis=1).max() > TUNING.speed:
             return "airspeed"
         return "force"
 
@@ -313,7 +315,7 @@ class _StepTrial:
     def _is_carried(self) -> bool:
         """Whether thrust carries the vehicle: one that fell, or lies on its back, has no mass."""
         later = slice(self.at + 1, None)
-        return float(np.median(self._window.y[later, 0])) < -_FALLS * GRAVITY
+        return float(np.median(self._window.y[later, 0])) < -TUNING.falls * GRAVITY
 
     def _flies(self, share: float) -> bool:
         """Whether specific force answers to the rotors; on the ground it is that of gravity.
@@ -335,8 +337,8 @@ class _StepTrial:
         """Whether something carries the vehicle that the rotors alone do not."""
         later = slice(self.at + 1, None)
         off = np.abs(self._window.y[later, 0] + GRAVITY)
-        carried = float(np.median(self._thrust[later])) < _CARRIED * GRAVITY
-        return carried and float(np.median(off)) < 0.5 * (1.0 - _CARRIED) * GRAVITY
+        carried = float(np.median(self._thrust[later])) < TUNING.carried * GRAVITY
+        return carried and float(np.median(off)) < 0.5 * (1.0 - TUNING.carried) * GRAVITY
 
     # ---- fits ---------------------------------------------------------------------------------
 
@@ -451,18 +453,4 @@ class _StepFit:
 
 Columns = Callable[[Mask], dict[int, Array]]
 _NOTHING = _StepFit(np.zeros(1), np.zeros((1, 1)), 0.0)
-_SURE = 3.0
-"""Standard deviations that name a cause."""
-_AGREES = 2.0
-"""Standard deviations of the thrust by which a weaker rotor must show in it, at least, and by which
-it may differ from what the moments show."""
-_MIN_CG = 0.002
-"""m, least shift of the CG that is named from a second."""
-_CARRIED = 0.8
-"""Share of the weight; rotors that make less do not carry a vehicle that does not fall."""
-_FALLS = 0.5
-"""Share of g that thrust leaves to gravity in a vehicle that still flies: with less for the second
-that it takes to call a change it would sink at 5 m/s and more."""
-_PUNCH, _CLIMB, _SPEED = 1.5, 0.7, 1.5
-"""Thrust over the usual one; m/s of vertical and of horizontal velocity."""
 _THRUST = rb.SIGNALS.index("thrust")

@@ -20,22 +20,8 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.samples import Samples
 
-_REGRESSED = 40
-"""AlarmWindow means from which the effect of the air on the residuals is estimated."""
-_OU_TIMES = (0.15, 0.5, 1.5, 5.0)
-"""s, correlation times of disturbances."""
-_FLOOR_TIME = 1.5
-_FORCE_FLOOR, _MOMENT_FLOOR = 0.01, 0.04
-"""Disturbances of that time that no flight is free of: share of the weight, and of the moment of a
-tenth of it at the rotors' arm."""
-_WIDE = 1.0
-"""Prior of the mean level: the weight, or the moment that it would make at a rotor's arm."""
 _TENTHS = 10.0
 """`Reference.floors` are moments of a tenth of the arm."""
-_FEWEST_SCALES = 3
-"""Fewest scales of window means that determine a flight's noise without the window's own."""
-_VELOCITY_SENT = 0.5
-"""Share of samples with a velocity."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +45,25 @@ class HypothesisTuning:
         calm: vertical speed in m/s, and share by which thrust is off its median since, up to which
             a mean is of calm flight; and s of it on both sides that make up for an alarm in a
             punch-out or a fast climb.
+        named: standard deviations that name a cause.
+        agreeing: standard deviations of the thrust by which a weaker rotor must show in it, at
+            least, and by which it may differ from what the moments show.
+        least_cg: m, least shift of the CG that is named from a second.
+        carried: share of the weight; rotors that make less do not carry a vehicle that does not
+            fall.
+        falls: share of g that thrust leaves to gravity in a vehicle that still flies: with less
+            for the second that it takes to call a change it would sink at 5 m/s and more.
+        punch, speed: thrust over the usual one, and horizontal velocity in m/s, of no calm
+            flight.
+        regressed: means from which the effect of the air on the residuals is
+            estimated.
+        ou_times: s, correlation times of disturbances.
+        floor_time: s, correlation time of disturbances that no flight is free of, and
+        force_floor, moment_floor: their size: share of the weight, and of the moment of a tenth of
+            it at the rotors' arm.
+        fewest_scales: fewest scales of window means that determine a flight's noise without the
+            window's own.
+        velocity_sent: share of samples with a velocity.
     """
 
     frame: float = 0.05
@@ -82,6 +87,20 @@ class HypothesisTuning:
     by_thrust: float = 0.1
     far: tuple[float, float] = (2.0, 0.8)
     calm: tuple[float, float, float] = (0.7, 0.2, 2.0)
+    named: float = 3.0
+    agreeing: float = 2.0
+    least_cg: float = 0.002
+    carried: float = 0.8
+    falls: float = 0.5
+    punch: float = 1.5
+    speed: float = 1.5
+    regressed: int = 40
+    ou_times: tuple[float, ...] = (0.15, 0.5, 1.5, 5.0)
+    floor_time: float = 1.5
+    force_floor: float = 0.01
+    moment_floor: float = 0.04
+    fewest_scales: int = 3
+    velocity_sent: float = 0.5
 
 
 TUNING = HypothesisTuning()
@@ -193,14 +212,15 @@ def covariates(
             lag = float(np.hypot(2.0 * lag, actuator.lag_std))
             moved.append(actuator.curve_std * _by_curve(window, reference, actuator.curve))
         moved.append(lag * rate)
-        columns[0] = np.column_stack([_WIDE * GRAVITY * one, *moved])
+        # The mean level may be off by the weight, or the moment it would make at a rotor's arm.
+        columns[0] = np.column_stack([GRAVITY * one, *moved])
     for c in (1, 2, 3):
         if not watched[c]:
             continue
         torque = window.x[:, : rb.N_SIGNALS] @ Q[c - 1]
         moved = [tuning.inertia_error * torque, lag * _rate(torque, window)]
         moved += [tuning.flapping * _TENTHS * floors[c] * air[:, j] for j in range(3)]
-        moved += [_WIDE * _TENTHS * floors[c] * thrust / max(usual, 1e-9)]
+        moved += [_TENTHS * floors[c] * thrust / max(usual, 1e-9)]
         columns[c] = np.column_stack(moved)
     return columns
 
@@ -228,11 +248,11 @@ def covariance(window: AlarmWindow, c: int, strength: Array, floor: float) -> Ar
     """
     h = window.step
     lags = np.abs(window.index[:, None] - window.index)
-    least = (_FORCE_FLOOR if c == 0 else _MOMENT_FLOOR) * floor
+    least = (TUNING.force_floor if c == 0 else TUNING.moment_floor) * floor
     noise = strength[0] / h * (lags == 0)
     noise = noise + strength[1] / h**2 * (2.0 * (lags == 0) - 1.0 * (lags == 1))
-    added = np.where(np.array(_OU_TIMES) == _FLOOR_TIME, least**2, 0.0)
-    for tau, variance in zip(_OU_TIMES, strength[2:] + added, strict=True):
+    added = np.where(np.array(TUNING.ou_times) == TUNING.floor_time, least**2, 0.0)
+    for tau, variance in zip(TUNING.ou_times, strength[2:] + added, strict=True):
         noise = noise + variance * _ou(lags, h, tau)
     covered: Array = noise
     return covered
@@ -289,7 +309,7 @@ class Frames:
         left = np.full_like(residuals, np.nan)
         for c in range(4):
             there = np.isfinite(residuals[:, c])
-            if there.sum() < _REGRESSED:
+            if there.sum() < TUNING.regressed:
                 left[there, c] = residuals[there, c]
                 continue
             moved = (air[:, 2], np.sum(air[:, :2] ** 2, axis=1)) if c == 0 else air.T
@@ -310,9 +330,11 @@ def strengths(window: AlarmWindow, history: ResidualHistory, c: int) -> Array:
     flight = history.left[:, c], np.arange(len(history.left))
     long = _scales(*flight, history.step, (1, 2, 4, 8, 16))
     short = _scales(*before, window.step, (1, 2, 4))
-    if len(long) < _FEWEST_SCALES:
-        return _matched(np.concatenate([long, short]), np.ones(2 + len(_OU_TIMES), dtype=bool))
-    every = _matched(long, np.ones(2 + len(_OU_TIMES), dtype=bool))
+    if len(long) < TUNING.fewest_scales:
+        return _matched(
+            np.concatenate([long, short]), np.ones(2 + len(TUNING.ou_times), dtype=bool)
+        )
+    every = _matched(long, np.ones(2 + len(TUNING.ou_times), dtype=bool))
     if len(short):
         short[:, 1] -= _made(short[:, 0]) @ every
         every = every + _matched(short[short[:, 1] > 0.0], np.arange(len(every)) < 2)
@@ -329,7 +351,7 @@ def _scales(values: Array, index: Array, step: float, sizes: tuple[int, ...]) ->
 def _made(scale: Array) -> Array:
     """(k, p) variances of differences of means over (k,) scales, of each noise of unit strength."""
     made = [2.0 / scale, 6.0 / scale**2]
-    for tau in _OU_TIMES:
+    for tau in TUNING.ou_times:
         k = tau / scale
         lost = 1.0 - np.exp(-1.0 / k)
         made.append(4.0 * k * (1.0 - k * lost) - 2.0 * (k * lost) ** 2)
@@ -408,7 +430,7 @@ def _command_of(share: Array, c: float) -> Array:
 
 def _velocity(samples: Samples, dt: float) -> Array:
     """(n, 3) along the body axes: as sent, else of the accelerometer, integrated."""
-    if not np.isfinite(samples.velocity).all(axis=1).mean() > _VELOCITY_SENT:
+    if not np.isfinite(samples.velocity).all(axis=1).mean() > TUNING.velocity_sent:
         turn = attitude.matrices(samples.attitude)
         pull = (turn @ np.nan_to_num(samples.force)[..., None])[..., 0] + [0.0, 0.0, GRAVITY]
         pull[~np.isfinite(samples.force).all(axis=1)] = 0.0
