@@ -1,6 +1,6 @@
 """What is assumed of a vehicle before it has flown, and of its sensors."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +13,27 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 
-_GYRATION = 0.55
-"""Radius of gyration in roll and pitch over the arm; 0.54 to 0.57 of a Crazyflie, an Iris and the
-default vehicle of PX4's SIH."""
-_HOVER_SPEED = 500.0
-"""rad/s, of the rotors, where k_T is not known."""
-_HOVER_COMMAND = 0.4
-"""Thrust in hover over the greatest, where T_max is not known."""
+
+@dataclass(frozen=True)
+class UsualVehicle:
+    """What is expected of a vehicle of which little is known.
+
+    Attributes:
+        gyration: radius of gyration in roll and pitch over the arm; 0.54 to 0.57 of a Crazyflie,
+            an Iris and the default vehicle of PX4's SIH.
+        hover_speed: rad/s, of the rotors, where k_T is not known.
+        hover_command: thrust in hover over the greatest, where T_max is not known.
+        acceleration_density: rad^2/s^3: with commands, motion of the motors that their commands
+            do not explain.
+    """
+
+    gyration: float = 0.55
+    hover_speed: float = 500.0
+    hover_command: float = 0.4
+    acceleration_density: float = 3e-4
+
+
+USUAL = UsualVehicle()
 
 GYRO_DENSITY = 0.01 * np.pi / 180.0
 """rad/s per root hertz, one-sided: a usual MEMS gyro in flight."""
@@ -27,8 +41,6 @@ SPEED_STD = 0.5
 """rad/s, of one sample of a rotor's speed."""
 RATE = 250.0
 """Hz, of IMU and rotors."""
-ACCELERATION_DENSITY = 3e-4
-"""rad^2/s^3: with commands, motion of the motors that their commands do not explain."""
 
 
 class PriorVehicle(NamedTuple):
@@ -59,13 +71,13 @@ def prior_vehicle(airframe: Airframe, rotor_input: RotorInput = RotorInput.SPEED
     known = {name: value for name, (value, _) in airframe.priors.items()}
     mass = airframe.mass or known.get("mass") or 1.0
     weight = mass * GRAVITY
-    load = _HOVER_COMMAND if rotor_input.motors else _HOVER_SPEED**2
+    load = USUAL.hover_command if rotor_input.motors else USUAL.hover_speed**2
     thrust = (
         getattr(airframe, rotor_input.thrust)
         or known.get(rotor_input.thrust)
         or weight / (rotors * load)
     )
-    around = mass * (_GYRATION * arm) ** 2
+    around = mass * (USUAL.gyration * arm) ** 2
     usual = np.array([REGISTRY[name].usual for name in rb.THETA])
     theta, std = np.where(rb.RELATIVE, around / thrust, arm) * usual.T
     for name, value in known.items():
@@ -83,6 +95,6 @@ def prior_noise(craft: Craft) -> Noise:
     """Of usual sensors: see GYRO_DENSITY, SPEED_STD and RATE."""
     gyro = 0.5 * GYRO_DENSITY**2 * np.eye(3)
     if craft.rotor_input.motors:
-        return Noise(gyro, ACCELERATION_DENSITY * np.eye(3))
+        return Noise(gyro, USUAL.acceleration_density * np.eye(3))
     std = np.full(craft.geometry.shape[1], SPEED_STD)
     return Noise(gyro, speed_noise(craft, std, 1.0 / RATE))

@@ -8,6 +8,7 @@ pushed the way in which its rotors never push.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,37 +18,56 @@ from gcs_sysid.signals.recursions import lfilter
 
 TAKE_OFF = 1.0
 """s after leaving the ground that do not count yet: ground effect, and feet that slip."""
-_HEIGHT = 0.3
-"""m above the ground, from which a vehicle that does not report its state counts as flying."""
+
+
+@dataclass(frozen=True)
+class FlightRules:
+    """What shows that a vehicle flies, falls, or is carried by the ground.
+
+    Attributes:
+        height: m above the ground, from which a vehicle that does not report its state counts as
+            flying.
+        rest, rest_for: m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors
+            shake it by 0.7 m/s^2 (LOG00259 of indiflightSupport); hovering it leaves these bounds
+            several times in that time.
+        still: the same of means over `smooth`, within which a record may begin on the ground: in
+            hover real flights read 0.07 rad/s and more, with idling rotors on the ground 0.02.
+            Simulated ones may hover as quietly, so it counts as flight until thrust has grown
+            several times, and the ground is known.
+        fall, fall_for: m/s^2 below which it falls, and s of it.
+        one_g: m/s^2 that an accelerometer must have read before it may indicate a fall.
+        lies: rad/s, mean rate up to which it may lie on its back.
+        least_force: m/s^2 from which force over thrust is taken, and which nothing in the air has
+            the wrong way round.
+        forgets: s in which the least ratio grows by e: a payload, or a spike that was taken for
+            thrust.
+        smooth: s, of means.
+        placed_for: s for which the last height reported holds.
+        silent_for: s without any rotor after which nothing shows that it flies.
+    """
+
+    height: float = 0.3
+    rest: tuple[float, float] = (2.5, 0.35)
+    rest_for: float = 0.25
+    still: tuple[float, float] = (0.6, 0.05)
+    fall: float = 4.0
+    fall_for: float = 0.1
+    one_g: tuple[float, float] = (7.0, 13.0)
+    lies: float = 1.0
+    least_force: float = 5.0
+    forgets: float = 60.0
+    smooth: float = 0.1
+    placed_for: float = 2.0
+    silent_for: float = 1.0
+
+
+RULES = FlightRules()
 _G = 9.81
-_REST, _REST_FOR = (2.5, 0.35), 0.25
-"""m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors shake it by 0.7 m/s^2
-(LOG00259 of indiflightSupport); hovering it leaves these bounds several times in that time."""
-_STILL = (0.6, 0.05)
-"""The same of means over `_SMOOTH`, within which a record may begin on the ground: in hover real
-flights read 0.07 rad/s and more, with idling rotors on the ground 0.02. Simulated ones may hover as
-quietly, so it counts as flight until thrust has grown several times, and the ground is known."""
-_FALL, _FALL_FOR = 4.0, 0.1
-"""m/s^2 below which it falls, and s of it."""
-_ONE_G = (7.0, 13.0)
-"""m/s^2 that an accelerometer must have read before it may indicate a fall."""
-_LIES = 1.0
-"""rad/s, mean rate up to which it may lie on its back."""
 _CARRIED = np.log([5.0, 2.5])
 """Logarithms of specific force over squared speeds and over commands, against their least in
 flight, from which the ground carries it. Over squared speeds: 9 to 10 with idling rotors, at most
 2 in flight. Over commands: 3.6 and more with idling rotors, 1.6 in flight, be thrust linear or
 square in the command."""
-_LEAST_FORCE = 5.0
-"""m/s^2 from which that ratio is taken, and which nothing in the air has the wrong way round."""
-_FORGETS = 60.0
-"""s in which the least ratio grows by e: a payload, or a spike that was taken for thrust."""
-_SMOOTH = 0.1
-"""s."""
-_PLACED_FOR = 2.0
-"""s for which the last height reported holds."""
-_SILENT_FOR = 1.0
-"""s without any rotor after which nothing shows that it flies."""
 
 
 class FlightDetector:
@@ -109,19 +129,25 @@ class FlightDetector:
         ratio = self._ratios(smooth)
         least = self._least(t, ratio)
         with np.errstate(invalid="ignore"):
-            restless: Mask = sensed & ((np.abs(force - _G) > _REST[0]) | (rates > _REST[1]))
+            restless: Mask = sensed & (
+                (np.abs(force - _G) > RULES.rest[0]) | (rates > RULES.rest[1])
+            )
             carried = (ratio > _CARRIED + least).any(axis=1)
             carried &= ~(ratio <= _CARRIED + least).any(axis=1)
-            falls = sensed & (force < _FALL) & (force > 0.0)
+            falls = sensed & (force < RULES.fall) & (force > 0.0)
             # A racer's drag may push it so for a while, but not with 1 g and without turning.
-            lies = (smooth[:, 0] > _ONE_G[0]) & (smooth[:, 0] < _ONE_G[1]) & (smooth[:, 1] < _LIES)
-            overturned = sensed & (along > _LEAST_FORCE) & lies
-        rests = self._since(t, restless | ~zero, "_restless_at") >= _REST_FOR
-        idles = self._since(t, restless | zero | ~carried, "_carried_at") >= _REST_FOR
-        falls = self._since(t, ~falls, "_unfallen_at") >= _FALL_FOR
+            lies = (
+                (smooth[:, 0] > RULES.one_g[0])
+                & (smooth[:, 0] < RULES.one_g[1])
+                & (smooth[:, 1] < RULES.lies)
+            )
+            overturned = sensed & (along > RULES.least_force) & lies
+        rests = self._since(t, restless | ~zero, "_restless_at") >= RULES.rest_for
+        idles = self._since(t, restless | zero | ~carried, "_carried_at") >= RULES.rest_for
+        falls = self._since(t, ~falls, "_unfallen_at") >= RULES.fall_for
         falls &= self._once_weighed(force, "_weighed")
         # An IMU that is mounted or read upside down has never shown its weight the right way.
-        overturned = self._since(t, ~overturned, "_upright_at") >= _REST_FOR
+        overturned = self._since(t, ~overturned, "_upright_at") >= RULES.rest_for
         overturned &= self._once_weighed(-along, "_weighed_upright")
         # A report of disarmed, of a vehicle that reports flight with all rotors turning, is another
         # sender's.
@@ -134,9 +160,9 @@ class FlightDetector:
         self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
         # Where height or ground is not known, turning rotors must do.
-        low = ground - down < _HEIGHT
+        low = ground - down < RULES.height
         received: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
-        silent = self._since(t, received, "_rotors_at") >= _SILENT_FOR
+        silent = self._since(t, received, "_rotors_at") >= RULES.silent_for
         reported = np.isfinite(in_air)
         change = np.select(
             [stands, reported, falls, low | silent, turn],
@@ -170,17 +196,17 @@ class FlightDetector:
     def _once_weighed(self, force: Array, name: str) -> Mask:
         """(n,) whether the accelerometer has read about 1 g before; kept under a name."""
         with np.errstate(invalid="ignore"):
-            weighs = (force > _ONE_G[0]) & (force < _ONE_G[1])
+            weighs = (force > RULES.one_g[0]) & (force < RULES.one_g[1])
         weighed: Mask = np.logical_or.accumulate(np.append(getattr(self, name), weighs))[1:]
         setattr(self, name, bool(weighed[-1]))
         return weighed
 
     def _smoothed(self, t: Array, x: Array) -> Array:
-        """(n, k) means over `_SMOOTH`; what is missing holds the value before."""
+        """(n, k) means over some time; what is missing holds the value before."""
         x = np.column_stack([_held(x[:, k], self._smooth[k]) for k in range(x.shape[1])])
         step = float(t[1] - t[0]) if len(t) > 1 else float(t[0]) - self._t
         # Before the first sample nothing is smoothed, whatever the step.
-        decay = math.exp(-max(step, 0.0) / _SMOOTH) if step == step else 0.0
+        decay = math.exp(-max(step, 0.0) / RULES.smooth) if step == step else 0.0
         out = x.copy()
         for k in range(x.shape[1]):
             first = int(np.argmax(np.isfinite(x[:, k])))
@@ -197,13 +223,13 @@ class FlightDetector:
     def _ratios(smooth: Array) -> Array:
         """(n, 2) logarithm of specific force over thrust, by speeds and by commands."""
         force, thrust = smooth[:, :1], smooth[:, 2:]
-        good = (force > _LEAST_FORCE) & (thrust > 0.0)
+        good = (force > RULES.least_force) & (thrust > 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(good, np.log(force / thrust), np.nan)
 
     def _least(self, t: Array, ratio: Array) -> Array:
         """(n, 2) the least of the ratios so far, which grows while none is less."""
-        drift = t[:, None] / _FORGETS
+        drift = t[:, None] / RULES.forgets
         found = np.where(np.isfinite(ratio), ratio, np.inf) - drift
         least = np.minimum.accumulate(np.vstack([self._log_least, found]), axis=0)[1:]
         self._log_least = least[-1].copy()
@@ -215,16 +241,16 @@ class FlightDetector:
         held = _held(down, self._down)
         self._down = float(held[-1])
         age = self._since(t, np.isfinite(down), "_placed_at")
-        return np.where(age < _PLACED_FOR, held, np.nan)
+        return np.where(age < RULES.placed_for, held, np.nan)
 
     def _note_beginning(
         self, t: Array, smooth: Array, judged: Mask, down: Array, ratio: Array
     ) -> None:
         """Keep where it was until it first moved: there it stood, or hovered."""
-        gentle = (np.abs(smooth[:, 0] - _G) < _STILL[0]) & (smooth[:, 1] < _STILL[1])
+        gentle = (np.abs(smooth[:, 0] - _G) < RULES.still[0]) & (smooth[:, 1] < RULES.still[1])
         if self._began is None:
             self._began = float(t[0])
-        gentle |= t - self._began < 2.0 * _SMOOTH
+        gentle |= t - self._began < 2.0 * RULES.smooth
         moved = np.logical_or.accumulate(np.append(self._moved, judged & ~gentle))[1:]
         self._moved = bool(moved[-1])
         still = judged & ~moved

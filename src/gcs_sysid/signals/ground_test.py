@@ -6,37 +6,49 @@ In the air the specific force is thrust over mass, so that from one window to th
 
 with u what thrust grows with (squared speeds, or commands) and a near 1: motor lag takes from it,
 the thrust curve of commands adds. On the ground |f| is 1 g whatever the rotors do: a = 0. The test
-adds up the log-likelihood ratio of the two (Wald 1945), with a the most likely within `_SLOPES`,
-and v as large as the better of the two leaves it.
+adds up the log-likelihood ratio of the two (Wald 1945), with a the most likely within bounds, and v
+as large as the better of the two leaves it.
 
 It needs no report, no height and no known vehicle, and says nothing while thrust is constant. What
 turns fast or reads far from 1 g stands on nothing, whatever thrust does.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 
-_WINDOW = 0.2
-"""s, long against most motors' lags."""
+
+@dataclass(frozen=True)
+class GroundRules:
+    """Settings of the test.
+
+    Attributes:
+        window: s, long against most motors' lags.
+        slopes: of thrust that carries.
+        memory: s over which the residuals' power is averaged.
+        least_noise: of log |f|: what an accelerometer leaves of a mean over a window.
+        step: nats that one window may add: a shock is one like others.
+        one_g: m/s^2, between which the mean force of what stands lies.
+        turns: rad/s, mean rate from which nothing stands.
+    """
+
+    window: float = 0.2
+    slopes: tuple[float, float] = (0.5, 1.25)
+    memory: float = 3.0
+    least_noise: float = 0.003
+    step: float = 2.0
+    one_g: tuple[float, float] = (6.5, 13.5)
+    turns: float = 1.0
+
+
+RULES = GroundRules()
 _ODDS = math.log(1000.0)
 """Nats from which it stands; until half of them are lost again."""
-_SLOPES = (0.5, 1.25)
-"""Of thrust that carries."""
-_MEMORY = 3.0
-"""s over which the residuals' power is averaged."""
-_LEAST_NOISE = 0.003
-"""Of log |f|: what an accelerometer leaves of a mean over a window."""
 _MOST = np.array([0.3, 0.2])
 """Of the changes of log |f| and log u that count: a shock is one window like others."""
-_STEP = 2.0
-"""Nats that one window may add, likewise."""
-_ONE_G = (6.5, 13.5)
-"""m/s^2, between which the mean force of what stands lies."""
-_TURNS = 1.0
-"""rad/s, mean rate from which nothing stands."""
 
 
 class GroundTest:
@@ -63,7 +75,7 @@ class GroundTest:
             (n,) whether the ground carries it, by the windows before each sample.
         """
         values = np.column_stack([force, rates, thrust])
-        numbers = np.floor(t / _WINDOW).astype(np.int64)
+        numbers = np.floor(t / RULES.window).astype(np.int64)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         known = np.isfinite(values)
         sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
@@ -90,15 +102,15 @@ class GroundTest:
         if not (math.isfinite(x) and math.isfinite(y)):
             return
         y, x = np.clip([y, x], -_MOST, _MOST)
-        slope = min(max(y / x, _SLOPES[0]), _SLOPES[1]) if x else 0.0
+        slope = min(max(y / x, RULES.slopes[0]), RULES.slopes[1]) if x else 0.0
         squares = np.array([y * y, (y - slope * x) ** 2])
-        keep = math.exp(-_WINDOW / _MEMORY)
+        keep = math.exp(-RULES.window / RULES.memory)
         self._power = keep * self._power + (1.0 - keep) * squares
         # Twice: differences of means that follow each other are correlated by -1/2.
-        variance = 2.0 * max(float(self._power.min()), _LEAST_NOISE**2)
+        variance = 2.0 * max(float(self._power.min()), RULES.least_noise**2)
         gain = float(squares[0] - squares[1]) / (2.0 * variance)
-        self._nats += min(max(gain, -_STEP), _STEP)
-        if not (_ONE_G[0] < mean[0] < _ONE_G[1]) or mean[1] > _TURNS:
+        self._nats += min(max(gain, -RULES.step), RULES.step)
+        if not (RULES.one_g[0] < mean[0] < RULES.one_g[1]) or mean[1] > RULES.turns:
             self._nats = max(self._nats, 0.0)
         self._nats = min(max(self._nats, -_ODDS), _ODDS)
         self._stands = self._nats < -0.5 * _ODDS if self._stands else self._nats <= -_ODDS

@@ -21,18 +21,30 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.model import attitude
 
-_INTERVAL = 0.3
-"""s, long against the attitude's lag, short against a turn."""
-_LARGEST_TURN = 0.5
-"""rad in an interval."""
-_FEWEST = 40
-"""Intervals, some six for each of the seven unknowns of an axis."""
-_MOST = 8192
-"""Intervals that are kept, 40 minutes."""
-_LEAST_SHARE = 0.05
-"""Explained, below which noise hides everything."""
-_NOISY = 0.25
-"""Share of noise in an attitude's turns, known to some 0.2, up to which they are turns."""
+
+@dataclass(frozen=True)
+class GyroCheckRules:
+    """Settings of the comparison.
+
+    Attributes:
+        interval: s, long against the attitude's lag, short against a turn.
+        largest_turn: rad in an interval.
+        fewest: intervals, some six for each of the seven unknowns of an axis.
+        most: intervals that are kept, 40 minutes.
+        least_share: explained, below which noise hides everything.
+        noisy: share of noise in an attitude's turns, known to some 0.2, up to which they are
+            turns.
+    """
+
+    interval: float = 0.3
+    largest_turn: float = 0.5
+    fewest: int = 40
+    most: int = 8192
+    least_share: float = 0.05
+    noisy: float = 0.25
+
+
+RULES = GyroCheckRules()
 
 
 @dataclass(frozen=True)
@@ -86,9 +98,9 @@ class GyroCheck:
         steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t, prepend=start)[:, None]
         angle = self._angle + np.cumsum(np.where(joined[:, None], steps, 0.0), axis=0)
         run = self._run + np.cumsum(~joined)
-        number = np.floor(t / _INTERVAL).astype(np.int64)
+        number = np.floor(t / RULES.interval).astype(np.int64)
         ends = there & (np.diff(number, prepend=self._number) != 0)
-        if ends.any() and len(self._ends) < _MOST:
+        if ends.any() and len(self._ends) < RULES.most:
             columns = (t, run, angle, reported, gyro)
             self._ends += list(np.column_stack(columns)[ends])
         self._number, self._run, self._angle = int(number[-1]), int(run[-1]), angle[-1]
@@ -99,7 +111,7 @@ class GyroCheck:
 
         It is renewed each time there is a fifth more, so that asking often costs little.
         """
-        count = 2 * _FEWEST
+        count = 2 * RULES.fewest
         if len(self._ends) < count:
             return None
         while (more := math.ceil(1.2 * count)) <= len(self._ends):
@@ -112,23 +124,23 @@ class GyroCheck:
 def _compared(ends: Array) -> GyroAgainstAttitude | None:
     """From the (n, 12) ends of intervals: time, run, angle, attitude and rate."""
     t, run, angle, q, rate = np.split(ends, [1, 2, 5, 9], axis=1)
-    same = (run[1:] == run[:-1])[:, 0] & (np.diff(t[:, 0]) < 2.0 * _INTERVAL)
+    same = (run[1:] == run[:-1])[:, 0] & (np.diff(t[:, 0]) < 2.0 * RULES.interval)
     dt = np.diff(t, axis=0)[same]
     phi = attitude.to_rotation_vector(attitude.multiply(attitude.conjugate(q[:-1]), q[1:]))[same]
     theta, change = np.diff(angle, axis=0)[same], np.diff(rate, axis=0)[same]
-    small: Mask = np.linalg.norm(phi, axis=1) < _LARGEST_TURN
+    small: Mask = np.linalg.norm(phi, axis=1) < RULES.largest_turn
     columns = np.column_stack([phi, dt, change])[small]
     phi, theta = phi[small], theta[small]
-    if len(phi) < _FEWEST:
+    if len(phi) < RULES.fewest:
         return None
     fits = [_robust(columns, theta[:, axis]) for axis in range(3)]
-    explained = np.array([[max(share, _LEAST_SHARE)] for *_, share in fits])
+    explained = np.array([[max(share, RULES.least_share)] for *_, share in fits])
     gain = np.array([value[:3] for value, *_ in fits])
     std = np.sqrt([np.diag(covariance)[:3] for _, covariance, _ in fits])
     half = 0.5 * gain * (1.0 / explained - 1.0)
     gain, std = gain + half, np.hypot(std, half)
     bias = np.array([value[3] for value, *_ in fits])
-    turned = np.where(_noise_share(phi) < _NOISY, np.sqrt((phi**2).mean(axis=0)), 0.0)
+    turned = np.where(_noise_share(phi) < RULES.noisy, np.sqrt((phi**2).mean(axis=0)), 0.0)
     return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
 
 

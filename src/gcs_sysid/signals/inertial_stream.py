@@ -24,28 +24,39 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.interpolation import FAR, interpolate, neighbors, usual_gap
 from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
-_REACH = 2
-"""Neighbors on each side that a sample is compared with."""
-_AROUND = 3
-"""Samples on each side for the usual disagreement around."""
-_NOISE = 3
-"""So many of them that disagree are no spikes, but noise that begins."""
+
+@dataclass(frozen=True)
+class SpikeRules:
+    """What makes a sample a spike.
+
+    Attributes:
+        reach: neighbors on each side that a sample is compared with.
+        around: samples on each side for the usual disagreement around.
+        noise: so many of them that disagree are no spikes, but noise that begins.
+        past: samples before those, for the usual disagreement.
+        least_past: known disagreements among these, fewer than which allow no verdict.
+        usual: a spike disagrees by so many medians; white noise, one sample in millions.
+        fill: samples on each side among which a spike's sound neighbors are looked for.
+    """
+
+    reach: int = 2
+    around: int = 3
+    noise: int = 3
+    past: int = 64
+    least_past: int = 24
+    usual: float = 15.0
+    fill: int = 3
+
+
+RULES = SpikeRules()
 _OVER = ((-2, 1), (-1, 2), (-2, 2))
 """Neighbors whose lines pass over one that may be a spike."""
-_PAST = 64
-"""Samples before those, for the usual disagreement."""
-_LEAST_PAST = 24
-"""Known disagreements among these, fewer than which allow no verdict."""
-_USUAL = 15.0
-"""A spike disagrees by so many medians; white noise, one sample in millions."""
 JOLT = 25.0
 """rad/s^2; what a sample of a gyro may disagree by in any case, over the time between samples."""
 
-_FILL = 3
-"""Samples on each side among which a spike's sound neighbors are looked for."""
-AHEAD = _FILL + _REACH + _AROUND
+AHEAD = RULES.fill + RULES.reach + RULES.around
 """Samples after one that `despiked` needs for it: its neighbors' verdicts need theirs."""
-BEHIND = AHEAD + _PAST
+BEHIND = AHEAD + RULES.past
 """The same before it."""
 _NONE = np.zeros(0, np.int64)
 _SLOPE = 1
@@ -66,14 +77,14 @@ def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]
         (n, width), NaN where a spike has no sound neighbor on a side, x itself where there is
         no spike; and (n, width) where spikes were.
     """
-    if len(t) < 2 * _REACH + 1 or not _may_spike(x, least):
+    if len(t) < 2 * RULES.reach + 1 or not _may_spike(x, least):
         return x, np.zeros(x.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         off, own = _disagreement(t, x, gap)
         size = np.minimum(own, _outside(x))
         spikes: Mask = size > least
         rows, columns = np.nonzero(spikes)
-        spikes[rows, columns] = size[rows, columns] > _USUAL * _usual(off, own, rows, columns)
+        spikes[rows, columns] = size[rows, columns] > RULES.usual * _usual(off, own, rows, columns)
     return (_filled(t, x, spikes, gap) if spikes.any() else x), spikes
 
 
@@ -124,7 +135,7 @@ def _disagreement(t: Array, x: Array, gap: float) -> tuple[Array, Array]:
     readings = np.full((3, *x.shape), np.nan)
     readings[0, 2:] = bend * step[1:, None]
     readings[1, :-2] = bend * step[:-1, None]
-    k = np.arange(_REACH, len(t) - _REACH)
+    k = np.arange(RULES.reach, len(t) - RULES.reach)
     around = k[:, None] + np.array([-2, -1, 1, 2])
     apart = t[k, None] - t[around]
     weights = np.ones_like(apart)
@@ -149,15 +160,15 @@ def _disagreement(t: Array, x: Array, gap: float) -> tuple[Array, Array]:
 
 def _usual(off: Array, own: Array, rows: Array, columns: Array) -> Array:
     """(m,) usual disagreement at those places, the larger of that around and that before."""
-    near = rows[:, None] + np.arange(-_AROUND, _AROUND + 1)
-    past = rows[:, None] - _AROUND - 1 - np.arange(_PAST)
+    near = rows[:, None] + np.arange(-RULES.around, RULES.around + 1)
+    past = rows[:, None] - RULES.around - 1 - np.arange(RULES.past)
     places = np.arange(len(rows))
     around, known = _sorted(own, near, columns)
-    noise = around[places, np.maximum(known - _NOISE, 0)]
+    noise = around[places, np.maximum(known - RULES.noise, 0)]
     before, known = _sorted(off, past, columns)
     median = before[places, np.maximum(known - 1, 0) // 2]
     # Without enough of the past nothing is known to be unusual.
-    return np.where(known < _LEAST_PAST, np.inf, np.fmax(noise, median))
+    return np.where(known < RULES.least_past, np.inf, np.fmax(noise, median))
 
 
 def _sorted(off: Array, rows: Array, columns: Array) -> tuple[Array, Array]:
@@ -172,7 +183,7 @@ def _filled(t: Array, x: Array, spikes: Mask, gap: float) -> Array:
     """Spikes replaced by the cubic through four neighbors, or the line where it must be."""
     out: Array = x.copy()
     for row, column in zip(*np.nonzero(spikes), strict=True):
-        near = np.arange(max(row - _FILL, 0), min(row + _FILL + 1, len(t)))
+        near = np.arange(max(row - RULES.fill, 0), min(row + RULES.fill + 1, len(t)))
         sound = near[~spikes[near, column]]
         before, after = sound[sound < row][-2:], sound[sound > row][:2]
         out[row, column] = np.nan
