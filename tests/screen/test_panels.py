@@ -20,12 +20,18 @@ from gcs_sysid.screen.snapshot_view import (
 )
 from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
 from gcs_sysid.screen.widgets.coach_panel import advice_lines
-from gcs_sysid.screen.widgets.convergence import nice_ticks, reduced_history, shade
 from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.screen.widgets.link_panel import facts, message_line
+from gcs_sysid.screen.widgets.plots import (
+    nice_limit,
+    nice_ticks,
+    overlay,
+    reduced_history,
+    shade,
+    strip,
+)
 from gcs_sysid.screen.widgets.verdict import verdict_lines
 
 from . import fake

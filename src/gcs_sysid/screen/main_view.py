@@ -15,14 +15,13 @@ from textual.widgets import Footer
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.key_commands import COMMANDS, PAGES, bindings_of
 from gcs_sysid.screen.view import Panel, View
-from gcs_sysid.screen.widgets.acceleration import AccelerationPanel
 from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
 from gcs_sysid.screen.widgets.coach_panel import CoachPanel
-from gcs_sysid.screen.widgets.convergence import Convergence
 from gcs_sysid.screen.widgets.event_log import EventLog
 from gcs_sysid.screen.widgets.health_panel import HealthPanel
 from gcs_sysid.screen.widgets.link_panel import LinkPanel
 from gcs_sysid.screen.widgets.parameter_table import ParameterTable
+from gcs_sysid.screen.widgets.plots import AccelerationPanel, Convergence
 from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
 from gcs_sysid.screen.widgets.verdict import VerdictPanel
 

@@ -2,14 +2,11 @@
 
 import textwrap
 
-from textual.app import ComposeResult
-from textual.containers import VerticalScroll
-
 from gcs_sysid.results.number_format import clock_tenths
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line, Lines
+from gcs_sysid.screen.widgets.lines import Line, ScrolledLines
 
 
 def event_lines(event: Event, width: int) -> list[Line]:
@@ -20,25 +17,18 @@ def event_lines(event: Event, width: int) -> list[Line]:
     return [[(time, fmt.MUTED), (text, "")] for time, text in zip(stamps, texts, strict=True)]
 
 
-class EventLog(VerticalScroll, can_focus=False):
+class EventLog(ScrolledLines):
     """What happened, with times."""
 
     BORDER_TITLE = "Events"
 
     def __init__(self) -> None:
-        super().__init__(id="events")
-        self._text = Lines(id="event-lines")
-        self._view: View | None = None
+        super().__init__("events")
         self._shown: tuple[tuple[Event, ...], int] | None = None
         self._scrolling = True
 
-    def compose(self) -> ComposeResult:
-        """One text for all lines."""
-        yield self._text
-
-    def show(self, view: View) -> None:
-        """Bring the log up to date, and follow its end unless the user has scrolled up."""
-        self._view = view
+    def lay_out(self, view: View) -> None:
+        """Write the log, and follow its end unless the user has scrolled up."""
         found = () if view.snapshot is None else view.snapshot.events
         width = self.scrollable_content_region.width
         if (found, width) == self._shown:
@@ -55,8 +45,3 @@ class EventLog(VerticalScroll, can_focus=False):
     def _to_end(self) -> None:
         self._scrolling = False
         self.scroll_end(animate=False)
-
-    def on_resize(self) -> None:
-        """Wrap the texts again."""
-        if self._view is not None:
-            self.show(self._view)

@@ -1,30 +1,28 @@
 """A widget of styled lines, of which only those that have changed are drawn again.
 
 Textual's own widgets format all their text again for any change of it. On a large screen whose
-numbers change several times a second that was most of what the whole program cost. A plot
-among them is drawn no more often than it can be read.
+numbers change several times a second that was most of what the whole program cost.
 """
 
-import math
-import time
 from abc import abstractmethod
 from collections.abc import Sequence
 from itertools import groupby, zip_longest
 
 from rich.segment import Segment
 from rich.style import Style as SegmentStyle
+from textual.app import ComposeResult
+from textual.containers import VerticalScroll
 from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.style import Style
 from textual.widget import Widget
 
 from gcs_sysid.sanitize import printable
+from gcs_sysid.screen.view import View
 
 Part = tuple[str, str]
 """Text without line ends, and its style as in Textual's markup."""
 Line = list[Part]
-MIN_SECONDS = 0.5
-"""Between two drawings of what grows."""
 
 
 class Lines(Widget):
@@ -78,38 +76,28 @@ class Lines(Widget):
         return found
 
 
-class RationedPlot(Lines):
-    """Draws itself on request, several requests within `MIN_SECONDS` making one drawing."""
+class ScrolledLines(VerticalScroll, can_focus=False):
+    """Lines that scroll, laid out again for another size."""
 
-    def __init__(self, id: str, classes: str | None = None) -> None:
-        super().__init__(id=id, classes=classes)
-        self._drawn_at = -math.inf
-        self._waiting = False
+    def __init__(self, id: str) -> None:
+        super().__init__(id=id)
+        self._text = Lines(classes="scrolled")
+        self._view: View | None = None
+
+    def compose(self) -> ComposeResult:
+        """One text for all lines."""
+        yield self._text
+
+    def show(self, view: View) -> None:
+        """Bring the lines up to date."""
+        self._view = view
+        self.lay_out(view)
 
     @abstractmethod
-    def drawing(self) -> list[Line]:
-        """The plot for the present size."""
-
-    def draw(self) -> None:
-        """Draw now."""
-        self._drawn_at = time.monotonic()
-        self.put(self.drawing())
-
-    def draw_later(self) -> None:
-        """Draw when the last drawing is old enough."""
-        if self._waiting:
-            return
-        rest = self._drawn_at + MIN_SECONDS - time.monotonic()
-        if rest <= 0.0:
-            self.draw()
-            return
-        self._waiting = True
-        self.set_timer(rest, self._draw_waiting)
-
-    def _draw_waiting(self) -> None:
-        self._waiting = False
-        self.draw()
+    def lay_out(self, view: View) -> None:
+        """Write the lines of a view for the present size."""
 
     def on_resize(self) -> None:
-        """Draw for the new size."""
-        self.draw()
+        """Lay out the lines again."""
+        if self._view is not None:
+            self.lay_out(self._view)

@@ -1,14 +1,11 @@
 """The link panel: rates got and asked per message, losses, gaps, clock, recording."""
 
-from textual.app import ComposeResult
-from textual.containers import VerticalScroll
-
 from gcs_sysid.results.number_format import data_rate, grouped
 from gcs_sysid.results.snapshot import LinkStatus
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line, Lines
+from gcs_sysid.screen.widgets.lines import Line, ScrolledLines
 
 _WARNING = "$text-warning"
 
@@ -57,33 +54,21 @@ def message_line(message: MessageRate, width: int) -> Line:
     ]
 
 
-class LinkPanel(VerticalScroll, can_focus=False):
+class LinkPanel(ScrolledLines):
     """Health of the link; scrolls where a vehicle sends more than fits."""
 
     BORDER_TITLE = "Link"
 
     def __init__(self) -> None:
-        super().__init__(id="link")
-        self._text = Lines(id="link-lines")
-        self._view: View | None = None
+        super().__init__("link")
 
-    def compose(self) -> ComposeResult:
-        """One text for all lines."""
-        yield self._text
-
-    def show(self, view: View) -> None:
-        """Bring the panel up to date."""
-        self._view = view
+    def lay_out(self, view: View) -> None:
+        """Write figures and messages."""
         lines = self._lines(view)
         # Messages come and go; a panel that shrinks each time would force a new layout of the
         # screen.
         lines += [[]] * (len(self._text.lines) - len(lines))
         self._text.put(lines)
-
-    def on_resize(self) -> None:
-        """Lay out the columns again."""
-        if self._view is not None:
-            self.show(self._view)
 
     def _lines(self, view: View) -> list[Line]:
         if view.snapshot is None:
