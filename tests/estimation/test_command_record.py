@@ -15,9 +15,8 @@ from gcs_sysid.estimation.noise.whitening import bank_for_commands
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import command_record
-from gcs_sysid.estimation.record.command_record import CommandRecord
+from gcs_sysid.estimation.record.command_record import CommandRecord, FirstPlace, TunedRows
 from gcs_sysid.estimation.record.record import FlightRecord
-from gcs_sysid.estimation.record.tuned_motors import FirstPlace, TunedRows
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MeanThrust, step_of
