@@ -183,7 +183,7 @@ def _by_mixer(parameters: Mapping[str, float]) -> ReportedLayout | None:
     upright axis raises turn clockwise, as their reaction is what turns the vehicle.
     """
     rotors = []
-    for i in range(_MOST_ROTORS):
+    for i in range(MOST_ROTORS):
         gains = [parameters.get(f"{MIXER}{axis}[{i}]") for axis in ("roll", "pitch", "yaw")]
         if None in gains:
             break
