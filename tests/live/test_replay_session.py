@@ -137,7 +137,8 @@ def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analyzed):
     assert session.final.dumps() == analyzed.dumps()
     assert session.latest().result is session.final
     assert session.latest().link.state is LinkState.ENDED
-    assert 1 < len(told) < 60
+    # A result a second of the flight, however fast the log is read.
+    assert recorded.duration - 3.0 < len(told) <= recorded.duration
 
 
 def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):

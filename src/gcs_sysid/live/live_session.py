@@ -18,7 +18,7 @@ from pathlib import Path
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
-from gcs_sysid.live.live_view import link_status, with_link
+from gcs_sysid.live.live_view import RESULT_EVERY, link_status, with_link
 from gcs_sysid.live.reception import (
     Ended,
     Failure,
@@ -398,8 +398,7 @@ class LiveSession:
         estimate, t = self._estimate, self._estimate.chain.t
         if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
             return
-        # Once a second of the vehicle's clock.
-        if self._on_result is None or t - self._result_reported_at < 1.0:
+        if self._on_result is None or t - self._result_reported_at < RESULT_EVERY:
             return
         self._result_reported_at = t
         try:

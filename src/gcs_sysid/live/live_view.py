@@ -13,6 +13,9 @@ from gcs_sysid.session.chain import Chain
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 
+RESULT_EVERY = 1.0
+"""s of the vehicle's clock between results that are passed on."""
+
 
 def link_status(
     state: LinkState, source: Source, station: GroundStation, intake: Intake, *, too_slow: bool

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
-from gcs_sysid.live.live_view import picture
+from gcs_sysid.live.live_view import RESULT_EVERY, picture
 from gcs_sysid.live.log_playback import LogPlayback, LogSegments, Recorded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
@@ -48,7 +48,7 @@ class ReplaySession:
         target: half the 95 % interval, as a share of its value, that every parameter is to reach.
         stay: whether to wait at the end of the log for a seek; else the session ends there.
         clock: s that only grow; tests put their own here.
-        on_result: called in the session's thread, at most once a second of the flight.
+        on_result: called in the session's thread, once a second of the flight.
 
     Raises:
         InputError: the file can no longer be read.
@@ -196,7 +196,8 @@ class ReplaySession:
         until, piece = self._due(), _PIECE * self._speed
         if goal is not None:
             until, piece = goal, _PIECE
-        end = playback.log_segments.next_end(until, piece)
+        due = math.inf if self._on_result is None else self._result_reported_at + RESULT_EVERY
+        end = playback.log_segments.next_end(min(until, due), min(piece, 0.25 * RESULT_EVERY))
         if end is None:
             self._end()
             return 0.0
@@ -281,8 +282,10 @@ class ReplaySession:
     # -- what others see
 
     def _report_result(self) -> None:
-        if self._on_result is not None and self._position - self._result_reported_at >= 1.0:
-            self._result_reported_at = self._position
+        due = self._result_reported_at + RESULT_EVERY
+        if self._on_result is not None and self._position >= due:
+            late = self._position - due
+            self._result_reported_at = due + late // RESULT_EVERY * RESULT_EVERY
             self._on_result(self._chain.result())
 
     def _is_publishing_due(self) -> bool:

@@ -1,8 +1,9 @@
-"""What damping that differs by axis does to a fit to commands with one damping for all three.
+"""What damping that differs by axis does to a fit of window rows, which have one for all three.
 
 Yaw alone determines the ratio of its damping to Izz, and roll and pitch their damping. One damping
 for all of them ties Izz to Ixx and Iyy more closely than gyroscopic torque does; but inflow and
-flapping damp roll and pitch, and hardly yaw. Rows of one step have damping by axis among their
+flapping damp roll and pitch, and hardly yaw; and with slow samples a torque that seems late is
+taken for damping. Rows of one step have damping by axis among their
 unknowns (`deviations`). In the window's, with phi its difference from the common one and
 D = dQ/dphi x, as for what is given (`estimation.parameters.given_errors`),
 
@@ -36,7 +37,7 @@ def axis_damping_doubt(fit: RotationFit, rows: Array) -> Array:
     """(N_THETA, N_THETA) covariance of the error that one damping for three axes makes.
 
     Args:
-        fit: to commands, of rows of the window.
+        fit: of rows of the window.
         rows: (WIDTH, WIDTH) moments of rows [x, y] at its coordinates, without known noise.
     """
     theta = fit.theta

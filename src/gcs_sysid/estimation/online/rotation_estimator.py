@@ -264,7 +264,7 @@ class RotationEstimator:
         Speeds miss what happens between readings. The window has one damping for three axes.
         """
         sparse = is_sparse(self._speed_interval) and fit.lag_place is None
-        by_window = self._basis.motors and not fit.whiteners
+        by_window = not fit.whiteners and self._record.article is None
         if not (sparse or by_window):
             return fit
         found = self.moments(fit) if instant is None else instant.at(fit, self._record)
