@@ -239,12 +239,24 @@ def test_a_search_out_of_budget_says_so(monkeypatch, truth, flight):
     assert fit_offline(tracker, plain) == "the maximum-likelihood search did not converge"
 
 
-def test_disturbed_air_is_never_left_to_white_process_noise(monkeypatch):
+def test_whitened_rows_are_never_left_to_white_process_noise(monkeypatch):
     """Where the likeliest noise leads nowhere, the online estimate stays."""
     monkeypatch.setattr(offline, "_second_look", lambda *_: None)
-    monkeypatch.setattr(offline, "_maximum", lambda *_: "maximum likelihood")
     tracker = SimpleNamespace(kept=["samples"])
-    said = fit_offline(tracker, Fit(fit_with(), None, 20.0))
-    assert said == "the fit by the likeliest noise did not converge"
-    calm = Fit(fit_with(disturbance=(0.1, 0.1, 0.1)), None, 20.0)
-    assert fit_offline(tracker, calm) == "maximum likelihood"
+    for disturbance in ((5.0, 5.0, 5.0), (0.1, 0.1, 0.1)):
+        said = fit_offline(tracker, Fit(fit_with(disturbance=disturbance), None, 20.0))
+        assert said == "the fit by the likeliest noise did not converge"
+
+
+def test_what_two_estimates_are_apart_is_in_the_interval():
+    """Beyond chance, and told where it is more than the estimate's own standard deviation."""
+    online = fit_with()
+    off = 10.0 * online.std[0]
+    theta = online.theta + off * np.eye(len(online.theta))[0]
+    fit, apart = offline._widened(replace(online, theta=theta), online)
+    assert fit.std[0] == pytest.approx(np.hypot(online.std[0], off))
+    assert apart[0] == pytest.approx(off)
+    assert not apart[1:].any()
+    same, none = offline._widened(online, online)
+    assert not none.any()
+    np.testing.assert_array_equal(same.std, online.std)

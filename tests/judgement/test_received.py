@@ -98,3 +98,13 @@ def test_loss_is_told_where_it_is_more_than_px4_leaves_out_itself(percent, verdi
 def test_what_link_or_log_say_is_a_reason_where_one_is_needed():
     assert judge(replace(explaining(0.95), problems=("few messages",))).reasons == ()
     assert judge(replace(NOTHING, problems=("few messages",))).reasons[-1] == "few messages"
+
+
+def test_two_estimators_that_disagree_are_told_of_where_there_is_a_value():
+    zero = SURE | {"rotor_inertia": Estimate(0.0, 1e-8)}
+    apart = {"Ixx": 0.04, "rotor_inertia": 3.0}
+    evidence = replace(explaining(0.9), estimates=zero, apart=apart)
+    assert by(evidence, "estimator") == [
+        "the online estimate differs by more than chance in Ixx: intervals hold both"
+    ]
+    assert by(explaining(0.9), "estimator") == []

@@ -89,6 +89,8 @@ class Evidence:
         problems: of link or log.
         imu_loss: IMU samples that are missing, as in a result's telemetry.
         note: on the estimator, for those who asked for another.
+        apart: name -> share of the value by which the offline estimate differs from the online one
+            beyond chance, which its interval holds.
     """
 
     estimates: Mapping[str, Estimate]
@@ -110,3 +112,4 @@ class Evidence:
     problems: tuple[str, ...] = ()
     imu_loss: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
+    apart: Mapping[str, float] = field(default_factory=dict)

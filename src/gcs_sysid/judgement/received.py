@@ -41,9 +41,23 @@ def layout(evidence: Evidence) -> Iterator[Objection]:
 
 
 def estimator(evidence: Evidence) -> Iterator[Objection]:
-    """Another estimator was asked for."""
+    """Another estimator was asked for; or there are two that do not agree."""
     if evidence.note and not evidence.no_vehicle:
         yield Objection(evidence.note, verdict="identified")
+    estimates = evidence.estimates
+    apart = {
+        name: share
+        for name, share in evidence.apart.items()
+        if name in estimates and estimates[name].status != "zero"
+    }
+    if apart:
+        yield Objection(
+            f"the online estimate differs by more than chance in {', '.join(apart)}: "
+            "intervals hold both",
+            frozenset(apart),
+            verdict="identified",
+            evidence=apart,
+        )
 
 
 def missing_data(evidence: Evidence) -> Iterator[Objection]:

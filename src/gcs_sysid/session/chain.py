@@ -44,7 +44,7 @@ from gcs_sysid.judgement.judge import Stage, judge, judged
 from gcs_sysid.judgement.status import of_rotors
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import AXES, REGISTRY
+from gcs_sysid.model.parameters import AXES, REGISTRY, THETA
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary
@@ -610,8 +610,17 @@ class Findings:
                 chain.outdated,
             ),
             note=note,
+            apart=self._apart(),
         )
         return evidence if chain.origin is None else chain.origin.known_to(evidence)
+
+    def _apart(self) -> dict[str, float]:
+        """By how much offline and online differ beyond chance, relative to the value."""
+        offline, rotation = self.chain.offline, self.chain.fit.rotation
+        if isinstance(offline, str | None) or rotation is None:
+            return {}
+        shares = np.abs(offline.apart) / np.maximum(np.abs(rotation.theta), 1e-300)
+        return {name: share for name, share in zip(THETA, shares.tolist(), strict=True) if share}
 
     def _segment_evidence(self, fit: Fit, anchor: ScaleReference) -> Evidence:
         """What is judged of a stretch of flight."""

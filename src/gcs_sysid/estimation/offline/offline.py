@@ -1,18 +1,18 @@
 """The offline estimate of a flight, started from the online fit.
 
-Under an unmodeled moment (gusts, propeller wash), the samples are processed a second time with the
-maximum-likelihood noise model (`filter_error`). In calm air, and at slow rates, the
-likelihood of the whole record is maximized (`estimation.offline.likelihood`).
+Where rows are whitened, the samples are processed a second time with the maximum-likelihood noise
+model (`filter_error`). Where they are those of the window, at slow rates and behind a low-pass, the
+likelihood of the whole record is maximized (`estimation.offline.likelihood`). By what the estimate
+differs from the online one beyond chance its intervals are wider.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.tracking import Tracker
-from gcs_sysid.estimation.fit.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.offline.filter_error import likeliest_noise, offline_bank, residual_runs
@@ -49,12 +49,15 @@ class OfflineFit:
         bounding_fit: the same with the Cramer-Rao bound as its covariance.
         method: which estimator it is of, in words.
         likelihood: how the maximum looks; None where the noise alone was looked for.
+        apart: (N_THETA,) by how much it differs from the online one, beyond chance and more than
+            its own standard deviation; else 0. Its intervals hold that.
     """
 
     fit: Fit
     bounding_fit: Fit
     method: str
     likelihood: LikelihoodFit | None = None
+    apart: Array = field(default_factory=lambda: np.zeros(rb.N_THETA))
 
 
 def fit_offline(
@@ -74,14 +77,9 @@ def fit_offline(
         return "no online estimate to start from"
     on_progress = progress or (lambda what, share: None)
     if online.rotation.whiteners:
+        # White process noise is no model of disturbed air, and in calm air no better one.
         found = _second_look(tracker, online, on_progress)
-        if found is not None:
-            assert found.fit.rotation is not None
-            if found.fit.rotation.disturbance.max() > RULES.detected:
-                return found
-        elif online.rotation.disturbance.max() > RULES.detected:
-            # White process noise is no model of disturbed air.
-            return "the fit by the likeliest noise did not converge"
+        return found or "the fit by the likeliest noise did not converge"
     return _maximum(tracker, online, on_progress)
 
 
@@ -122,33 +120,29 @@ def _second_look(tracker: Tracker, online: Fit, on_progress: Progress) -> Offlin
         return None
     fit, bound = found
     assert fit.rotation is not None
-    own = _widened(fit.rotation, online.rotation)
+    own, apart = _widened(fit.rotation, online.rotation)
     # With a fit's own residuals: those above are of the fit before.
     left = residual_runs(tracker.kept, tracker.geometry, dt, fit.rotation)
     own, instrumented = combined(own, fit_by_instruments(left, fit.rotation, T))
     fit = replace(fit, rotation=own, aligned_by=fit.rotation, other_layout=online.other_layout)
     bounded = replace(fit, rotation=replace(own, covariance=np.diag(bound**2)))
     method = "filter error" if chosen else "whitener bank"
-    return OfflineFit(fit, bounded, f"{method}, instruments" if instrumented else method)
+    method = f"{method}, instruments" if instrumented else method
+    return OfflineFit(fit, bounded, method, apart=apart)
 
 
-def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
+def _widened(fit: RotationFit, online: RotationFit) -> tuple[RotationFit, Array]:
     """Disagreement beyond chance between two estimates of one flight counts as error of either.
 
     The online one weighs the same rows less well, so that by chance they differ by the difference
     of their variances (Hausman 1978, Econometrica 46, 1251-1271).
     """
-    n = rb.N_THETA
     apart = fit.theta - online.theta
     # Two estimates differ by so much by chance.
     chance = Z95**2 * np.maximum(online.std**2 - fit.std**2, 0.0)
-    strong = fit.disturbance > RULES.detected
     error = np.sqrt(np.maximum(apart**2 - chance, 0.0)) * np.sign(apart)
-    if not strong.any() or not error.any():
-        return fit
-    full = fit.full_covariance.copy()
-    full[:n, :n] += np.outer(error, error)
-    return replace(fit, covariance=full[:n, :n], full_covariance=full)
+    shown = np.where(np.abs(error) > fit.std, error, 0.0)
+    return fit.widened(np.outer(error, error)), shown
 
 
 def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit | str:
@@ -183,7 +177,8 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
     n = rb.N_THETA
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: n + 1, : n + 1] = found.covariance
-    full[:n, :n] += _systematic(rotation, found.theta)
+    # What deviations from the model leave open is as open here, where they are taken as given.
+    full[:n, :n] += rotation.open_covariance
     fit = replace(
         rotation,
         theta=found.theta,
@@ -195,6 +190,7 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
     )
     if online.moments is not None:
         fit = with_sparse_readings(fit, tracker.tuning.speed_interval, online.moments.window)
+    fit, apart = _widened(fit, rotation)
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     online = replace(online, aligned_by=rotation)
     return OfflineFit(
@@ -202,25 +198,8 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
         replace(online, rotation=bounding),
         "maximum likelihood",
         found,
+        apart,
     )
-
-
-def _systematic(online: RotationFit, theta: Array) -> Array:
-    """(N_THETA, N_THETA) of errors that the likelihood does not show.
-
-    In disturbed air, by what the two estimators are apart, and the floor of the online one. What
-    deviations from the model leave open is as open offline, where they are taken as given.
-    """
-    n = rb.N_THETA
-    out = np.zeros((n, n))
-    strong = online.disturbance > RULES.detected
-    if strong.any():
-        apart = theta - online.theta
-        out += np.outer(apart, apart)
-        for axis in np.flatnonzero(strong):
-            error = axis_floor(online, int(axis))
-            out += np.outer(error, error)
-    return out + online.open_covariance
 
 
 def join(parts: Sequence[Samples]) -> Samples:
