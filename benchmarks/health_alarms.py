@@ -30,7 +30,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.urls import LOG_SUFFIXES
+from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
 from testbed.study import arguments, gone_on_with, markdown

@@ -25,7 +25,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.telemetry.urls import LOG_SUFFIXES
+from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
 from testbed.recordings import rectangle
 from testbed.study import arguments
 

@@ -231,7 +231,7 @@ def analyze(
     """Identify from a recorded flight, with the numbers of `gcs-sysid analyze`.
 
     Args:
-        log: a .tlog, .ulg, .bin or .bbl file.
+        log: its file.
         airframe: as for `load_airframe`.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         start: s after the first record; earlier records are not used.
@@ -296,7 +296,7 @@ def fly_twin(
 
     Args:
         result: of this flight (the model is then refitted to its first part) or of another.
-        log: a .tlog, .ulg, .bin or .bbl file.
+        log: its file.
         airframe: as for `load_airframe`; None: that of the result.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         seed: of the vehicles drawn from the covariance.

@@ -2,8 +2,11 @@
 
 import argparse
 import contextlib
+import gzip
+import io
 import json
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +22,7 @@ from gcs_sysid.setup_help.airframe_file import airframe_text, checked
 from gcs_sysid.setup_help.layouts import ASCII
 from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard
 from gcs_sysid.telemetry.dataflash import read_dataflash
+from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
@@ -27,6 +31,7 @@ from sim_bridge.swings import read_plan
 from testbed.fuzz.harness import Scratch, one_line_errors
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
+_log = Scratch("")
 _toml, _json, _key = Scratch(".toml"), Scratch(".json"), Scratch(".key")
 
 
@@ -56,6 +61,14 @@ def check_bin(data: bytes) -> None:
         recording = read_dataflash(path)
         check_recording(recording)
         assert 0 <= recording.garbage_bytes <= len(data)
+
+
+def check_log(data: bytes) -> None:
+    """What is given as a log is unpacked and read, or refused."""
+    path = _log.put(data)
+    with one_line_errors():
+        for _ in open_log(path).blocks():
+            pass
 
 
 def check_airframe(data: bytes) -> None:
@@ -300,4 +313,15 @@ def bin_seeds() -> list[bytes]:
                     row = stamp + b"FRAME_CLASS\0\0\0\0\0" + struct.pack("<f", 1.0)
                 log += b"\xa3\x95" + bytes([number]) + row
         logs.append(log)
-    return logs
+    text = b"ArduCopter\r\nFMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format\r\n"
+    text += b"FMT, 1, 31, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ\r\n"
+    text += b"FMT, 2, 23, PARM, Nf, Name,Value\r\nPARM, FRAME, 1\r\n"
+    return [*logs, text + b"IMU, 1000, 0.1, 0.2, 0.3, 0.4, 0.5, -9.8\r\n" * 3]
+
+
+def packed_seeds() -> list[bytes]:
+    """A log in each of the packings that are undone."""
+    log, archive = bin_seeds()[1], io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as target:
+        target.writestr("a.bin", log)
+    return [gzip.compress(log), archive.getvalue(), bytes(100) + log]

@@ -381,3 +381,46 @@ def test_a_log_of_a_second_battery_alone_has_no_voltage(tmp_path, dataflash_file
     recording = read_dataflash(path)
     assert recording.counts == {"BAT": 1}
     assert not recording.tracks
+
+
+TEXT = """ArduCopter V3.1
+FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format
+FMT, 129, 23, PARM, Nf, Name,Value
+FMT, 131, 31, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ
+FMT, 3, 6, MODE, Mh, Mode,ThrCrs
+FMT, 10, 3, STRT, ,
+PARM, FRAME, 1
+PARM, MOT_SPIN_ARMED, 70.5
+MODE, Stabilize, 500
+IMU, 1000, 0.1, 0.2, 0.3, 0.4, 0.5, -9.8
+IMU, 1040, 0.1, 0.2
+IMU, 1060, 0.1, 0.2, 0.3, 0.4, 0.5, -9.7
+"""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_log_saved_as_text_is_read(tmp_path, of, end):
+    path = tmp_path / "flight.log"
+    path.write_text(TEXT.replace("\n", end), newline="")
+    log = open_log(path)
+    assert log.kind == "dataflash"
+    assert [(r.t, r.values[5]) for r in of(log, Stream.IMU)] == [
+        (pytest.approx(1.0), -9.8), (pytest.approx(1.06), -9.7)
+    ]  # fmt: skip
+    assert log.parameters == {"FRAME": 1.0, "MOT_SPIN_ARMED": 70.5}
+
+
+def test_a_log_behind_other_bytes_is_read(tmp_path, dataflash_file):
+    dataflash_file.type("EV", "QB", "TimeUS,Id")
+    dataflash_file.row("EV", 1_000_000, 10)
+    for before in (bytes(70_000), random.Random(1).randbytes(5000)):
+        (tmp_path / "a.bin").write_bytes(before + dataflash_file.bytes())
+        assert open_log(tmp_path / "a.bin").as_dict()["garbage_bytes"] == len(before)
+
+
+def test_logs_of_px4_before_2017_are_named(tmp_path, dataflash_file):
+    dataflash_file.type("TIME", "Q", "StartTime")
+    dataflash_file.row("TIME", 1_000_000)
+    (tmp_path / "a.bin").write_bytes(dataflash_file.bytes())
+    with pytest.raises(InputError, match="PX4 from before 2017"):
+        open_log(tmp_path / "a.bin")

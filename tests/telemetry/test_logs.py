@@ -1,9 +1,11 @@
 """One door to every kind of recording, told by content; every ground station's .tlog."""
 
+import gzip
 import os
 import random
 import struct
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -177,16 +179,58 @@ def test_pauses_of_an_onboard_imu_are_gaps(tmp_path, dataflash_file):
     assert gaps["last"][0]["length"] == pytest.approx(0.704)
 
 
+def test_a_log_is_read_as_it_was_packed(tmp_path, sender, ulog_file):
+    ulog_file.topic("vehicle_attitude", ["float[4] q"])
+    ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
+    (tmp_path / "a.gz").write_bytes(gzip.compress(ulog_file.bytes()))
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.writestr("__MACOSX/._a", b"of a file system")
+        archive.writestr("logs/a.ulg", ulog_file.bytes())
+    for name in ("a.gz", "b.zip"):
+        log = open_log(tmp_path / name)
+        assert (log.kind, len(list(log.records()))) == ("ulog", 1)
+    plain = write(tmp_path / "a.tlog", flight(sender))
+    (tmp_path / "c.gz").write_bytes(gzip.compress(plain.read_bytes()))
+    log = open_log(tmp_path / "c.gz")
+    assert list(log.records()) == list(open_log(plain).records())
+    assert log.share_read == 1.0
+
+
+def test_of_several_logs_in_a_zip_none_is_chosen(tmp_path):
+    with zipfile.ZipFile(tmp_path / "two.zip", "w") as archive:
+        archive.writestr("a.ulg", b"ULog")
+        archive.writestr("b.ulg", b"ULog")
+    with pytest.raises(InputError, match="holds 2 files: unpack it"):
+        open_log(tmp_path / "two.zip")
+
+
+def test_a_log_that_cannot_be_unpacked_is_named_as_it_was_given(tmp_path):
+    (tmp_path / "a.gz").write_bytes(gzip.compress(b"ULog" + bytes(100)))
+    with pytest.raises(InputError, match=r"a\.gz cannot be read as a PX4 log"):
+        open_log(tmp_path / "a.gz")
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
         (b"", "is empty"),
         (b"t,ax,ay,az\n" * 100, "is not a .tlog"),
-        (b"FMT, 128, 89, FMT, BBnNZ\n" * 100, "give the .bin"),
-        (bytes(10_000), "is not a .tlog"),
+        (b"FMT, 128, 89, FMT, BBnNZ\n" * 100, "no entry found"),
+        (bytes(10_000), "holds zeros alone"),
+        (b"\x89MCAP0\r\n" + bytes(100), "MCAP file: export its topics to .csv"),
+        (b"#ROSBAG V2.0\n", "ROS bag: export"),
+        (b"SQLite format 3\0" + bytes(100), "ROS 2 bag: export"),
+        (b"ULogEnc" + bytes(100), "encrypted PX4 log: decrypt"),
+        (b"\n<!DOCTYPE html>\n<html>", "web page: download the log itself"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (b"BZh91AY", "archive: unpack it"),
+        (b'{\n "verdict": "partial"}', "is JSON, such as a result"),
+        (b"\x1f\x8b\x08" + bytes(40), "cannot be unpacked"),
+        (b"PK\3\4" + bytes(40), "cannot be unpacked"),
     ],
-    ids=["empty", "csv", "text dataflash", "zeros"],
-)
+    ids=["empty", "csv", "text dataflash", "zeros", "mcap", "bag", "db3", "ulge", "html", "lfs",
+         "bzip2", "json", "gzip", "zip"],
+)  # fmt: skip
 def test_what_is_no_log_gives_one_line(tmp_path, content, says):
     path = tmp_path / "some.log"
     path.write_bytes(content)

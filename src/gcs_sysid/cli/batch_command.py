@@ -20,6 +20,7 @@ from gcs_sysid.fleet.limits import LogLimits, analyze_within
 from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.telemetry.log_formats import usual_endings
 
 
 def run(options: argparse.Namespace) -> int:
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     table.require()
     logs = find_logs(map(Path, options.logs), None if options.csv is None else Path(options.csv))
     if not logs:
-        raise InputError(f"{', '.join(options.logs)}: contains no .tlog, .ulg, .bin or .bbl file")
+        raise InputError(f"{', '.join(options.logs)}: contains no {usual_endings(' or ')} file")
     airframes = _airframes(options, logs)
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)

@@ -66,6 +66,7 @@ from gcs_sysid.cli.options import (
     option,
     other_values,
 )
+from gcs_sysid.telemetry.log_formats import FORMATS, usual_endings
 
 PROGRAM = "gcs-sysid"
 
@@ -199,10 +200,9 @@ COMMANDS = (
     Command(
         "analyze",
         "identify from recorded flights",
-        "Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of ArduPilot, "
-        ".bbl of Betaflight, INAV or Indiflight.",
+        f"Identifies from recordings: {'; '.join(row.words for row in FORMATS)}.",
         (
-            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv or .parquet file; several: each by itself"),
+            LOGS.but(f"{usual_endings()}, .csv or .parquet file; several: each by itself"),
             CSV,
             airframe(REPORTED),
             JSON,
@@ -235,7 +235,7 @@ COMMANDS = (
     Command(
         "replay",
         "watch a recorded flight",
-        "Plays a recording (.tlog, .ulg, .bin, .bbl) on the live screen in real time, ten times as "
+        f"Plays a recording ({usual_endings()}) on the live screen in real time, ten times as "
         "fast or as fast as possible, with pause and seek. The final numbers are those of analyze.",
         (
             LOG,
@@ -251,7 +251,7 @@ COMMANDS = (
     Command(
         "inspect",
         "show what is in a log or on a link",
-        "Shows what is in a log (.tlog, .ulg, .bin, .bbl) or on a link: systems, messages, rates, "
+        f"Shows what is in a log ({usual_endings()}) or on a link: systems, messages, rates, "
         "gaps, clock, rotor input, motion, and whether the vehicle can be identified from it. On a "
         "link it requests streams as live does, and restores the rates.",
         (
@@ -290,7 +290,7 @@ COMMANDS = (
         "parameters from any log with a hover, at any message rate. Without --airframe the rotor "
         "positions come from the log.",
         (
-            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
+            LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
             CSV,
             layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
             VEHICLE,

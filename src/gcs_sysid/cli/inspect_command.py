@@ -28,17 +28,10 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, BY_NAME, usual_endings
 from gcs_sysid.telemetry.message_table import RPM
-from gcs_sysid.telemetry.urls import LOG_SUFFIXES, parse_url
+from gcs_sysid.telemetry.urls import parse_url
 
-_KINDS = {
-    "tlog": "recording of a ground station (.tlog)",
-    "ulog": "PX4's own log (.ulg)",
-    "dataflash": "ArduPilot's own log (.bin)",
-    "table": "table of signals",
-    "blackbox": "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
-    "link": "live link",
-}
 _ROLES = {
     "vehicle": "vehicle",
     "radio": "telemetry radio",
@@ -82,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
         # `inspect --json LOG`: the option took the log for its file.
         options.target, options.json = options.json, "-"
     if options.target is None:
-        raise InputError("give a LOG (.tlog, .ulg, .bin, .bbl) or a link's URL")
+        raise InputError(f"give a LOG ({usual_endings()}) or a link's URL")
     is_log = _is_log(options.target)
     output.check_outputs(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
@@ -96,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
 def _is_log(target: str) -> bool:
     """Whether it is a file, or is named like one; serial devices are neither."""
     path = log_file(Path(target))
-    return path.is_file() or path.is_dir() or path.suffix.lower() in LOG_SUFFIXES | TABLE_SUFFIXES
+    return path.is_file() or path.is_dir() or path.suffix.lower() in ANY_SUFFIX | TABLE_SUFFIXES
 
 
 def _airframe(options: argparse.Namespace) -> Airframe | None:
@@ -176,7 +169,7 @@ def _entry(name: str, text: str, width: int) -> list[str]:
 
 
 def _head(found: Inspection, width: int) -> list[str]:
-    lines = [found.source, f"{_KINDS[found.kind]}, {found.duration:.1f} s"]
+    lines = [found.source, f"{_kind(found)}, {found.duration:.1f} s"]
     if found.flights:
         most = 8
         spans = [f"{start:.0f}-{end:.0f} s" for start, end in found.flights[:most]]
@@ -187,6 +180,10 @@ def _head(found: Inspection, width: int) -> list[str]:
     elif found.flight_told_by:
         lines.append("never in the air" + _RECOGNIZED_BY[found.flight_told_by])
     return lines
+
+
+def _kind(found: Inspection) -> str:
+    return "live link" if found.kind == "link" else BY_NAME[found.kind].words
 
 
 def _systems(found: Inspection) -> list[str]:

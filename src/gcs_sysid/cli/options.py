@@ -23,6 +23,7 @@ from gcs_sysid.argument_types import (
     vehicle_address,
     web_address,
 )
+from gcs_sysid.telemetry.log_formats import usual_endings
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ LOCAL_PAGE = ("127.0.0.1", 8000)
 """Where a page is served by default."""
 
 # What is read.
-LOG = option("log", "LOG", "a .tlog, .ulg, .bin, .bbl or .csv file")
+LOG = option("log", "LOG", f"a {usual_endings()} or .csv file")
 LOGS = option("logs", "LOG", "", nargs="+")
 RESULT = option("result", "RESULT.json", "written by --json")
 CSV = option(

@@ -12,7 +12,7 @@ from gcs_sysid.cli.failures import failure_line, is_debugged, reader_has_gone
 from gcs_sysid.cli.output import abandon_stdout, say, show
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file, never_fail_to_print, with_mapping
-from gcs_sysid.telemetry.urls import LOG_SUFFIXES
+from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
 
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
@@ -71,7 +71,7 @@ def with_command(argv: Sequence[str]) -> list[str]:
 def _is_log(word: str) -> bool:
     """Whether a word is a file or folder, or was meant to be a log."""
     path = log_file(Path(word))
-    return path.exists() or path.suffix.lower() in LOG_SUFFIXES | TABLE_SUFFIXES
+    return path.exists() or path.suffix.lower() in ANY_SUFFIX | TABLE_SUFFIXES
 
 
 def _name_mappings(options: argparse.Namespace) -> None:

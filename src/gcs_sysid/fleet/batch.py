@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -18,15 +19,10 @@ from gcs_sysid.fleet.batch_table import Row, row
 from gcs_sysid.fleet.jobs import Document, Job, Task, make_task
 from gcs_sysid.fleet.pools import Pool, complete, reason
 from gcs_sysid.fleet.store import Store
-from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
 from gcs_sysid.telemetry.blackbox import flight_sessions
-from gcs_sysid.telemetry.frames import Validity, read_frame
-from gcs_sysid.telemetry.tlog_scan import STAMP
+from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES, LogFormat, format_of, unpack
 
 AIRFRAME_FILE = "airframe.toml"
-_SUFFIXES = frozenset({".tlog", ".ulg", ".bin", ".bbl", ".bfl"})
-_HEAD = 4096
-"""Bytes: the longest record of a .tlog and more."""
 
 
 @dataclass
@@ -171,12 +167,11 @@ def _in_folder(folder: Path, mapping: Path | None) -> Iterable[Path]:
 
 def _sessions(log: Path) -> list[Path]:
     """A log of its own for each session of a blackbox log that holds several."""
-    try:
-        with open(log, "rb") as file:
-            head = file.read(_HEAD)
-    except OSError:
-        return [log]
-    numbers = flight_sessions(log) if blackbox_format.MAGIC in head else []
+    form = _format(log)
+    numbers = []
+    if form is not None and form.in_sessions:
+        with ExitStack() as until:
+            numbers = flight_sessions(unpack(log, until))
     if numbers in ([], [1]):
         return [log]
     return [log.with_name(f"{log.name}#{number}") for number in numbers]
@@ -185,19 +180,14 @@ def _sessions(log: Path) -> list[Path]:
 def _is_log(path: Path, mapping: Path | None) -> bool:
     if path.suffix.lower() in TABLE_SUFFIXES:
         return (mapping or split_mapping(path)[1]) is not None
-    if path.suffix.lower() in _SUFFIXES:
-        return True
+    return path.suffix.lower() in LOG_SUFFIXES or _format(path) is not None
+
+
+def _format(path: Path) -> LogFormat | None:
     try:
-        with open(path, "rb") as file:
-            head = file.read(_HEAD)
-    except OSError:
-        return False
-    if blackbox_format.MAGIC in head:
-        return True
-    if head.startswith((ulog_scan.MAGIC[:4], dataflash_format.HEAD)):
-        return True
-    frame = read_frame(head, STAMP)
-    return frame is not None and frame.valid is Validity.OK
+        return format_of(path)
+    except (InputError, OSError):
+        return None
 
 
 def nearest_airframe(log: Path) -> Path | None:

@@ -54,7 +54,7 @@ def health_of_log(
     """What the hover in a recording shows.
 
     Args:
-        path: a .tlog, .ulg, .bin or .bbl file.
+        path: of a log.
         given: what is known beforehand.
         wanted: system and perhaps component; None: the first autopilot in it.
         span: s from the first record, between which hover counts.

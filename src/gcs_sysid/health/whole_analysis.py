@@ -63,7 +63,7 @@ def analyze_whole(
     """Identify from a recording, and assess the hover in it.
 
     Args:
-        log: a .tlog, .ulg, .bin or .bbl file.
+        log: its file.
         airframe: with a scale anchor.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's history is not computed.

@@ -309,7 +309,7 @@ def inspect_log(
     """See what is in a recording.
 
     Args:
-        path: a .tlog, .ulg, .bin or .bbl file.
+        path: of a log.
         wanted: system and perhaps component; None: the first autopilot in it.
         progress: called with the share of the log done, 0 to 1, now and then.
         airframe: of the vehicle; its rotors and its anchor, if any, count. None: the vehicle's type

@@ -60,7 +60,7 @@ def analyze_log(
     """Identify from a recording.
 
     Args:
-        path: a .tlog, .ulg, .bin or .bbl file.
+        path: of a log.
         airframe: with a scale anchor.
         wanted: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's history is not computed.

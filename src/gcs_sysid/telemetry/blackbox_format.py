@@ -21,8 +21,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 
 MAGIC = b"H Product:Blackbox flight data recorder by Nicholas Sherlock"
-SEARCHED = 4096
-"""Bytes in which the first session begins: there may be the end of an earlier one before it."""
 MARKERS = b"IPGHSE"
 """First bytes of frames."""
 MOST_SESSIONS = 1000

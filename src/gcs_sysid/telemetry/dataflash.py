@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.errors import InputError
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.signals.records import Stream
@@ -96,6 +97,11 @@ def read_dataflash(path: Path, window: int | None = None) -> Recording:
         InputError: it cannot be read or is no dataflash log.
     """
     log = DataflashLog(path, _is_read, window)
+    if "StartTime" in log.columns("TIME"):
+        raise InputError(
+            f"{path} is a log of PX4 from before 2017 (sdlog2), which is not read: convert it to "
+            ".csv with PX4's sdlog2_dump.py and say with --csv what the columns are"
+        )
     with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
         return _EntryReader(log).read()
 

@@ -6,12 +6,16 @@ the columns wanted are taken from the window, a whole message type at once with 
 20 MB takes half a second where a decoder that makes an object of every entry takes twelve.
 """
 
+import math
+import re
+import struct
+import tempfile
 from array import array
 from bisect import bisect_left
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +30,7 @@ EVERY = slice(None)
 _FMT = 0x80
 _FMT_SIZE = 89
 _HEADER = 3
+_LONGEST_LINE = 2**12
 
 _TYPES: dict[str, tuple[str, float | None]] = {
     "a": ("(32,)<i2", None), "b": ("i1", None), "B": ("u1", None), "h": ("<i2", None),
@@ -47,6 +52,54 @@ class EntryType:
     """Bytes, header included."""
     letters: str
     columns: tuple[str, ...]
+
+
+_TEXT_HEAD = 2**12
+_TEXT_FMT = re.compile(rb"^FMT, *128, *89, *FMT", re.MULTILINE)
+"""In the first bytes of a log that was saved as text."""
+
+
+def _of_text(file: BinaryIO) -> BinaryIO:
+    """The entries of a log that was saved as text, with every number as a double.
+
+    Lines that are no entry, such as a banner or one cut short, are left out.
+    """
+    packed = tempfile.TemporaryFile()  # noqa: SIM115 - the caller closes it
+    known: dict[str, tuple[int, str]] = {}
+    while line := file.readline(_LONGEST_LINE):
+        name, *values = (word.strip() for word in line.decode("latin-1").split(","))
+        if name == "FMT" and len(values) > 3 and values[0].isdecimal() and int(values[0]) < 256:
+            number, _, entry, letters, *columns = values
+            kept = "".join(c if c in "nNZ" else "d" for c in letters if c in _TYPES)
+            labels, size = ",".join(columns), _HEADER + struct.calcsize(_packing(kept))
+            if int(number) != _FMT and len(labels) <= 64 and size < 256:
+                known[entry] = int(number), kept
+                described = (int(number), size, entry, kept, labels)
+                packed.write(HEAD + bytes([_FMT]) + _packed("BBnNZ", described))
+        elif name in known and len(values) == len(known[name][1]):
+            code, kept = known[name]
+            row = [v if c in "nNZ" else _number(v) for c, v in zip(kept, values, strict=True)]
+            packed.write(HEAD + bytes([code]) + _packed(kept, row))
+    packed.seek(0)
+    return packed
+
+
+def _number(text: str) -> float:
+    """NaN where a name stands for the number, as of flight modes."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _packing(letters: str) -> str:
+    """For `struct`."""
+    return "<" + "".join({"n": "4s", "N": "16s", "Z": "64s"}.get(c, c) for c in letters)
+
+
+def _packed(letters: str, values: Sequence[Any]) -> bytes:
+    row = (v.encode("latin-1") if isinstance(v, str) else v for v in values)
+    return struct.pack(_packing(letters), *row)
 
 
 EntryLayout = dict[str, tuple[np.dtype[Any], int, float | None]]
@@ -132,6 +185,10 @@ class DataflashLog:
         places = np.frombuffer(b"" if rows is None else rows.all_places, np.uint32)
         return places.astype(np.int64)
 
+    def columns(self, name: str) -> tuple[str, ...]:
+        """All columns of a name as the log describes it, wanted or not; () when it does not."""
+        return next((t.columns for t in self._types.values() if t.name == name), ())
+
     def names(self, name: str) -> list[str]:
         """Columns wanted of the entries of a name that hold one number each; [] without entries."""
         return [column for column, (kind, _, _) in self._layout(name).items() if kind.kind in "iuf"]
@@ -179,9 +236,12 @@ class DataflashLog:
 
     def _read(self) -> None:
         with open(self.path, "rb") as file:
-            for window in file_windows(file, self._window):
-                window.done = self._find(window.content, final=window.final)
-                self._settle(window.content, window.position)
+            is_text = _TEXT_FMT.search(file.read(_TEXT_HEAD)) is not None
+            file.seek(0)
+            with _of_text(file) if is_text else file as entries:
+                for window in file_windows(entries, self._window):
+                    window.done = self._find(window.content, final=window.final)
+                    self._settle(window.content, window.position)
 
     def _find(self, data: bytes, *, final: bool) -> int:
         """Find the entries of a window, and learn the types on the way; the bytes that are done."""

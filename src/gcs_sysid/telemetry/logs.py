@@ -8,8 +8,10 @@
 What a file is shows in its content, not in its name.
 """
 
+import weakref
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,8 +21,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import (
-    MAPPING_FILE,
-    TABLE_SUFFIXES,
     check_regular,
     split_mapping,
     split_session,
@@ -28,16 +28,12 @@ from gcs_sysid.files import (
 )
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
-from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.clock import ClockDrift
-from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.mapped_table import read_table
+from gcs_sysid.telemetry.log_formats import BY_NAME, format_of, unpack, usual_endings
 from gcs_sysid.telemetry.monitor import Monitor
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.track_collector import Recording
-from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 
@@ -79,7 +75,7 @@ class Log(Telemetry, Protocol):
     """A recording. Its figures are those of what was read so far."""
 
     kind: str
-    """"tlog", "ulog", "dataflash", "blackbox" or "table"."""
+    """Name of its row in `log_formats.FORMATS`."""
 
     def blocks(self) -> Iterator[RecordBlock]:
         """The records of the chosen vehicle, once, as columns; blocks follow each other.
@@ -290,7 +286,7 @@ def one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Itera
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
-    """Open a .tlog, .ulg, .bin or .bbl, or a table of signals.
+    """Open a log of any of `log_formats.FORMATS`, packed or not, or a table of signals.
 
     Args:
         path: of the file; `LOG.bbl#2` for its second session, `flight.csv#map.toml` for a table
@@ -302,37 +298,27 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     """
     table, mapping = split_mapping(path)
     file_path, session = (table, None) if mapping is not None else split_session(path)
-    try:
-        if path.is_dir():
-            raise InputError(
-                f"{path} is a folder: give a .tlog, .ulg, .bin or .bbl file in it, or all of them: "
-                f"gcs-sysid batch {path} -o DIR"
-            )
-        check_regular(file_path)
-        with open(file_path, "rb") as file:
-            head = file.read(blackbox_format.SEARCHED)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {unreadable(file_path, error)}") from error
-    if mapping is not None:
-        return OnboardLog("table", read_table(table, mapping), wanted)
-    if blackbox_format.MAGIC in head:
-        return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
-    if session is not None:
-        raise InputError(f"{path}: only blackbox logs hold sessions; give {file_path.name}")
-    if head.startswith(ulog_scan.MAGIC[:4]):
-        return OnboardLog("ulog", read_ulog(path), wanted)
-    if head.startswith(dataflash_format.HEAD):
-        return OnboardLog("dataflash", read_dataflash(path), wanted)
-    if head.lstrip()[:1] in (b"{", b"["):
-        raise InputError(
-            f"{path} is JSON, such as a result, and no log: tune, export, compare and twin take "
-            "results, --baseline takes a flight's health"
-        )
-    if head.startswith(b"FMT,"):
-        raise InputError(f"{path} is a dataflash log converted to text: give the .bin")
-    if path.suffix.lower() in TABLE_SUFFIXES:
-        raise InputError(
-            f"{path} is a table: say what its columns are with --csv MAPPING.toml, or in a "
-            f"{MAPPING_FILE} beside it"
-        )
-    return TlogLog(path, wanted)
+    with ExitStack() as until:
+        try:
+            if path.is_dir():
+                raise InputError(
+                    f"{path} is a folder: give a {usual_endings(' or ')} file in it, or all of "
+                    f"them: gcs-sysid batch {path} -o DIR"
+                )
+            check_regular(file_path)
+            form = BY_NAME["table"] if mapping is not None else format_of(file_path)
+            whole = file_path if mapping is not None else unpack(file_path, until)
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {unreadable(file_path, error)}") from error
+        if session is not None and not form.in_sessions:
+            raise InputError(f"{path}: only blackbox logs hold sessions; give {file_path.name}")
+        try:
+            if form.name == "tlog":
+                log = TlogLog(whole, wanted)
+                weakref.finalize(log, until.pop_all().close)  # read as it is asked for
+                return log
+            part = mapping or session
+            recording = form.read(whole, *(() if part is None else (part,)))
+        except InputError as error:
+            raise InputError(str(error).replace(str(whole), str(file_path))) from error
+        return OnboardLog(form.name, recording, wanted)

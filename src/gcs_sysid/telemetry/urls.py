@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
 
 FORMS = (
     "udpin:HOST:PORT (listen), udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT "
@@ -15,7 +16,6 @@ DEFAULT_BAUD = 115200
 _NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
 _ANY_RATE = re.compile(r"/dev/(ttyACM|(cu|tty)\.usbmodem|pts/|ttys\d)")
-LOG_SUFFIXES = {".tlog", ".ulg", ".bin", ".log", ".rlog", ".bbl", ".bfl"}
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
         host, port = _host_and_port(rest.removeprefix("//"), text)
         # `udp:` listens, as in pymavlink.
         return LinkUrl("udpin" if kind == "udp" else kind, text, host, port)
-    if Path(text).suffix.lower() in LOG_SUFFIXES:
+    if Path(text).suffix.lower() in ANY_SUFFIX:
         raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
     device, comma, own_baud = text.partition(",")
     if _SERIAL_NAME.match(device) or Path(device).is_char_device():

@@ -49,7 +49,7 @@ def fly_held_out(
 
     Args:
         result: of this flight or of another one of the same vehicle.
-        log: a .tlog, .ulg, .bin or .bbl file.
+        log: its file.
         airframe: with a scale; None: that of the result.
         wanted: system and perhaps component; None: the first autopilot in the log.
         progress: called with the share of the work done.

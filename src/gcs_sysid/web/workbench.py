@@ -18,6 +18,7 @@ from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import parse_result, read_result
+from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, usual_endings
 from gcs_sysid.web.access import json_of, refuse
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
 from gcs_sysid.web.result_json import comparison_rows, result_rows, verdict_view, why_no_health
@@ -29,7 +30,6 @@ MOST_KEPT = 24
 """Logs and results at once; the oldest go."""
 MOST_BYTES = 4 << 30
 """Of all of them."""
-LOG_SUFFIXES = (".tlog", ".ulg", ".bin", ".bbl", ".bfl")
 _SANDBOX = {
     # The report brings a policy of its own, by the hashes of its script and style.
     "Content-Security-Policy": "sandbox allow-scripts; frame-ancestors 'self'",
@@ -151,8 +151,8 @@ class Workbench:
         """Take a log, or a result that was saved before, piece by piece."""
         name = file_name(request.query.get("name", ""))
         suffix = Path(name).suffix.lower()
-        if suffix not in (*LOG_SUFFIXES, ".json"):
-            raise InputError(f"{name}: drop a .tlog, .ulg, .bin or .bbl log, or a result (.json)")
+        if suffix not in (*ANY_SUFFIX, ".json"):
+            raise InputError(f"{name}: drop a {usual_endings(' or ')} log, or a result (.json)")
         kind: Literal["log", "result"] = "result" if suffix == ".json" else "log"
         most = (8 << 20) if kind == "result" else MOST_LOG
         too_large = f"{name}: too large, more than {most >> 20} MB"
