@@ -64,6 +64,7 @@ CASES = {
     ("demo", "json"): Case(("demo", *FLIGHT, "--json", "{out}"), ".jsonl", "Ixx"),
     ("demo", "record"): Case(("demo", *FLIGHT, "--record", "{out}"), ".tlog", "Ixx", dash=False),
     ("inspect", "json"): Case(("inspect", "{flight}", "--json", "{out}"), ".json", "HIGHRES_IMU"),
+    ("check", "json"): Case(("check", *ON_LOG, "--json", "{out}"), ".json", "CG"),
     ("health", "json"): Case(("health", *ON_LOG, "--json", "{out}"), ".json", "CG"),
     ("health", "params"): Case(
         ("health", *ON_LOG, "--params", "{out}"), ".param", "CG", dash=False
