@@ -1,15 +1,17 @@
 """Health of recorded flights: known parameters, repeatability, every log of a folder, two formats.
 
-    python -m benchmarks.health_logs FOLDER [--part thinned|repeated|every|formats]
+    python -m benchmarks.health_logs FOLDER [--part thinned|repeated|between|every|formats]
 
 `thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
-real flight in three parts. `every`: all logs below the folder without an airframe file or an arm
-(tables with `--csv`), the findings of each or why it has none, and rotors called weak in a flight;
-none has a known fault. `formats`: flights that there are as .BFL and as .tlog: do `health` and
-`analyze` agree on both, and is any rotor called weak against the flight before?
+real flight in three parts. `between`: flights of one vehicle, chi-square per degree of freedom of
+what each shows, by the flights' own intervals. `every`: all logs below the folder without an
+airframe file or an arm (tables with `--csv`), the findings of each or why it has none, and rotors
+called weak in a flight; none has a known fault. `formats`: flights that there are as .BFL and as
+.tlog: do `health` and `analyze` agree on both, and is any rotor called weak against the flight
+before?
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,6 +33,13 @@ from testbed.study import arguments
 
 PAIRED = ("LOG*.BFL", "cinerat.toml")
 """Flights of one vehicle, each also as .tlog of the same name, and their airframe file."""
+_FLEETS = (
+    ("Quiver 107 to 116", "quiver/000001[01]?.BIN", 0.67, 20.15),
+    ("Quiver 120 to 128", "quiver/0000012?.BIN", 0.67, 20.15),
+    ("Quiver 107 to 128", "quiver/000001*.BIN", 0.67, 20.15),
+    ("greenreaper", "greenreaper/*.BFL", 0.11, 0.5),
+)
+"""Name, files, arm in m and mass in kg of vehicles that flew several times with the same load."""
 
 
 def thinned_logs(folder: Path) -> Iterator[str]:
@@ -88,6 +97,48 @@ def repeated(folder: Path) -> Iterator[str]:
         shares = ", ".join(f"{100.0 * (r.thrust_share.value or 0.0):.1f}" for r in health.rotors)
         scale = 1e6 * (health.scale[1].value or 0.0)
         yield f"| {label} | {x:.1f} | {y:.1f} | {same[0]} | {same[1]} | {shares} | {scale:.1f} |"
+
+
+def between(folder: Path) -> Iterator[str]:
+    """Whether flights of one vehicle agree within their intervals, and no better than by chance."""
+    yield "| flights | number | n | spread, std | interval's, std | chi-square per degree |"
+    yield "|---|---|---|---|---|---|"
+    for name, pattern, arm, mass in _FLEETS:
+        given = HealthOptions(None, arm, mass)
+        told = [health_of_log(log, given) for log in sorted(folder.rglob(pattern))]
+        flights = [health for health in told if health.available]
+        for number, pairs in _numbers(flights).items():
+            value, std = np.array(pairs).T
+            if len(value) < 3:
+                continue
+            weight = std**-2.0
+            mean = float(weight @ value / weight.sum())
+            reduced = float(weight @ (value - mean) ** 2) / (len(value) - 1)
+            yield (
+                f"| {name} | {number} | {len(value)} | {value.std(ddof=1):.3g} "
+                f"| {np.sqrt(np.mean(std**2)):.3g} | {reduced:.2f} |"
+            )
+
+
+def _numbers(flights: Sequence[Health]) -> dict[str, list[tuple[float, float]]]:
+    """Name -> of each flight that has it value and standard deviation without what is given."""
+    out: dict[str, list[tuple[float, float]]] = {}
+    for health in flights:
+        cg = health.cg or (None, None)
+        named = {
+            "k_T or T_max": None if health.scale is None else health.scale[1],
+            "thrust to weight": health.thrust_to_weight,
+            "hover throttle": health.hover_throttle,
+            "yaw imbalance": health.yaw_imbalance,
+            "CG forward": cg[0],
+            "CG right": cg[1],
+            **{f"share of rotor {i}": r.thrust_share for i, r in enumerate(health.rotors, 1)},
+        }
+        for name, q in named.items():
+            if q is not None and q.value is not None and q.std:
+                own = float(np.sqrt(max(q.std**2 - q.std_given**2, 0.0)))
+                out.setdefault(name, []).append((q.value, own))
+    return out
 
 
 def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
@@ -183,6 +234,7 @@ def formats(folder: Path) -> Iterator[str]:
 PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "thinned": thinned_logs,
     "repeated": repeated,
+    "between": between,
     "every": every,
     "formats": formats,
 }

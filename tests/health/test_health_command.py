@@ -239,7 +239,9 @@ def test_the_real_quad_with_slow_logging(shared_logs):
     )
     assert health.yaw_imbalance.value == pytest.approx(-0.098, abs=0.01)
     assert health.scale[1].value == pytest.approx(2.41e-4, rel=0.02)
-    assert -0.035 < health.cg[0].value < -0.02
+    # A breeze moved the center of thrust; its part is not the airframe's.
+    assert -0.035 < health.center.at_force[0] < -0.02
+    assert health.center.at_force[0] < health.cg[0].value < 0.0
 
 
 @pytest.mark.slow

@@ -61,15 +61,17 @@ def test_flights_in_different_winds_show_one_cg():
     mean = np.array([-0.2, 0.4 / 3.0])
     assert forward.values[0] == pytest.approx(4.0 + 50.0 * mean[0], abs=0.5)
     # What the accelerometer's bias may do from flight to flight stays in.
-    assert forward.stds == pytest.approx([0.05e3 * 0.3 / 3.0 / 2.0**0.5] * 3, rel=0.1)
+    assert forward.stds == pytest.approx(
+        [0.05e3 * TUNING.accelerometer_std / 2.0**0.5] * 3, rel=0.1
+    )
 
 
 def in_wind(cg, force, lever, lever_std):
     """A flight whose wind moved its center of thrust, as health tells it."""
-    center = Center(cg, 1e-8 * np.eye(2), lever * force, lever, np.full(2, lever_std), force)
-    scatter = np.sqrt(1e-8 + (TUNING.wind_share * center.by_wind) ** 2)
-    places = [
-        Estimate(float(v), float(np.hypot(s, 0.005)), "m", std_given=0.005)
-        for v, s in zip(cg, scatter, strict=True)
-    ]
+    scatter = np.full(2, 1e-4)
+    center = Center(
+        cg, np.diag(scatter**2), np.zeros(2), lever * force, cg, scatter, lever,
+        np.full(2, lever_std), force, 0.0,
+    )  # fmt: skip
+    places = [Estimate(float(v), float(np.hypot(1e-4, 0.005)), "m", std_given=0.005) for v in cg]
     return Health("flight", cg=tuple(places), center=center)

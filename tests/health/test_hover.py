@@ -225,6 +225,20 @@ def test_the_drag_of_climbs_is_no_part_of_the_thrust_coefficient(airframe):
     assert wider > 0.4 * 0.2 / G * value
 
 
+def test_slow_scatter_widens_what_white_scatter_does_not():
+    """Flicker noise keeps the means of blocks apart, however long; white noise does not."""
+    random = np.random.default_rng(5)
+    white = random.normal(size=(256, 40))
+    spectrum = np.fft.rfft(random.normal(size=(4096, 40)), axis=0)
+    spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)) / 4096)[:, None]
+    flicker = np.fft.irfft(spectrum, axis=0)[:256]
+    n, half = len(white), 0.5
+    plain = np.sqrt(balance.long_memory(white, half))
+    assert np.median(plain) == pytest.approx(1.0 / np.sqrt(n), rel=0.5)
+    slow = np.sqrt(np.median(balance.long_memory(flicker, half)))
+    assert slow > 3.0 * float(np.median(flicker.std(axis=0))) / np.sqrt(n)
+
+
 def test_wind_is_told_from_the_drag_and_widens_the_interval(airframe):
     calm = told(flight(), airframe)
     assert calm.by_wind == pytest.approx((0.0, 0.0), abs=1e-6)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gcs_sysid.argument_types import with_given
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
@@ -130,7 +131,7 @@ class HoverRecords:
         guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
         airframe = guess.airframe
         if given.mass is not None:
-            airframe = airframe.with_anchor("mass", given.mass)
+            airframe = with_given(airframe, "mass", given.mass, "--mass")
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
@@ -329,12 +330,13 @@ def _balances(
     per_thrust, per_std = balance.specific_thrust(hover, thrust)
     spin = airframe.geometry[2]
     yaw = balance.robust_fit(
-        np.column_stack([np.ones(len(total)), hover.turning[:, 2]]), thrust @ spin / total
+        np.column_stack([np.ones(len(total)), hover.turning[:, 2]]),
+        thrust @ spin / total,
+        between=hover.half,
     )
     yaw_value = float(yaw.value[0])
     # A curve that is off by dc moves all of it: by central differences.
-    by_curve = np.zeros(2)
-    shares_by_curve, yaw_by_curve, scale_by_curve = np.zeros(len(shares)), 0.0, 0.0
+    slope = np.zeros(len(shares) + 4)
     if curve is not None and curve.c.std and curve.c.value is not None:
         step = min(curve.c.std, 0.1)
         low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
@@ -350,12 +352,11 @@ def _balances(
                 )
             )
         slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
-        by_curve, shares_by_curve = slope[:2], slope[2:-2]
-        yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
-    # Wind is another one in the next flight: its part is the flight's, not the airframe's.
-    by_wind = TUNING.wind_share * center.by_wind
-    flown = np.sqrt(np.diag(center.covariance) + by_curve**2 + by_wind**2)
-    assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
+        slope[-1] *= total.mean()
+    by_curve, by_given = (slope, slope) if curve is None else curve.parts(slope)
+    flown = np.sqrt(np.diag(center.covariance) + by_curve[:2] ** 2)
+    assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)) + by_given[:2] ** 2)
+    assumed = np.hypot(assumed, center.level_std)
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
     places = tuple(
         Estimate(float(v), float(math.hypot(f, a)), "m", std_given=float(a))
@@ -363,12 +364,19 @@ def _balances(
     )
     share_flown = np.array(
         [
-            math.sqrt(float(balance.robust_fit(np.ones((len(total), 1)), s).covariance[0, 0]))
+            math.sqrt(
+                float(
+                    balance.robust_fit(np.ones((len(total), 1)), s, between=hover.half).covariance[
+                        0, 0
+                    ]
+                )
+            )
             for s in (thrust / total[:, None]).T
         ]
     )
-    share_flown = np.hypot(share_flown, shares_by_curve)
-    share_assumed = balance.share_std(shares)
+    by_wind = balance.shares_by_wind(airframe, center)
+    share_flown = np.sqrt(share_flown**2 + by_curve[2:-2] ** 2 + by_wind**2)
+    share_assumed = np.hypot(balance.share_std(shares), by_given[2:-2])
     gains = motor_gains(streams, hover, curve)
     shaking = vibration_of(streams, hover)
     rotors = tuple(
@@ -382,11 +390,17 @@ def _balances(
         )
         for i, (s, f, a) in enumerate(zip(shares, share_flown, share_assumed, strict=True))
     )
-    yaw_std = math.hypot(math.sqrt(float(yaw.covariance[0, 0])), yaw_by_curve)
+    yaw_given = abs(float(by_given[-2]))
+    yaw_std = math.hypot(math.sqrt(float(yaw.covariance[0, 0])), float(by_curve[-2]), yaw_given)
+    given = abs(float(by_given[-1])) * per_thrust
     scale, mass = _scale(
         airframe,
-        per_thrust,
-        math.hypot(per_std, scale_by_curve * per_thrust),
+        Estimate(
+            per_thrust,
+            math.hypot(per_std, float(by_curve[-1]) * per_thrust, given),
+            "1",
+            std_given=given,
+        ),
         by_command=curve is not None,
     )
     return Health(
@@ -396,7 +410,7 @@ def _balances(
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
         center=center,
         rotors=rotors,
-        yaw_imbalance=Estimate(yaw_value, yaw_std, "1"),
+        yaw_imbalance=Estimate(yaw_value, yaw_std, "1", std_given=yaw_given),
         scale=scale,
         mass=mass,
         assumptions=_assumptions(guess, curve),
@@ -404,20 +418,29 @@ def _balances(
 
 
 def _scale(
-    airframe: Airframe, per_thrust: float, std: float, *, by_command: bool
+    airframe: Airframe, per_thrust: Estimate, *, by_command: bool
 ) -> tuple[tuple[str, Estimate] | None, Estimate | None]:
     """k_T or T_max of a given mass, or the mass of a given coefficient.
 
     per_thrust is lift over the sum of thrust in the rotors' unit: k_T / m or T_max / m.
     """
     name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
-    if airframe.mass is not None:
-        return (name, Estimate(airframe.mass * per_thrust, airframe.mass * std, unit)), None
     given = airframe.T_max if by_command else airframe.k_T
+    assert per_thrust.value is not None
+    assert per_thrust.std is not None
+    own, assumed = (each / per_thrust.value for each in (per_thrust.std, per_thrust.std_given))
+
+    def of(value: float, scaled: str, known_to: float) -> Estimate:
+        std, both = math.hypot(own, known_to), math.hypot(assumed, known_to)
+        return Estimate(value, value * std, scaled, std_given=value * both)
+
+    if airframe.mass is not None:
+        known_to = airframe.uncertainty.scale_share("mass", airframe.mass)
+        return (name, of(airframe.mass * per_thrust.value, unit, known_to)), None
     if given is None:
         return None, None
-    mass = given / per_thrust
-    return (name, Estimate(given, 0.0, unit)), Estimate(mass, mass * std / per_thrust, "kg")
+    mass = of(given / per_thrust.value, "kg", airframe.uncertainty.scale_share(name, given))
+    return (name, Estimate(given, 0.0, unit)), mass
 
 
 def _compared(

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
@@ -49,6 +50,7 @@ def robust_fit(
     ridge: Array | None = None,
     jitter: Array | None = None,
     projected: Array | None = None,
+    between: float | None = None,
 ) -> BalanceFit:
     """Least squares with Huber's weights and Newey-West's covariance.
 
@@ -63,6 +65,7 @@ def robust_fit(
         jitter: (n, p) draws of the regressors' own noise, whose products are taken off theirs
             (errors in variables, with known noise).
         projected: (n, p) regressors as instruments explain them (two-stage least squares).
+        between: s between windows, where the numbers are to be those of other flights too.
 
     Raises:
         ValueError: fewer rows than columns.
@@ -84,8 +87,46 @@ def robust_fit(
     free = max(n / (1.0 + lags) - 1.0, 2.0)
     stretch = float(stdtrit(free, 0.975)) / Z95
     # A prior's part of the knowledge is its own variance.
-    covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread
-    return BalanceFit(value, covariance * stretch**2, scale)
+    covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread * stretch**2
+    # What the fit has taken from so few residuals (MacKinnon and White 1985).
+    covariance *= n / max(n - float(np.trace(bread @ (regressors.T @ regressors))), 1.0)
+    if between is not None:
+        slow = long_memory(n * score @ bread, between)
+        grown = np.sqrt(np.maximum(1.0, slow / np.maximum(np.diag(covariance), 1e-30)))
+        covariance = covariance * np.outer(grown, grown)
+    return BalanceFit(value, covariance, scale)
+
+
+def long_memory(series: Array, half: float) -> Array:
+    """(p,) variances of the means of series about those of other flights, by their slow scatter.
+
+    Wind, battery and rotors' inflow wander ever slower: means of blocks of a flight do not come
+    closer to each other as the blocks grow, as white noise would have it. With a spectrum of
+    N + A / f the Allan variance of blocks of m windows is N / m + 2 ln 2 A (Barnes 1971), and the
+    mean of a flight of T is off that over all flights by N / n + A ln(apart / T).
+
+    Args:
+        series: (n, p) whose means are asked about, at windows that follow each other.
+        half: s from one to the next.
+    """
+    n = len(series)
+    sizes = [2**k for k in range(2, n.bit_length()) if n // 2**k >= TUNING.fewest_blocks]
+    if not sizes:
+        return np.zeros(series.shape[1])
+    allan, design, degrees = [], [], []
+    for size in sizes:
+        count = n // size
+        means = series[: count * size].reshape(count, size, -1).mean(axis=1)
+        allan.append(0.5 * (np.diff(means, axis=0) ** 2).mean(axis=0))
+        design.append([1.0 / size, 2.0 * math.log(2.0)])
+        degrees.append(float(count - 1))
+    later = math.log(max(TUNING.apart / (n * half), 1.0))
+    out = np.empty(series.shape[1])
+    for i, variance in enumerate(np.array(allan).T):
+        weight = np.sqrt(degrees) / np.maximum(variance, 1e-30)
+        (white, flicker), _ = nnls(np.array(design) * weight[:, None], variance * weight)
+        out[i] = white / n + flicker * later
+    return out
 
 
 def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:
@@ -187,20 +228,28 @@ class Center:
 
     Attributes:
         cg: (2,) m, forward and right of the geometric center.
-        covariance: (2, 2) by the flight's own scatter.
-        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as
-            observable; it is in `cg`.
+        covariance: (2, 2) by the flight's own scatter and its wind.
+        level_std: (2,) m, by an accelerometer that is off level: the same in every flight.
+        by_wind: (2,) m by which drag may have moved the center of thrust from the CG beyond what
+            was taken off; it is in `cg`.
+        at_force: (2,) m, the center of thrust at `force`, drag included.
+        scatter: (2,) m, standard deviations of that.
         lever: (2,) m per m/s^2 of specific force, by which drag moves it.
         lever_std: (2,) standard deviations of those.
-        force: (2,) m/s^2, the specific force that `cg` is at.
+        force: (2,) m/s^2, the mean specific force in the rotors' plane.
+        wind_share: of that force, that is the wind's.
     """
 
     cg: Array
     covariance: Array
+    level_std: Array
     by_wind: Array
+    at_force: Array
+    scatter: Array
     lever: Array
     lever_std: Array
     force: Array
+    wind_share: float
 
 
 def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
@@ -208,9 +257,10 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
 
     Wind drags at rotors and body above the CG and flaps the blades: a moment in proportion to the
     specific force in the rotors' plane, which the accelerometer measures. On a real 18 kg quad it
-    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. The remainder at the mean
-    force is reported separately: an accelerometer off level by a degree looks like wind, so it
-    stays in the CG and in its interval.
+    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. An accelerometer off level by
+    a degree looks like wind. Gusts set them apart: they are a known part of a wind's mean, so
+    that of the mean force w + b, of variances s_w^2 and s_b^2, the share s_w^2 / (s_w^2 + s_b^2) is
+    expected to be wind, and its moment is taken off.
 
     Args:
         windows: of hover, with all of thrust.
@@ -239,12 +289,38 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
                 drag[:, 1 - axis] - force[1 - axis],
             ]
         )
-        fit = robust_fit(columns, thrust @ place / total, ridge)
+        fit = robust_fit(columns, thrust @ place / total, ridge, between=windows.half)
         values.append(float(fit.value[0]))
         variances.append(float(fit.covariance[0, 0]) + (TUNING.cg_floor * arm) ** 2)
         levers.append((float(fit.value[4]), math.sqrt(float(fit.covariance[4, 4]))))
-    lever, lever_std = np.array(levers).T
-    return Center(np.array(values), np.diag(variances), lever * force, lever, lever_std, force)
+    (lever, lever_std), at_force = np.array(levers).T, np.array(values)
+    gusts = math.sqrt(float(windows.force[:, :2].var(axis=0).mean()))
+    wind = 0.0 if not math.isfinite(gusts) else gusts / TUNING.turbulence
+    off_level = GRAVITY * math.radians(airframe.uncertainty.imu_rotation.amount)
+    share = wind**2 / max(wind**2 + off_level**2, 1e-30)
+    moved = share * lever * force
+    own = np.array(variances) + (share * force * lever_std) ** 2
+    return Center(
+        at_force - moved,
+        np.diag(own + ((1.0 - share) * wind * lever) ** 2),
+        share * off_level * np.abs(lever),
+        lever * force - moved,
+        at_force,
+        np.sqrt(variances),
+        lever,
+        lever_std,
+        force,
+        share,
+    )
+
+
+def shares_by_wind(airframe: Airframe, center: Center) -> Array:
+    """(rotors,) what the wind of the flight adds to the shares, as the mixer answers its moment."""
+    x, y, spin = airframe.geometry
+    effect = np.vstack([np.ones(len(x)), x, y, spin])
+    moved = center.wind_share * center.lever * center.force
+    out: Array = np.linalg.pinv(effect)[:, 1:3] @ moved
+    return out
 
 
 def turns_otherwise(windows: Windows, airframe: Airframe, thrust: Array) -> bool:
@@ -318,9 +394,10 @@ def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
     sink = np.nan_to_num(windows.sink)
     mean = float(sink.mean())
     columns = np.column_stack([total / total.mean(), sink - mean])
-    fit = robust_fit(columns, lift, np.array([np.inf, TUNING.climb_drag]))
+    ridge = np.array([np.inf, TUNING.climb_drag])
+    fit = robust_fit(columns, lift, ridge, between=windows.half)
     value = float(fit.value[0] / total.mean())
-    by_climb = TUNING.wind_share * float(fit.value[1]) * mean
+    by_climb = TUNING.climb_share * float(fit.value[1]) * mean
     std = math.hypot(math.sqrt(float(fit.covariance[0, 0])), by_climb) / total.mean()
     floor = TUNING.lift_std
     if not np.isfinite(windows.lift).any():

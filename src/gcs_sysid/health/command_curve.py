@@ -24,6 +24,13 @@ class Curve:
     c: Estimate
     origin: str
 
+    def parts(self, by_curve: Array) -> tuple[Array, Array]:
+        """What an error of c does to numbers: by this flight's part of it, and by what is given."""
+        if not self.c.std:
+            return 0.0 * by_curve, 0.0 * by_curve
+        given = self.c.std_given / self.c.std
+        return math.sqrt(max(1.0 - given**2, 0.0)) * by_curve, given * by_curve
+
 
 def thrust_of(windows: Windows, c: float | None) -> Array:
     """(n, rotors) thrust, relative: mean squares of speeds, or of commands by their curve."""
@@ -60,7 +67,9 @@ def curve_of(
     clipped = float(np.clip(merged, 0.0, 1.0))
     widened = (1.0 if by_speeds else TUNING.gusts_beside) * math.sqrt(gain) * std
     whole = math.hypot(min(widened, sigma), merged - clipped)
-    return Curve(Estimate(clipped, whole, "1"), by if gain > 0.5 else origin)
+    # What was assumed is the same in every flight.
+    assumed = min((1.0 - gain) * sigma, whole)
+    return Curve(Estimate(clipped, whole, "1", std_given=assumed), by if gain > 0.5 else origin)
 
 
 def _ratio(fit: BalanceFit) -> tuple[float, float]:

@@ -90,7 +90,7 @@ def with_throttle(
     unit = GRAVITY / lift[rows]
 
     def mean_of(values: Array) -> Estimate:
-        fit = balance.robust_fit(np.ones((len(values), 1)), values)
+        fit = balance.robust_fit(np.ones((len(values), 1)), values, between=hover.half)
         return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
 
     throttle = mean_of(u.mean(axis=1))
@@ -101,10 +101,18 @@ def with_throttle(
         other = thrust_of(hover, curve.c.value + step)[rows].mean(axis=1) * unit
         by_curve = float((other - share).mean()) / step * curve.c.std
         assert hover_thrust.std is not None
-        hover_thrust = replace(hover_thrust, std=math.hypot(hover_thrust.std, by_curve))
+        own, given = (float(part) for part in curve.parts(np.array(by_curve)))
+        std = math.hypot(hover_thrust.std, own, given)
+        hover_thrust = replace(hover_thrust, std=std, std_given=abs(given))
     assert hover_thrust.value is not None
     assert hover_thrust.std is not None
-    to_weight = Estimate(1.0 / hover_thrust.value, hover_thrust.std / hover_thrust.value**2, "1")
+    squared = hover_thrust.value**2
+    to_weight = Estimate(
+        1.0 / hover_thrust.value,
+        hover_thrust.std / squared,
+        "1",
+        std_given=hover_thrust.std_given / squared,
+    )
     rotors = []
     for i, rotor in enumerate(health.rotors):
         used = mean_of(u[:, i])

@@ -128,14 +128,12 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Estimate, ...]]:
     lever = (weights * [center.lever for center in known]).sum(axis=0) / total
     force = np.array([center.force for center in known])
     away = force - force.mean(axis=0)
-    # One in three of the difference of two biases.
-    moved = np.hypot(away / np.sqrt(total), lever * TUNING.bias_repeats / 3.0 / math.sqrt(2.0))
+    # A bias is another one after each start.
+    moved = np.hypot(away / np.sqrt(total), lever * TUNING.accelerometer_std / math.sqrt(2.0))
     out = []
-    for place, center, shift, std in zip(places, known, lever * away, moved, strict=True):
-        own = np.array([(q.std or 0.0) ** 2 - q.std_given**2 for q in place])
-        own = np.maximum(own - (TUNING.wind_share * center.by_wind) ** 2, 0.0)
-        values = np.array([q.value or 0.0 for q in place]) - shift
-        both = zip(values.tolist(), np.sqrt(own + std**2).tolist(), strict=True)
+    for center, shift, std in zip(known, lever * away, moved, strict=True):
+        values = center.at_force - shift
+        both = zip(values.tolist(), np.hypot(center.scatter, std).tolist(), strict=True)
         out.append(tuple(Estimate(value, whole, "m") for value, whole in both))
     return out
 

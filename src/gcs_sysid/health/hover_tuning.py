@@ -56,8 +56,6 @@ class HoverTuning:
         yaw_repeats: of the yaw balance.
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
         cg_stays: the same where nothing was moved or loaded: the apparent shift by wind.
-        bias_repeats: m/s^2, change of specific force from flight to flight that is no wind: three
-            standard deviations of the difference of two accelerometer biases.
         calm: m/s^2, by how much the specific force in the rotors' plane varies without wind.
         moved_by_gusts: of the sum, the yaw balance and (in arms) the center of thrust, for a
             variation of that force by 1 m/s^2 beyond `calm`. Gusts slower than a stretch of hover
@@ -114,12 +112,14 @@ class HoverTuning:
             `benchmarks.health` errors were 1.3 times what the fits said, with climbs of 1.5 m as of
             3 m.
         drag_lever: arms, prior standard deviation of the height that drag acts at.
-        wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
-            is an accelerometer off level.
+        turbulence: standard deviation of a wind over its mean, near the ground.
+        climb_share: of what a mean climb seems to cost, that may be real.
         instruments_std: standard deviation of c up to which the instruments are strong enough.
         gust_bias: relative error of the thrust's slope, over the share of gusts in its power
             (measured over nine flights of `benchmarks.health`).
         white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
+        fewest_blocks: of a length, whose scatter is taken.
+        apart: s between flights of a day, to within a factor: its logarithm counts.
         cg_floor: arms, that no flight goes below.
         position_std: m over meter of arm, each rotor's place in the airframe file.
     """
@@ -161,7 +161,6 @@ class HoverTuning:
     yaw_repeats: float = 0.001
     cg_repeats: float = 0.0015
     cg_stays: float = 0.0004
-    bias_repeats: float = 0.3
     calm: float = 0.09
     moved_by_gusts: float = 0.04
     parameter_penalty: float = 2.0
@@ -199,11 +198,14 @@ class HoverTuning:
     curve_floor: float = 0.008
     gusts_beside: float = 1.3
     drag_lever: float = 1.0
-    wind_share: float = 0.5
+    turbulence: float = 0.3
+    climb_share: float = 0.5
     instruments_std: float = 0.05
     gust_bias: float = 0.8
     white_neighbors: tuple[float, float] = (0.25, 0.5)
     cg_floor: float = 0.0005
+    fewest_blocks: int = 3
+    apart: float = 3600.0
     position_std: float = 0.005
 
 

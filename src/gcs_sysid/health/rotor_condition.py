@@ -186,7 +186,6 @@ def compare_loads(
     cg: Sequence[float],
     *,
     unchanged: bool,
-    same_flight: bool = False,
 ) -> Condition:
     """Judge what changed between two stretches of hover.
 
@@ -196,7 +195,6 @@ def compare_loads(
         airframe: places of the rotors.
         cg: (2,) m, of the baseline.
         unchanged: whether nothing was moved or loaded in between.
-        same_flight: whether the accelerometer's bias is the same in both.
     """
     x, y, spin = airframe.geometry
     n = len(x)
@@ -226,11 +224,9 @@ def compare_loads(
     still = (TUNING.cg_stays if unchanged else TUNING.cg_repeats) * airframe.arm
     places = np.full(2, math.hypot(still, by_gusts * airframe.arm))
     if before.force is not None and now.force is not None:
-        # Drag above the CG moves the center of thrust with the force that the wind makes.
+        # Drag above the CG moves the center of thrust with the force that the wind makes. A bias
+        # that is another one after a start looks like it: the rotors are then judged less sharply.
         wind = np.abs(np.subtract(now.force, before.force))
-        if not same_flight:
-            # From switching on to switching on the accelerometer's bias changes.
-            wind = np.maximum(wind - TUNING.bias_repeats, 0.0)
         places = np.hypot(places, TUNING.drag_lever * airframe.arm / GRAVITY * wind)
     noise = noise + moves @ np.diag(places**2) @ moves.T
     inverse = np.linalg.inv(noise)
@@ -364,7 +360,7 @@ def watch_rotors(
         if now is None:
             continue
         judged += 1
-        found = compare_loads(base, now, airframe, cg, unchanged=True, same_flight=True)
+        found = compare_loads(base, now, airframe, cg, unchanged=True)
         named = found.rotor if found.verdict == "rotor" else None
         if named is not None and named == before:
             return Weakened(float(hover.t[start + count - 1]), found), judged
