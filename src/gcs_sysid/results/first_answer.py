@@ -66,6 +66,11 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
     return FirstAnswer("OK", f"nothing wrong seen in {seconds}", advice[0])
 
 
+def no_answer(objection: Objection) -> FirstAnswer:
+    """That the vehicle cannot be judged, why, and what would help."""
+    return FirstAnswer("CANNOT TELL", _reason(objection), _remedy(objection))
+
+
 def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAnswer:
     """Of a flight without a hover that can be judged."""
     objections = [Objection(reason) for reason in (health or {}).get("reasons", ())]
@@ -76,7 +81,7 @@ def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAns
     first = objections[0]
     if health is not None and health["order_contradicted"]:
         return FirstAnswer("LOOK AT", f"{_ROTORS}: {_reason(first)}", _remedy(first))
-    return FirstAnswer("CANNOT TELL", _reason(first), _remedy(first))
+    return no_answer(first)
 
 
 def _reason(objection: Objection) -> str:

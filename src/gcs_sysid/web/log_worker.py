@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Objection
+from gcs_sysid.results.first_answer import no_answer
 from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.strict_json import json_text
@@ -45,10 +47,16 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
                 first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
     vehicle = opened.vehicle
     layout = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
-    health = document_of(keeper.health(str(log), HealthOptions()))
+    facts: list[tuple[str, str]] = []
+    try:
+        health = document_of(keeper.health(str(log), HealthOptions()))
+    except InputError as error:
+        answer = no_answer(Objection(str(error))).as_json()
+    else:
+        answer, facts = health["answer"], short_facts(health) if health["cg"] else []
     return {
-        "answer": health["answer"],
-        "facts": short_facts(health) if health["cg"] else [],
+        "answer": answer,
+        "facts": facts,
         "vehicle": None if vehicle is None else str(vehicle),
         "duration": max(last - first, 0.0) if last > first else 0.0,
         "airframe": None
