@@ -9,10 +9,12 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.judge import judge
+from gcs_sysid.judgement.saturated import saturated_sensors
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.saturation import Saturated
 
 ALL = Received(frozenset({Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED}), searched=True)
 # Of the article's vehicle, which is plausible.
@@ -108,3 +110,14 @@ def test_two_estimators_that_disagree_are_told_of_where_there_is_a_value():
         "the online estimate differs by more than chance in Ixx: intervals hold both"
     ]
     assert by(explaining(0.9), "estimator") == []
+
+
+def test_what_is_known_more_closely_than_a_sensors_flat_tops_is_weak():
+    evidence = replace(NOTHING, saturated=(Saturated("gyro", 4.36, 0.03),))
+    (objection,) = saturated_sensors(evidence)
+    sure = {n for n, e in SURE.items() if e.value and e.std and 1.96 * e.std < 0.03 * abs(e.value)}
+    assert sure
+    assert objection.parameters == sure
+    assert objection.cap == "weak"
+    assert "4.36 rad/s (250 deg/s) in 3 %" in objection.reason
+    assert not list(saturated_sensors(replace(NOTHING, saturated=())))

@@ -12,6 +12,7 @@ from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.inertial_stream import FaultCounts, InertialBuffer, at_cg
 from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.saturation import Saturation
 from gcs_sysid.signals.time_base import TimeBase
 from tests.feeding import feed, grid_of
 
@@ -197,7 +198,7 @@ def test_what_is_forgotten_was_of_no_use_any_more():
     values[spike, 0] = 9.0
     found = []
     for forgets in (False, True):
-        buffer = InertialBuffer(FaultCounts())
+        buffer = InertialBuffer(FaultCounts(), Saturation())
         buffer.step = step
         buffer.extend(t, values)
         buffer.look()

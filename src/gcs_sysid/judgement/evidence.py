@@ -10,6 +10,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleKind
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.saturation import Saturated
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.online.fit import Fit
@@ -83,6 +84,7 @@ class Evidence:
         reread: whether rotor speeds declared as rpm were read as rad/s.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
+        saturated: sensors that stood at a limit.
         received: what came; None where only a fit is judged, not a flight.
         no_vehicle: why there is no vehicle; empty where there is one.
         layout: what the vehicle says against the airframe.
@@ -106,6 +108,7 @@ class Evidence:
     reread: bool = False
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None
+    saturated: tuple[Saturated, ...] = ()
     received: Received | None = None
     no_vehicle: str = ""
     layout: tuple[str, ...] = ()

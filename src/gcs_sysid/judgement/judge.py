@@ -10,7 +10,15 @@ from enum import IntEnum
 from math import hypot
 from typing import Any, NamedTuple, TypeVar
 
-from gcs_sysid.judgement import clock_doubt, gyro, outcome, plausibility, prediction, received
+from gcs_sysid.judgement import (
+    clock_doubt,
+    gyro,
+    outcome,
+    plausibility,
+    prediction,
+    received,
+    saturated,
+)
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import by_interval, nothing, reference_values
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
@@ -60,6 +68,7 @@ PRODUCERS = (
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
     Producer("gyro", gyro.misread_gyro, Stage.BELIEF),
+    Producer("saturation", saturated.saturated_sensors, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),
     Producer("prediction", prediction.held_out, Stage.FLIGHT),
     Producer("whiteness", prediction.white, Stage.FLIGHT),

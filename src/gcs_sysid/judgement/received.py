@@ -70,7 +70,7 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
         ("data", _missing(received, evidence.anchor)),
         (ROTORS, _contradicted(fit)),
         ("data", (received.input_lost or _TOO_LITTLE,) if fit.rotation is None else ()),
-        ("data", _unexplained(fit, still=is_hover(evidence))),
+        ("data", _unexplained(fit, cut=bool(evidence.saturated), still=is_hover(evidence))),
     ):
         if reasons:
             yield from (Objection(reason, verdict=verdict, by=by) for reason in reasons)
@@ -138,7 +138,7 @@ def _contradicted(fit: Fit) -> tuple[str, ...]:
     return ()
 
 
-def _unexplained(fit: Fit, *, still: bool) -> tuple[str, ...]:
+def _unexplained(fit: Fit, *, cut: bool, still: bool) -> tuple[str, ...]:
     """Why the motion shows too little of the rotors."""
     rotation = fit.rotation
     if rotation is None or still:
@@ -146,10 +146,10 @@ def _unexplained(fit: Fit, *, still: bool) -> tuple[str, ...]:
     least, share = RULES.explained(whitened=bool(rotation.whiteners))[0], rotation.r_squared.min()
     if not share < least:
         return ()
-    return (
-        f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis: "
-        "fly harder inputs or in less wind, and check the motor order",
-    )
+    what = f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis"
+    # Harder inputs would be cut off the more.
+    harder = "fly in less wind" if cut else "fly harder inputs or in less wind"
+    return (f"{what}: {harder}, and check the motor order",)
 
 
 def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> tuple[str, ...]:

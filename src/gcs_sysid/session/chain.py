@@ -404,6 +404,7 @@ class Chain:
             interval=0.0 if self.tracker is None else self.tracker.dt,
             filtered=self.cutoffs[0] is not None,
             gyro=self.sampler.gyro_check.result(),
+            saturated=self.sampler.time_base.saturation.found(),
         )
 
     def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.interpolation import FAR, interpolate, neighbors, usual_gap
+from gcs_sysid.signals.saturation import Saturation
 from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
 
@@ -227,13 +228,20 @@ class InertialBuffer(StreamBuffer):
 
     Args:
         faults: counts what is found.
+        saturation: counts what is at a limit.
         arm: m, where the accelerometer sits, from the CG; None: there, as far as is known.
     """
 
-    def __init__(self, faults: FaultCounts, arm: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self,
+        faults: FaultCounts,
+        saturation: Saturation,
+        arm: tuple[float, float, float] | None = None,
+    ) -> None:
         super().__init__(6, keep=BEHIND + FAR + _SLOPE)
         self._arm = arm
         self.faults = faults
+        self._saturation = saturation
         self.step = 0.0
         """Usual time between samples, s, set by the owner once known."""
         self._counted = -np.inf
@@ -254,6 +262,7 @@ class InertialBuffer(StreamBuffer):
 
     def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
         """Add samples whose gyro is finite, their accelerometer need not be; see `StreamBuffer`."""
+        self._saturation.update(values[:, :6])
         there = np.isfinite(values[:, :3].sum(axis=1))
         if not there.all():
             self.faults.missing += int(np.count_nonzero(~there))

@@ -17,6 +17,7 @@ from gcs_sysid.signals.columns import Key, Track, by_key
 from gcs_sysid.signals.inertial_stream import FaultCounts, InertialBuffer
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_speed_stream import RotorBuffer
+from gcs_sysid.signals.saturation import Saturation
 from gcs_sysid.signals.stream_buffer import BREAK, StreamBuffer
 
 _IMU: Key = (Stream.IMU, "", 0)
@@ -121,6 +122,8 @@ class TimeBase:
         """s of flight on a grid of this step, set by the owner; the estimate depends on it."""
         self.faults = FaultCounts()
         """Outliers of the IMU, found so far."""
+        self.saturation = Saturation()
+        """Of the IMU, as it came."""
         self._buffers: dict[Key, StreamBuffer] = {}
         self._wild_before = self._still_before = 0
         self._newest = -np.inf
@@ -392,7 +395,9 @@ class TimeBase:
     def _imu_buffer(self) -> InertialBuffer:
         buffer = self._buffers.get(_IMU)
         if not isinstance(buffer, InertialBuffer):
-            buffer = self._buffers[_IMU] = InertialBuffer(self.faults, self._imu_arm)
+            buffer = self._buffers[_IMU] = InertialBuffer(
+                self.faults, self.saturation, self._imu_arm
+            )
             buffer.step = self.dt
         return buffer
 
