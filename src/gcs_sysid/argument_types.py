@@ -7,7 +7,8 @@ A parse function takes what a user types and returns the value, or raises
 import argparse
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from gcs_sysid.errors import InputError, nearest
@@ -120,16 +121,24 @@ class Measured(float):
     sigma: str | None = None
 
 
-def measured(check: Callable[[str], float]) -> Callable[[str], Measured]:
+def measured(
+    check: Callable[[str], float], units: Mapping[str, float] = MappingProxyType({})
+) -> Callable[[str], Measured]:
     """Parse function of VALUE or VALUE±STD, the latter perhaps in percent; +- and +/- do as well.
 
     Args:
         check: parses the value.
+        units: that may follow it -> how many of them make the SI unit.
     """
 
     def checked(text: str) -> Measured:
         value, sign, sigma = _plus_minus(text)
-        out = Measured(check(value))
+        bare, per_unit = _without_unit(value, units)
+        out = Measured(check(value if per_unit is None else repr(number(bare) / per_unit)))
+        if sign and not sigma.endswith("%") and units:
+            sigma, own = _without_unit(sigma, units)
+            if (own or per_unit) and _SIGMA.fullmatch(sigma):
+                sigma = repr(number(sigma) / (own or per_unit or 1.0))
         if sign:
             if not _SIGMA.fullmatch(sigma):
                 raise argparse.ArgumentTypeError(
@@ -142,6 +151,26 @@ def measured(check: Callable[[str], float]) -> Callable[[str], Measured]:
     return checked
 
 
+def _without_unit(text: str, units: Mapping[str, float]) -> tuple[str, float | None]:
+    """The number, and how many of its unit make the SI unit; None where there is no unit."""
+    found = _WITH_UNIT.fullmatch(text) if units else None
+    if found is None:
+        return text, None
+    unit = found[2].lower()
+    if unit not in units:
+        of_propellers = unit.startswith(("in", '"')) and units is LENGTHS
+        why = " (inches are of propellers: measure from the center to a motor)"
+        raise argparse.ArgumentTypeError(
+            f"must be in {' or '.join(units)}, got {text!r}{why if of_propellers else ''}"
+        )
+    return found[1], units[unit]
+
+
+_WITH_UNIT = re.compile(
+    r"\s*([^a-z]*?[\d.](?:e[+-]?\d+)?)\s*([a-z]+|\")\s*", re.IGNORECASE | re.ASCII
+)
+LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+MASSES: Mapping[str, float] = {"kg": 1.0, "g": 1000.0}
 _SIGMA = re.compile(r"(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
 
 
@@ -257,16 +286,25 @@ def web_address(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
-mass = between(0.001, 1e5, "kg")
-"""Of something that flies."""
+_kilograms = between(0.001, 1e5, "kg")
+
+
 GIVEN: dict[GivenName, Callable[[str], Measured]] = {
-    "arm": measured(positive),
-    "mass": measured(mass),
+    "arm": measured(positive, LENGTHS),
+    "mass": measured(_kilograms, MASSES),
     "k_T": measured(positive),
     "T_max": measured(positive),
 }
 """What a user gives of an airframe, perhaps with a standard deviation -> its parse function: the
 rotors' mean distance from the center in m, and what sets the scale."""
+
+
+def mass(text: str) -> float:
+    """The mass of something that flies, in kg or with its unit."""
+    given = GIVEN["mass"](text)
+    if given.sigma is not None:
+        raise argparse.ArgumentTypeError(f"must be a mass alone, got {text!r}")
+    return float(given)
 
 
 GIVEN_OPTIONS: dict[GivenName, str] = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.argument_types import vehicle_address
+from gcs_sysid.argument_types import GIVEN, vehicle_address
 from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.commands import ARTICLE_METHODS, ROTOR_INPUTS, build_parser
 from gcs_sysid.cli.program import run
@@ -354,3 +354,30 @@ def test_what_is_given_may_have_a_standard_deviation(sign):
     # Nothing said: as the file has it.
     plain = airframe_of(parser.parse_args(["analyze", "a.tlog", *PAPER, "--mass", "1.6"]))
     assert plain.uncertainty.scale_share("mass", 1.6) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value", "sigma"),
+    [
+        ("arm", "110mm", 0.11, None), ("arm", "11 cm", 0.11, None), ("arm", "0.11m", 0.11, None),
+        ("arm", "110mm+-2", 0.11, "0.002"), ("arm", "0.11m+-2mm", 0.11, "0.002"),
+        ("arm", "110mm+-1%", 0.11, "1%"), ("mass", "700g", 0.7, None),
+        ("mass", "1.4kg+-10g", 1.4, "0.01"), ("mass", "1e-1", 0.1, None),
+    ],
+)  # fmt: skip
+def test_lengths_and_masses_may_have_their_unit(name, text, value, sigma):
+    given = GIVEN[name](text)
+    assert (given, given.sigma) == (value, sigma)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("arm", "5in", "inches are of propellers"), ("arm", '5"', "from the center to a motor"),
+        ("arm", "2kg", "must be in m or cm or mm"), ("mass", "5mm", "must be in kg or g"),
+        ("mass", "g", "must be a number"), ("k_T", "3mm", "must be a number"),
+    ],
+)  # fmt: skip
+def test_a_unit_that_cannot_be_is_said(name, text, says):
+    with pytest.raises(argparse.ArgumentTypeError, match=says):
+        GIVEN[name](text)

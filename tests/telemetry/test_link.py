@@ -45,9 +45,15 @@ def receive(receiver, count):
         ("udpin:[::1]:14550", "udpin", "::1", 14550),
         ("udpin://0.0.0.0:14550", "udpin", "0.0.0.0", 14550),
         (" UDPIN:0.0.0.0:14550 ", "udpin", "0.0.0.0", 14550),
+        ("udp://:14540", "udpin", "0.0.0.0", 14540),
+        ("udpin://0.0.0.0:14540", "udpin", "0.0.0.0", 14540),
+        ("udpout://10.0.0.1:14550", "udpout", "10.0.0.1", 14550),
+        ("udp://:14540@127.0.0.1:14557", "udpin", "0.0.0.0", 14540),
+        ("udp://@10.0.0.1:14550", "udpout", "10.0.0.1", 14550),
+        ("udp://127.0.0.1:14550/?ids=255,240", "udpin", "127.0.0.1", 14550),
     ],
 )
-def test_network_links_are_named_as_in_mavproxy(text, kind, host, port):
+def test_network_links_are_named_as_in_mavproxy_mavsdk_and_mavros(text, kind, host, port):
     url = parse_url(text)
     assert (url.kind, url.host, url.port) == (kind, host, port)
     assert str(url) == text.strip()
@@ -59,6 +65,11 @@ def test_network_links_are_named_as_in_mavproxy(text, kind, host, port):
         ("/dev/ttyUSB0", "/dev/ttyUSB0", 921600),
         ("/dev/ttyACM0,57600", "/dev/ttyACM0", 57600),
         ("COM3", "COM3", 921600),
+        ("COM3:57600", "COM3", 57600),
+        ("/dev/ttyACM0:57600", "/dev/ttyACM0", 57600),
+        ("serial:///dev/ttyUSB0:57600", "/dev/ttyUSB0", 57600),
+        ("serial:///dev/ttyUSB0:57600?ids=1,1", "/dev/ttyUSB0", 57600),
+        ("/dev/serial/by-path/pci-0-usb-0:3:1.0", "/dev/serial/by-path/pci-0-usb-0:3:1.0", 921600),
         ("/dev/serial/by-id/usb-3D_Robotics:0", "/dev/serial/by-id/usb-3D_Robotics:0", 921600),
     ],
 )

@@ -1,6 +1,7 @@
 """Tables with a mapping give the records that a log of the same flight would have given."""
 
 import math
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -115,6 +116,38 @@ def test_units_and_axes_of_others_come_out_as_ours(folder, delimiter):
     assert log.kind == "table"
     assert log.parameters == {"THR_MDL_FAC": 0.3}
     assert log.vehicle.vehicle_type == 2  # MAV_TYPE_QUADROTOR
+
+
+def test_tables_of_spreadsheets_are_read(folder):
+    """Decimal commas, a line that names the delimiter, UTF-16 with and without its mark, dates."""
+    write_csv(folder / "plain.csv", columns(), ";")
+    text = (folder / "plain.csv").read_text()
+    header, *rows = text.splitlines()
+    dated = [header]
+    for t, row in zip(T, rows, strict=True):
+        stamp = datetime.fromtimestamp(t, UTC).replace(tzinfo=None).isoformat()
+        dated.append(f"{stamp};{row.partition(';')[2]}")
+    for content in (
+        text.replace(".", ",").encode(), f"sep=;\n{text}".encode(), text.encode("utf-16"),
+        text.encode("utf-16-le"), "\n".join(dated).encode(),
+    ):  # fmt: skip
+        (folder / "a.csv").write_bytes(content)
+        check(tracks_of(folder / "a.csv")[0])
+
+
+def test_rows_of_two_sensors_under_one_time_are_told(folder):
+    table = columns()
+    write_csv(folder / "a.csv", {**table, "stamp": np.repeat(table["stamp"][::2], 2)})
+    with pytest.raises(InputError, match="of two sensors"):
+        open_log(folder / "a.csv")
+
+
+def test_slow_times_are_noticed_as_of_another_unit(folder):
+    (folder / "columns.toml").write_text(FOREIGN.replace('time_unit = "us"', 'time_unit = "s"'))
+    table = columns()
+    write_csv(folder / "a.csv", {**table, "stamp": T * 1e3})
+    with pytest.raises(InputError, match="set time_unit"):
+        open_log(folder / "a.csv")
 
 
 @pytest.mark.slow

@@ -267,3 +267,25 @@ def test_zeros_at_the_end_as_a_power_cut_leaves_them_cost_no_time(tmp_path, path
     recording = read_ulog(padded)
     assert time.process_time() - begin < 5.0
     assert recording.counts == read_ulog(path).counts
+
+
+@pytest.mark.parametrize(
+    ("names", "fields"),
+    [
+        (("vehicle_angular_velocity", "vehicle_acceleration"), ["float[3] xyz"]),
+        (("sensor_gyro", "sensor_accel"), ["float x", "float y", "float z"]),
+    ],
+)
+def test_gyro_and_accelerometer_of_their_own_topics_make_the_imu(
+    tmp_path, ulog_file, of, names, fields
+):
+    for name in names:
+        ulog_file.topic(name, fields)
+    for i in range(50):
+        ulog_file.row(names[0], 2.0 + 0.004 * i, 0.1, 0.2, 0.3)
+        ulog_file.row(names[1], 2.002 + 0.004 * i, 0.0, 0.0, -9.0 - i)
+    path = tmp_path / "a.ulg"
+    path.write_bytes(ulog_file.bytes())
+    records = of(open_log(path), Stream.IMU)
+    assert len(records) == 50
+    assert records[2].values == pytest.approx((0.1, 0.2, 0.3, 0.0, 0.0, -10.5))

@@ -109,7 +109,7 @@ AIRFRAME = option("--airframe", "NAME|FILE", "")
 ARM = option(
     "--arm",
     "M[±STD]",
-    "mean distance of the rotors from the center, m; here and below "
+    "mean distance of the rotors from the center, m (or 110mm); here and below "
     "+- adds a standard deviation: 0.25+-0.003 or 0.25+-1%% (default 1%%)",
     type=GIVEN["arm"],
 )

@@ -26,6 +26,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
+from gcs_sysid.judgement.plausibility import mass_misfit
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
@@ -130,12 +131,16 @@ class HoverRecords:
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
         guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
         airframe = guess.airframe
-        if given.mass is not None:
+        # An arm that is guessed says nothing of the mass.
+        misfit = mass_misfit(given.mass or math.nan, airframe.arm) if guess.arm_std == 0.0 else ""
+        if given.mass is not None and not misfit:
             airframe = with_given(airframe, "mass", given.mass, "--mass")
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
         health = health_of(streams, guess, given, log.parameters, span)
+        if given.mass is not None and misfit:
+            health = replace(health, assumptions=(*health.assumptions, f"no mass given: {misfit}"))
         if self.full:
             kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
             health = replace(health, assumptions=(*health.assumptions, kept))

@@ -15,7 +15,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
@@ -109,6 +108,8 @@ def long_memory(series: Array, half: float) -> Array:
         series: (n, p) whose means are asked about, at windows that follow each other.
         half: s from one to the next.
     """
+    from scipy.optimize import nnls  # takes a while to load
+
     n = len(series)
     sizes = [2**k for k in range(2, n.bit_length()) if n // 2**k >= TUNING.fewest_blocks]
     if not sizes:

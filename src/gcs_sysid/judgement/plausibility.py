@@ -118,6 +118,17 @@ def _known(evidence: Evidence) -> dict[str, float]:
     }
 
 
+def mass_misfit(mass: float, arm: float) -> str:
+    """Why no multirotor of an arm (m) has a mass (kg); empty where one may."""
+    low, high = (limit * arm**3 for limit in RANGES.density)
+    if low <= mass <= high:
+        return ""
+    return (
+        f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of "
+        f"this size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
+    )
+
+
 def _sizes(
     found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
 ) -> Iterable[str]:
@@ -125,12 +136,8 @@ def _sizes(
     mass, arm, rotors = found.get("mass"), airframe.arm, len(airframe.rotors)
     if mass is None:
         return
-    low, high = (limit * arm**3 for limit in RANGES.density)
-    if not low <= mass <= high:
-        yield (
-            f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of "
-            f"this size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
-        )
+    if misfit := mass_misfit(mass, arm):
+        yield misfit
         return
     name = rotor_input.thrust
     thrust = found.get(name)

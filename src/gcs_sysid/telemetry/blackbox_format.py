@@ -181,6 +181,8 @@ def _definition(letter: str, fields: dict[str, str]) -> Definition:
         for what in ("signed", "predictor", "encoding")
     ]
     signed, predictors, encodings = columns
+    if letter in "SH":  # the reference has none before that they could be predicted from
+        predictors = [ZERO if p == PREVIOUS else p for p in predictors]
     signed = (signed + [0] * len(names))[: len(names)]
     wrong = f"its header describes the fields of {letter} frames wrongly: "
     if len(names) > MOST_FIELDS:

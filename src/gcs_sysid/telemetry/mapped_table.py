@@ -5,11 +5,13 @@ than FRD are turned on reading: with M from the table's world to NED and B from 
 body, both turns by 180 degrees, q = M * q_table * B.
 """
 
+import contextlib
 import csv
 import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
-from gcs_sysid.telemetry.track_collector import Recording
+from gcs_sysid.telemetry.track_collector import Recording, interpolated
 
 _MOST_BYTES = 200_000
 _DEGREE = math.pi / 180.0
@@ -292,8 +294,14 @@ def _check_times(path: Path, mapping: TableMapping, values: Mapping[str, _Sample
         if len(t) > 1 and not (np.diff(t) > 0.0).any():
             raise InputError(f"{path}: times in column {column!r} never rise")
         if name == "gyro" and len(t) > 1:
-            rate = 1.0 / max(float(np.median(np.diff(t))), 1e-12)
-            if not 0.1 < rate < 50_000.0:
+            steps = np.diff(t)
+            if 4 * np.count_nonzero(steps == 0.0) > len(steps):
+                raise InputError(
+                    f"{path}: rows share their time in column {column!r}: are they of two "
+                    "sensors? Leave those of one"
+                )
+            rate = 1.0 / max(float(np.median(steps)), 1e-12)
+            if not 2.0 < rate < 50_000.0:
                 raise InputError(
                     f"{path}: by column {column!r} the gyro comes at {rate:.3g} Hz: "
                     "set time_unit to s, ms, us or ns"
@@ -311,7 +319,7 @@ def _add_tracks(
         found = found * _BODIES[mapping.signals["force"].frame]
         # In rows of their own the two meet by time.
         same = len(force_t) == len(gyro_t) and bool((force_t == gyro_t).all())
-        force = found if same else _joined(gyro_t, force_t, found)
+        force = found if same else interpolated(gyro_t, force_t, found)
     recording.add(Stream.IMU, gyro_t, np.hstack([gyro, force]))
     if "attitude" in values:
         t, q = values["attitude"]
@@ -322,7 +330,7 @@ def _add_tracks(
         motion[:, :3] = _in_ned(v, mapping.signals["velocity"].world)
         if "position" in values:
             at, places = values["position"]
-            motion[:, 3:] = _joined(t, at, _in_ned(places, mapping.signals["position"].world))
+            motion[:, 3:] = interpolated(t, at, _in_ned(places, mapping.signals["position"].world))
         else:
             motion[:, 3:] = 0.0
         recording.add(Stream.VELOCITY, t, motion)
@@ -342,15 +350,6 @@ def _add_tracks(
             recording.add(stream, values[name][0], values[name][1] != 0.0)
     if "voltage" in values:
         recording.add_voltage(*values["voltage"])
-
-
-def _joined(t: Array, times: Array, values: Array) -> Array:
-    """(n, width) at t, straight between samples; NaN before the first and after the last."""
-    if not len(times):
-        return np.full((len(t), values.shape[1]), np.nan)
-    order = np.argsort(times, kind="stable")
-    columns = [np.interp(t, times[order], column[order], np.nan, np.nan) for column in values.T]
-    return np.column_stack(columns)
 
 
 def _attitude(signal: SignalColumns, values: Array) -> Array:
@@ -392,52 +391,99 @@ def _check_header(
         )
 
 
+@dataclass(frozen=True)
+class _TextForm:
+    """How a table of text is written: its encoding, delimiter, and lines before the rows."""
+
+    encoding: str
+    delimiter: str
+    header: list[str]
+    before: int
+
+
+def _text_form(path: Path, delimiter: str | None) -> _TextForm:
+    with open(path, "rb") as file:
+        head = file.read(64)
+    wide = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    # Without a mark, as of some exporters, every second byte of letters is zero.
+    little = not wide and head[1::2].strip(b"\0") == b"" != head[::2].strip(b"\0")
+    encoding = "utf-16" if wide else "utf-16-le" if little else "utf-8-sig"
+    try:
+        with open(path, encoding=encoding, newline="") as file:
+            first = file.readline(_MOST_BYTES)
+            named = first.lower().startswith("sep=")
+            if named:  # of Excel
+                delimiter = delimiter or first[4:5]
+                first = file.readline(_MOST_BYTES)
+    except UnicodeError:
+        first = "\0"
+    if not first.replace("\t", " ").rstrip("\r\n").isprintable():
+        raise InputError(f"{path}: not a table: neither text nor Parquet")
+    delimiter = delimiter or max(",;\t", key=first.count)
+    try:
+        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    except (csv.Error, TypeError) as error:
+        raise InputError(f"{path}: not a table of text: {error}") from error
+    return _TextForm(encoding, delimiter, header, 1 + named)
+
+
 def _read_csv(path: Path, mapping: TableMapping, mapping_path: Path) -> dict[str, Array]:
     """Column -> (n,) values; what is empty is NaN."""
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            first = file.readline()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a table: neither text nor Parquet") from error
-    delimiter = mapping.delimiter or max(",;\t", key=first.count)
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-    _check_header(path, mapping, mapping_path, header)
-    places = [header.index(name) for name in mapping.columns]
+    form = _text_form(path, mapping.delimiter)
+    _check_header(path, mapping, mapping_path, form.header)
+    places = [form.header.index(name) for name in mapping.columns]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # that there are no rows is said below
-            values = np.loadtxt(path, float, None, delimiter, skiprows=1, usecols=places,
-                                ndmin=2, encoding="utf-8-sig")  # fmt: skip
+            values = np.loadtxt(path, float, None, form.delimiter, skiprows=form.before,
+                                usecols=places, ndmin=2, encoding=form.encoding)  # fmt: skip
     except ValueError:  # empty fields, or what is no number: slower, and by line
-        values = _by_line(path, delimiter, mapping.columns, places)
+        values = _by_line(path, form, mapping, places)
     if not len(values):
         raise InputError(f"{path} has a header and no rows")
     return dict(zip(mapping.columns, values.T, strict=True))
 
 
-def _by_line(path: Path, delimiter: str, names: Sequence[str], places: Sequence[int]) -> Array:
-    rows = []
+def _by_line(path: Path, form: _TextForm, mapping: TableMapping, places: Sequence[int]) -> Array:
+    rows, times = [], {signal.time for signal in mapping.signals.values()}
+    point = "," if form.delimiter == "," else "."
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, delimiter=delimiter)
-            next(reader, None)
+        with open(path, encoding=form.encoding, newline="") as file:
+            reader = csv.reader(file, delimiter=form.delimiter)
+            for _ in range(form.before):
+                next(reader, None)
             for row in reader:
                 if row:
-                    rows.append([_field(path, reader.line_num, row, n, p)
-                                 for n, p in zip(names, places, strict=True)])  # fmt: skip
-    except (UnicodeDecodeError, csv.Error) as error:
+                    fields = zip(mapping.columns, places, strict=True)
+                    rows.append([_field(path, reader.line_num, row, n, p, point, mapping.time_factor
+                                        if n in times else None) for n, p in fields])  # fmt: skip
+    except (UnicodeError, csv.Error) as error:
         raise InputError(f"{path}: not a table of text: {error}") from error
-    return np.array(rows, float).reshape(-1, len(names))
+    return np.array(rows, float).reshape(-1, len(mapping.columns))
 
 
-def _field(path: Path, line: int, row: Sequence[str], name: str, place: int) -> float:
+def _field(
+    path: Path,
+    line: int,
+    row: Sequence[str],
+    name: str,
+    place: int,
+    point: str,
+    time_factor: float | None,
+) -> float:
+    """A number; of a column of times in units of `time_factor` s, which may be dates too."""
     text = row[place].strip() if place < len(row) else ""
     try:
-        return math.nan if text.lower() in _MISSING else float(text)
+        # A comma that does not part fields is a decimal one.
+        return math.nan if text.lower() in _MISSING else float(text.replace(",", point))
     except ValueError:
         states = {"true": 1.0, "false": 0.0}
         if text.lower() in states:
             return states[text.lower()]
+        with contextlib.suppress(ValueError, OverflowError):
+            if time_factor is not None:
+                date = datetime.fromisoformat(text)
+                return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp() / time_factor
         raise InputError(
             f"{path}: line {line}, column {name!r}: {text[:40]!r} is no number"
         ) from None

@@ -20,6 +20,15 @@ _AT_ONCE = 2**16
 """Samples looked at together, where copies of all would take much memory."""
 
 
+def interpolated(t: Array, times: Array, values: Array) -> Array:
+    """(n, width) at t, straight between samples; NaN before the first and after the last."""
+    if not len(times):
+        return np.full((len(t), values.shape[1]), np.nan)
+    order = np.argsort(times, kind="stable")
+    columns = [np.interp(t, times[order], column[order], np.nan, np.nan) for column in values.T]
+    return np.column_stack(columns)
+
+
 class TrackCollector:
     """Puts a `RecordBlock` together from pieces that follow each other."""
 

@@ -9,6 +9,7 @@ Which topic is which message was measured on a flight recorded both ways:
   unit, is usually thinned to 10 Hz.
 """
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from gcs_sysid.signals.motor_order import motor_of, motor_outputs
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
-from gcs_sysid.telemetry.track_collector import Recording
+from gcs_sysid.telemetry.track_collector import Recording, interpolated
 from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
 _AUTO_TAKEOFF, _AUTO_LAND = 17, 18
@@ -38,6 +39,11 @@ def _names_in(fields: Sequence[str]) -> Iterator[str]:
     return (name for field in fields for name in field.rstrip("]").split("["))
 
 
+_HALVES = (
+    (("vehicle_angular_velocity", ("xyz[3]",)), ("vehicle_acceleration", ("xyz[3]",))),
+    (("sensor_gyro", ("x", "y", "z")), ("sensor_accel", ("x", "y", "z"))),
+)
+"""Topics of gyro and accelerometer, read where sensor_combined is missing."""
 TOPICS = (
     OnboardMessage(
         "sensor_combined", Stream.IMU, ("gyro_rad[3]", "accelerometer_m_s2[3]"),
@@ -57,6 +63,7 @@ TOPICS = (
 READ = {
     _MOTORS, _ESCS, _LANDED, _BATTERY,
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
+    *(name for halves in _HALVES for name, _ in halves),
 }  # fmt: skip
 """Topics that are read at all."""
 _FIELDS = {
@@ -65,6 +72,7 @@ _FIELDS = {
     _BATTERY: {"voltage_v"},
     **{row.name: {*_names_in(row.fields)} for row in TOPICS},
     **{row.offset[0]: {*_names_in(row.offset[1])} for row in TOPICS if row.offset is not None},
+    **{name: {*_names_in(fields)} for halves in _HALVES for name, fields in halves},
 }
 _FIELDS[_STATUS] |= {"nav_state", "system_id", "component_id", "system_type"}
 """Topic -> fields that are read."""
@@ -116,6 +124,7 @@ def _recording(path: Path, log: UlogFile) -> Recording:
         dropouts=log.dropouts,
     )
     recording.dropped |= {f"{name}: {why}": 0 for name, why in log.faults.items() if name in READ}
+    _add_halves(recording, topics)
     for name, multi_id in list(topics):
         # What no other topic needs is let go: its rows take as much memory as its track.
         take = topics.get if name in _NEEDED_BY_OTHERS else topics.pop
@@ -154,6 +163,23 @@ def _add_topic(
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name == _LANDED:
         _add_flight(recording, t, topic, topics.get((_STATUS, 0)))
+
+
+def _add_halves(recording: Recording, topics: dict[tuple[str, int], Topic]) -> None:
+    """The IMU of topics of gyro and accelerometer: those whose gyro comes most often."""
+    if ("sensor_combined", 0) in topics:
+        return
+    found: list[tuple[Array, Array]] = []
+    for halves in _HALVES:
+        with contextlib.suppress(KeyError):  # one is missing, or of another age
+            (t, gyro), (times, force) = (
+                (topic["timestamp"] * 1e-6, _columns(topic, *fields))
+                for topic, fields in ((topics[name, 0], fields) for name, fields in halves)
+            )
+            # Written one after the other: straight between those before and behind.
+            found.append((t, np.hstack([gyro, interpolated(t, times, force)])))
+    if found:
+        recording.add(Stream.IMU, *max(found, key=lambda each: len(each[0])))
 
 
 def _values(

@@ -15,6 +15,8 @@ FORMS = (
 DEFAULT_BAUD = 115200
 _NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
+_RATE_BEHIND = re.compile(r"(.+[^:/]):(\d{4,})")
+"""A device and its baud rate: ports of hubs, which names end in too, have fewer digits."""
 _ANY_RATE = re.compile(r"/dev/(ttyACM|(cu|tty)\.usbmodem|pts/|ttys\d)")
 
 
@@ -75,14 +77,22 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
     if not text.isprintable():
         raise InputError(f"cannot understand the link {text!r}: a name is one line of text")
     kind, colon, rest = text.partition(":")
-    kind = kind.lower()
+    kind, slashes, rest = kind.lower(), rest.startswith("//"), rest.removeprefix("//")
     if colon and kind in _NETWORK_KINDS:
-        host, port = _host_and_port(rest.removeprefix("//"), text)
+        if slashes and "@" in rest:  # MAVROS: udp://[BIND]@[REMOTE]
+            bind, _, remote = rest.partition("@")
+            kind, rest = ("udpin", bind) if bind else ("udpout", remote)
+        if rest.startswith(":") and kind in ("udp", "udpin", "tcpin"):
+            rest = f"0.0.0.0{rest}"  # as of MAVSDK: on any address
+        host, port = _host_and_port(rest.partition("/")[0] if slashes else rest, text)
         # `udp:` listens, as in pymavlink.
         return LinkUrl("udpin" if kind == "udp" else kind, text, host, port)
     if Path(text).suffix.lower() in ANY_SUFFIX:
         raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
-    device, comma, own_baud = text.partition(",")
+    own_text = rest.partition("?")[0] if kind == "serial" and colon else text
+    device, comma, own_baud = own_text.partition(",")
+    if not comma and (rate := _RATE_BEHIND.fullmatch(device)) is not None:
+        device, comma, own_baud = rate[1], ":", rate[2]  # as MAVSDK, MAVROS and Windows write it
     if _SERIAL_NAME.match(device) or Path(device).is_char_device():
         if comma:
             if not own_baud.isdecimal():
