@@ -45,6 +45,12 @@ def test_motors_are_found_on_whatever_outputs_and_nothing_else_is_taken(outputs)
     assert by_motor(order, sent("RCOU", width=14)) == {"RCOU": expected}
 
 
+def test_outputs_without_motors_are_in_no_motors_place():
+    order = MotorOrder.of("ardupilot", servos(1, 2, 3, 4), 4)
+    tracks = order.tracks([sent("RCOU", width=14), sent("RCOU", 14, 4)])
+    assert [(track.offset, track.values.shape[1]) for track in tracks] == [(0, 4), (4, 0)]
+
+
 def test_an_order_of_which_a_part_is_known_is_not_used():
     parameters = servos(9, 10, 11)
     assert MotorOrder.of("ardupilot", parameters, 4) == MotorOrder("ardupilot")

@@ -186,7 +186,8 @@ def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
         columns = [outputs[motor] - track.offset for motor in run]
         whole = columns == list(range(track.values.shape[1]))
         values = track.values if whole else np.ascontiguousarray(track.values[:, columns])
-        yield replace(track, offset=run[0] if run else 0, values=values)
+        # What has no motor stands beside them, in nobody's place.
+        yield replace(track, offset=run[0] if run else len(outputs), values=values)
 
 
 Rotors = Sequence[tuple[Array, Array]]
