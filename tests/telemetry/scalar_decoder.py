@@ -354,7 +354,7 @@ class ScalarDecoder:
         if state == mavlink.MAV_LANDED_STATE_UNDEFINED:
             return None
         # Taking off and landing count as not flying: near the ground the model does not hold.
-        in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
+        in_air = float(state != mavlink.MAV_LANDED_STATE_ON_GROUND)
         self._flight.allows(0, self.clock.now)
         return self._record(Stream.IN_AIR, self.clock.now, (in_air,))
 

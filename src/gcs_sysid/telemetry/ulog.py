@@ -25,8 +25,6 @@ from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording, interpolated
 from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
-_AUTO_TAKEOFF, _AUTO_LAND = 17, 18
-"""vehicle_status.nav_state while EXTENDED_SYS_STATE says taking off or landing."""
 _ARMED = 2
 """vehicle_status.arming_state."""
 _MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY = (
@@ -162,7 +160,7 @@ def _add_topic(
     elif name == _BATTERY:
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name == _LANDED:
-        _add_flight(recording, t, topic, topics.get((_STATUS, 0)))
+        recording.add(Stream.IN_AIR, t, topic["landed"] == 0)
 
 
 def _add_halves(recording: Recording, topics: dict[tuple[str, int], Topic]) -> None:
@@ -268,15 +266,3 @@ def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
         rpm = rpm[:, [where[motor] for motor in range(len(where))]]
     speeds: Array = np.abs(rpm.astype(float)) * RPM
     return speeds
-
-
-def _add_flight(recording: Recording, t: Array, landed: Topic, status: Topic | None) -> None:
-    """In the air, and neither taking off nor landing by itself, as EXTENDED_SYS_STATE says it."""
-    if status is None:
-        recording.add(Stream.IN_AIR, t, landed["landed"] == 0)
-        return
-    status_t = status["timestamp"] * 1e-6
-    both = np.union1d(t, status_t)
-    flies = landed["landed"][np.maximum(np.searchsorted(t, both, side="right") - 1, 0)] == 0
-    mode = status["nav_state"][np.maximum(np.searchsorted(status_t, both, side="right") - 1, 0)]
-    recording.add(Stream.IN_AIR, both, flies & ~np.isin(mode, (_AUTO_TAKEOFF, _AUTO_LAND)))

@@ -122,8 +122,8 @@ class VehicleStates:
             self.untimed += 1
             return None
         self._landed_received = now
-        # Taking off and landing count as not flying: near the ground the model does not hold.
-        in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
+        # Taking off and landing are modes of flight; where the ground carries it, forces show.
+        in_air = float(state != mavlink.MAV_LANDED_STATE_ON_GROUND)
         return Record(Stream.IN_AIR, now, (in_air,))
 
     def _read_heartbeat(self, payload: bytes, now: float | None) -> Record | None:
