@@ -56,7 +56,7 @@ def test_yaw_that_is_hardly_damped_is_no_longer_a_false_inertia(seed):
     fit, moments = flown(0.0, 0.2, seed)
     assert off(fit, IZZ) > 4.0
     assert off(fit, RATIO) > 4.0
-    wider = fit.widened(axis_damping_doubt(fit, moments))
+    wider = fit.widened(axis_damping_doubt(fit, moments, commands=True))
     assert off(wider, IZZ) < 2.0
     assert off(wider, RATIO) < 2.0
     assert wider.data_std[IZZ] == pytest.approx(wider.std[IZZ])
@@ -80,18 +80,18 @@ def with_covariance(fit: RotationFit, times: float) -> RotationFit:
 
 def test_gyroscopic_torque_needs_no_common_damping():
     fit, moments = flown(1.0, 1.0)
-    doubt = axis_damping_doubt(fit, moments)
+    doubt = axis_damping_doubt(fit, moments, commands=True)
     assert 0.0 < doubt[IZZ, IZZ] < fit.covariance[IZZ, IZZ]
 
 
 def test_colored_residuals_tell_less():
     fit, moments = flown(1.0, 0.3)
     colored = with_covariance(fit, 25.0)
-    few, many = (axis_damping_doubt(f, moments)[IZZ, IZZ] for f in (fit, colored))
+    few, many = (axis_damping_doubt(f, moments, commands=True)[IZZ, IZZ] for f in (fit, colored))
     assert many > 2.0 * few
 
 
 def test_where_no_inertia_is_known_nothing_is_added():
     fit, moments = flown(1.0, 1.0)
     lost = with_covariance(fit, 1e6)
-    assert not axis_damping_doubt(lost, moments).any()
+    assert not axis_damping_doubt(lost, moments, commands=True).any()

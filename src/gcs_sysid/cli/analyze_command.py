@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.failures import OneByOne
-from gcs_sysid.cli.health_table import answer_lines, health_text
+from gcs_sysid.cli.health_table import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -66,7 +66,6 @@ def run(options: argparse.Namespace) -> int:
                 )
                 results.append(found.result)
                 documents.append(found.as_json())
-                show.answer(found)
                 show.result(log, found.result)
                 show.health(log, found)
                 if reporter is not None:
@@ -92,12 +91,6 @@ class _Shown:
         on_stdout: bool,
     ) -> None:
         self._truth, self._deliveries, self._on_stdout = truth, deliveries, on_stdout
-
-    def answer(self, found: WholeAnalysis) -> None:
-        if self._on_stdout:
-            width = output.terminal_width() or output.TEXT_WIDTH
-            text = "\n".join([*answer_lines(found.answer.as_json(), width), ""])
-            self._deliveries.give(lambda: output.show(text))
 
     def result(self, log: str, result: Result) -> None:
         if result.verdict == "refused":

@@ -12,13 +12,14 @@ D = dQ/dphi x, as for what is given (`estimation.parameters.given_errors`),
     P = (I / f + 1 / sigma^2)^-1,   phi = P g / f
 
 with f the factor by which colored residuals widen the covariance of theta. The fit leaves phi out,
-so it errs by -S phi, with the expected square S (P + phi phi') S'.
+so it errs by -S phi, with the expected square S (P + phi phi') S'. With commands sigma is the usual one;
+with speeds that of most evidence (`deviations`), and none where that speaks against any.
 """
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING
+from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES
 from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import scales
@@ -33,12 +34,14 @@ for _axis, _rate in enumerate("pqr"):
     _OF_AXES[_axis, _axis, rb.SIGNALS.index(_rate)] = -1.0
 
 
-def axis_damping_doubt(fit: RotationFit, rows: Array) -> Array:
+def axis_damping_doubt(fit: RotationFit, rows: Array, *, commands: bool) -> Array:
     """(N_THETA, N_THETA) covariance of the error that one damping for three axes makes.
 
     Args:
         fit: of rows of the window.
         rows: (WIDTH, WIDTH) moments of rows [x, y] at its coordinates, without known noise.
+        commands: whether they are the input: damping then always may differ, as in
+            `DeviationChoice`; with speeds only as much as the flight shows.
     """
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
@@ -63,10 +66,21 @@ def axis_damping_doubt(fit: RotationFit, rows: Array) -> Array:
         return np.zeros((rb.N_THETA, rb.N_THETA))
     f = max(float(((fit.data_std / white)[known] ** 2).max()), 1.0)
     # As usual, or as much as there is: an axis may be damped twice as much, or not at all.
-    sigma = np.hypot(AXIS_DAMPING * moments, theta[rb.DAMPING])
-    scaled = own / f * np.outer(sigma, sigma)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    P = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T * np.outer(sigma, sigma)
-    phi = P @ g / f
+    usual = np.hypot(AXIS_DAMPING * moments, theta[rb.DAMPING])
+    sizes = [usual] if commands else [size * moments for size in SIZES["damping"]]
+    tried = [_of_size(own / f, g / f, sigma) for sigma in sizes]
+    evidence, P, phi = max(tried, key=lambda each: each[0])
+    if not commands and evidence < 0.0:
+        return np.zeros((rb.N_THETA, rb.N_THETA))
     doubt: Array = S @ (P + np.outer(phi, phi)) @ S.T
     return doubt
+
+
+def _of_size(information: Array, score: Array, sigma: Array) -> tuple[float, Array, Array]:
+    """The evidence for deviations of a size, their covariance P, and phi; see `deviations`."""
+    scaled = information * np.outer(sigma, sigma)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    growth = 1.0 + np.maximum(values, 0.0)
+    P = (vectors / growth) @ vectors.T * np.outer(sigma, sigma)
+    phi = P @ score
+    return 0.5 * float(score @ phi - np.log(growth).sum()), P, phi

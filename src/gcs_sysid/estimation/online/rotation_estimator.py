@@ -272,7 +272,10 @@ class RotationEstimator:
             return fit
         if sparse:
             fit = with_sparse_readings(fit, self._speed_interval, found.window)
-        return fit.widened(axis_damping_doubt(fit, found.rows[0])) if by_window else fit
+        if by_window:
+            commands = self._basis.motors
+            fit = fit.widened(axis_damping_doubt(fit, found.rows[0], commands=commands))
+        return fit
 
     def _noise(self) -> Array:
         return np.stack([self._record.noise(i) for i in range(len(self._record.memories))])
