@@ -204,7 +204,7 @@ def test_states_without_a_stamp_take_the_latest_time(decoder, sender):
     assert decoder.decode(sender.heartbeat()).values == (0.0,)
     assert decoder.decode(landed(sender, 2)) == Record(Stream.IN_AIR, 7.0, (1.0,))
     assert decoder.decode(landed(sender, 1)).values == (0.0,)
-    assert decoder.decode(landed(sender, 3)).values == (0.0,)
+    assert decoder.decode(landed(sender, 3)).values == (1.0,)
     assert decoder.decode(landed(sender, 0)) is None
 
 

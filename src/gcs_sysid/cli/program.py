@@ -63,9 +63,11 @@ def with_command(argv: Sequence[str]) -> list[str]:
     if not argv:
         return []
     first = _BRITISH.get(argv[0], argv[0])
-    if first in {command.name for command in COMMANDS} or not any(map(_is_log, argv)):
+    if first in {command.name for command in COMMANDS}:
         return [first, *argv[1:]]
-    return ["check", *argv]
+    # What is no log at the front is a misspelt command.
+    alone = any(map(_is_log, argv)) if argv[0].startswith("-") else _is_log(argv[0])
+    return ["check", *argv] if alone else [first, *argv[1:]]
 
 
 def _is_log(word: str) -> bool:

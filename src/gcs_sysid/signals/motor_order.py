@@ -186,7 +186,7 @@ def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
         columns = [outputs[motor] - track.offset for motor in run]
         whole = columns == list(range(track.values.shape[1]))
         values = track.values if whole else np.ascontiguousarray(track.values[:, columns])
-        # What has no motor stands beside them, in nobody's place.
+        # What has no motor stands behind them, in no motor's place.
         yield replace(track, offset=run[0] if run else len(outputs), values=values)
 
 

@@ -82,7 +82,7 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
         if slashes and "@" in rest:  # MAVROS: udp://[BIND]@[REMOTE]
             bind, _, remote = rest.partition("@")
             kind, rest = ("udpin", bind) if bind else ("udpout", remote)
-        if rest.startswith(":") and kind in ("udp", "udpin", "tcpin"):
+        if slashes and rest.startswith(":") and kind in ("udp", "udpin", "tcpin"):
             rest = f"0.0.0.0{rest}"  # as of MAVSDK: on any address
         host, port = _host_and_port(rest.partition("/")[0] if slashes else rest, text)
         # `udp:` listens, as in pymavlink.
