@@ -30,6 +30,7 @@ def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
     assert len(lines) > 1
     alone = json.loads(analyzed.read_text())
     assert alone.pop("health")["seconds_of_hover"] > 0.0  # of `analyze` alone
+    assert alone.pop("summary")["line"]
     assert lines[-1] == alone
 
 

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
                 given = replace(given, baseline=replace(first, asked=False))
             document, lines = _found(log, health, options)
             documents.append(document)
-            words.append(document["answer"]["word"])
+            words.append(document["summary"]["word"])
             text = "\n".join([*([""] if len(documents) > 1 else []), *lines])
             if options.json != "-":
                 deliveries.give(functools.partial(output.show, text))
@@ -84,7 +84,7 @@ def _found(
         else:
             more += _next(f"gcs-sysid inspect {log}")
     facts = _facts(log, health, document.get("health", document), width)
-    return document, [*answer_lines(document["answer"], width), "", *facts, *more]
+    return document, [*answer_lines(document["summary"], width), "", *facts, *more]
 
 
 def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> Iterator[str]:

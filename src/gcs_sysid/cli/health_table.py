@@ -23,7 +23,7 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         health: of a flight that hovers.
         answered: whether the first line was given before; else it is here.
     """
-    answer = [] if answered else [*answer_lines(document_of(health)["answer"], TEXT_WIDTH), ""]
+    answer = [] if answered else [*answer_lines(document_of(health)["summary"], TEXT_WIDTH), ""]
     whole = [*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)]
     return "\n".join([*answer, *whole])
 
@@ -125,7 +125,7 @@ def _parameters(health: Health) -> Iterator[str]:
 
 
 def _foot(health: Health) -> Iterator[str]:
-    first = document_of(health)["answer"]["action"]
+    first = document_of(health)["summary"]["action"]
     others = [text for text in health.advice if text != first]
     if others:
         yield ""

@@ -70,7 +70,7 @@ def document_of(health: Health) -> dict[str, Any]:
         out[health.scale[0]] = plain(health.scale[1])
     if health.mass is not None:
         out["mass"] = plain(health.mass)
-    return {**out, "answer": first_answer(out).as_json()}
+    return {**out, "summary": first_answer(out).as_json()}
 
 
 def read_baseline(path: Path) -> Baseline:

@@ -45,7 +45,7 @@ class WholeAnalysis:
     def as_json(self) -> dict[str, Any]:
         """The result as its file has it, with the health."""
         health = self.health_document
-        document = {**self.result.as_json(), "answer": self.answer.as_json()}
+        document = {**self.result.as_json(), "summary": self.answer.as_json()}
         return document if health is None else {**document, "health": health}
 
 

@@ -53,7 +53,7 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
     except InputError as error:
         answer = no_answer(Objection(str(error))).as_json()
     else:
-        answer, facts = health["answer"], short_facts(health) if health["cg"] else []
+        answer, facts = health["summary"], short_facts(health) if health["cg"] else []
     return {
         "answer": answer,
         "facts": facts,

@@ -271,7 +271,7 @@ class Workbench:
             {
                 **item.as_json(),
                 "verdict": verdict,
-                "answer": document.get("answer"),
+                "answer": document.get("summary"),
                 "parameters": result_rows(result),
                 "run": results.name,
                 "health": (results / PICTURE).exists(),

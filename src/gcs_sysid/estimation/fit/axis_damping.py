@@ -13,7 +13,7 @@ D = dQ/dphi x, as for what is given (`estimation.parameters.given_errors`),
 
 with f the factor by which colored residuals widen the covariance of theta. The fit leaves phi out,
 so it errs by -S phi, with the expected square S (P + phi phi') S'. With commands sigma is the
-usual one; with speeds that of most evidence (`deviations`), and none where that speaks against any.
+usual one; with speeds that of most evidence (`deviations`), and none where evidence is against any.
 """
 
 import numpy as np
