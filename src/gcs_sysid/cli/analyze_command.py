@@ -71,9 +71,7 @@ def run(options: argparse.Namespace) -> int:
                 if reporter is not None:
                     report = functools.partial(reporter.write, found.result, found.health_document)
                     deliveries.give(report)
-    if documents and options.json is not None:
-        text = output.as_json(documents[0] if len(options.logs) == 1 else documents)
-        deliveries.give(lambda: output.write_text(options.json, text, force=options.force))
+    deliveries.give_json(documents, options.logs, options.json, force=options.force)
     deliveries.check()
     if one_by_one.failed:
         return 2

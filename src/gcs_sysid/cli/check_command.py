@@ -4,7 +4,6 @@ import argparse
 import functools
 import textwrap
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from gcs_sysid.cli.health_table import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
 from gcs_sysid.health.assessment import beside_analysis, health_of_log
 from gcs_sysid.health.health_file import condition_text, document_of
-from gcs_sysid.health.vehicle_health import Health, as_baseline
+from gcs_sysid.health.vehicle_health import Health, against_first
 from gcs_sysid.health.whole_analysis import WholeAnalysis
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.judgement.short_verdicts import level_of
@@ -39,18 +38,14 @@ def run(options: argparse.Namespace) -> int:
     for log in options.logs:
         with one_by_one.attempt(log):
             health = health_of_log(Path(log), given, options.vehicle)
-            first = as_baseline(health)
-            if given.baseline is None and first is not None:
-                given = replace(given, baseline=replace(first, asked=False))
+            given = against_first(given, health)
             document, lines = _found(log, health, options)
             documents.append(document)
             words.append(document["summary"]["word"])
             text = "\n".join([*([""] if len(documents) > 1 else []), *lines])
             if options.json != "-":
                 deliveries.give(functools.partial(output.show, text))
-    if documents and options.json is not None:
-        file = output.as_json(documents[0] if len(options.logs) == 1 else documents)
-        deliveries.give(lambda: output.write_text(options.json, file, force=options.force))
+    deliveries.give_json(documents, options.logs, options.json, force=options.force)
     deliveries.check()
     if one_by_one.failed:
         return 2

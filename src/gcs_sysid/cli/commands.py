@@ -127,6 +127,16 @@ UNCHANGED = option(
     "nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
     action="store_true",
 )
+OF_HOVER = (
+    LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
+    CSV,
+    layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
+    VEHICLE,
+    BASELINE_FLIGHT,
+    UNCHANGED,
+    JSON.but("write the findings; - is stdout"),
+)
+"""What check and health ask for."""
 
 COMMANDS = (
     Command(
@@ -169,13 +179,7 @@ COMMANDS = (
         "flight shows; with --arm and --mass also the identification, where it carries one. "
         "gcs-sysid LOG is the same.",
         (
-            LOGS.but(".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle"),
-            CSV,
-            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
-            VEHICLE,
-            BASELINE_FLIGHT,
-            UNCHANGED,
-            JSON.but("write the findings; - is stdout"),
+            *OF_HOVER,
             FORCE,
         ),
     ),
@@ -290,13 +294,7 @@ COMMANDS = (
         "parameters from any log with a hover, at any message rate. Without --airframe the rotor "
         "positions come from the log.",
         (
-            LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
-            CSV,
-            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
-            VEHICLE,
-            BASELINE_FLIGHT,
-            UNCHANGED,
-            JSON.but("write the findings; - is stdout"),
+            *OF_HOVER,
             option(
                 "--params",
                 "FILE",

@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
@@ -14,7 +13,7 @@ from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import format_of, parameter_file
 from gcs_sysid.health.health_file import document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
-from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
+from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,9 +32,7 @@ def run(options: argparse.Namespace) -> int:
         with one_by_one.attempt(log):
             health = health_of_log(Path(log), given, options.vehicle)
             found.append(health)
-            if given.baseline is None:
-                first = as_baseline(health)
-                given = replace(given, baseline=first and replace(first, asked=False))
+            given = against_first(given, health)
             if not health.available:
                 output.say(f"gcs-sysid: {log}: no result: {'; '.join(health.reasons)}")
     usable = [health for health in found if health.available]

@@ -23,8 +23,10 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         health: of a flight that hovers.
         answered: whether the first line was given before; else it is here.
     """
-    answer = [] if answered else [*answer_lines(document_of(health)["summary"], TEXT_WIDTH), ""]
-    whole = [*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)]
+    document = document_of(health)
+    answer = [] if answered else [*answer_lines(document["summary"], TEXT_WIDTH), ""]
+    foot = _foot(health, document["summary"]["action"])
+    whole = [*_head(health, document), "", *_rotors(health), *_parameters(health), *foot]
     return "\n".join([*answer, *whole])
 
 
@@ -36,13 +38,12 @@ def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
     ]
 
 
-def _head(health: Health) -> Iterator[str]:
+def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     yield health.source
     assert health.rotor_input is not None
     what = health.rotor_input.words
     yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
     yield ""
-    document = document_of(health)
     for name, size, way, alike in cg_facts(document):
         yield _line(name, f"{size} {way} of the center ({alike})")
     if health.cg_of_hover is None:
@@ -124,8 +125,7 @@ def _parameters(health: Health) -> Iterator[str]:
         yield f"  {one.name:<{_NAME - 2}}{one.quantity.value:.3f}{interval}{now}"
 
 
-def _foot(health: Health) -> Iterator[str]:
-    first = document_of(health)["summary"]["action"]
+def _foot(health: Health, first: str) -> Iterator[str]:
     others = [text for text in health.advice if text != first]
     if others:
         yield ""

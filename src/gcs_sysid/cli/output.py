@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TextIO, TypeGuard
@@ -49,6 +49,14 @@ class Deliveries:
             self._errors.append(reported)
             return False
         return True
+
+    def give_json(
+        self, documents: Sequence[object], logs: Sequence[str], target: str | None, *, force: bool
+    ) -> None:
+        """Write the content of each log that had one: alone for one log, else a list."""
+        if documents and target is not None:
+            text = as_json(documents[0] if len(logs) == 1 else documents)
+            self.give(lambda: write_text(target, text, force=force))
 
     @property
     def unread(self) -> bool:

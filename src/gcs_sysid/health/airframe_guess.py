@@ -20,6 +20,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams, rate_of, streams_of
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.reported_layout import (
+    ReportedLayout,
     differences,
     place_words,
     reported_layout,
@@ -101,7 +102,7 @@ def guess_airframe(
         return GuessedAirframe(given, f"{given.name}, as given", shown=shown)
     found = _of_px4(parameters) if vehicle.key == "px4" else None
     if found is None:
-        found = _by_type(vehicle, parameters)
+        found = _by_type(vehicle, parameters, reported)
     if arm is not None:
         layout = found.origin.partition(", its arm")[0]
         origin = f"{layout}, {arm:g} m from the center to a rotor"
@@ -136,10 +137,11 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
     )
 
 
-def _by_type(vehicle: MavlinkSystem, parameters: Mapping[str, float]) -> GuessedAirframe:
+def _by_type(
+    vehicle: MavlinkSystem, parameters: Mapping[str, float], reported: ReportedLayout | None
+) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
-    reported = reported_layout(vehicle.key, parameters)
     if reported is not None:
         airframe = Airframe("reported", reported.rotors).with_arm(_USUAL_ARM)
         origin = f"{reported.by}, {size}"

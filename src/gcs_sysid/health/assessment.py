@@ -131,15 +131,17 @@ class HoverRecords:
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
         guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
         airframe = guess.airframe
-        # An arm that is guessed says nothing of the mass.
-        misfit = mass_misfit(given.mass or math.nan, airframe.arm) if guess.arm_std == 0.0 else ""
-        if given.mass is not None and not misfit:
-            airframe = with_given(airframe, "mass", given.mass, "--mass")
+        misfit = ""
+        if given.mass is not None:
+            # An arm that is guessed says nothing of the mass.
+            misfit = mass_misfit(given.mass, airframe.arm) if guess.arm_std == 0.0 else ""
+            if not misfit:
+                airframe = with_given(airframe, "mass", given.mass, "--mass")
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
         health = health_of(streams, guess, given, log.parameters, span)
-        if given.mass is not None and misfit:
+        if misfit:
             health = replace(health, assumptions=(*health.assumptions, f"no mass given: {misfit}"))
         if self.full:
             kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
@@ -368,16 +370,7 @@ def _balances(
         for v, f, a in zip(cg, flown, assumed, strict=True)
     )
     share_flown = np.array(
-        [
-            math.sqrt(
-                float(
-                    balance.robust_fit(np.ones((len(total), 1)), s, between=hover.half).covariance[
-                        0, 0
-                    ]
-                )
-            )
-            for s in (thrust / total[:, None]).T
-        ]
+        [balance.mean_of(share, hover.half).std or 0.0 for share in (thrust / total[:, None]).T]
     )
     by_wind = balance.shares_by_wind(airframe, center)
     share_flown = np.sqrt(share_flown**2 + by_curve[2:-2] ** 2 + by_wind**2)

@@ -22,6 +22,7 @@ from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
 
 _ROUNDS = 12
@@ -94,6 +95,12 @@ def robust_fit(
         grown = np.sqrt(np.maximum(1.0, slow / np.maximum(np.diag(covariance), 1e-30)))
         covariance = covariance * np.outer(grown, grown)
     return BalanceFit(value, covariance, scale)
+
+
+def mean_of(values: Array, half: float) -> Estimate:
+    """The mean of (n,) ratios over windows half s apart, for other flights too."""
+    fit = robust_fit(np.ones((len(values), 1)), values, between=half)
+    return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
 
 
 def long_memory(series: Array, half: float) -> Array:

@@ -89,13 +89,9 @@ def with_throttle(
     rows = complete_rows(hover.commands)
     unit = GRAVITY / lift[rows]
 
-    def mean_of(values: Array) -> Estimate:
-        fit = balance.robust_fit(np.ones((len(values), 1)), values, between=hover.half)
-        return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
-
-    throttle = mean_of(u.mean(axis=1))
+    throttle = balance.mean_of(u.mean(axis=1), hover.half)
     share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
-    hover_thrust = mean_of(share)
+    hover_thrust = balance.mean_of(share, hover.half)
     if curve.c.std:
         step = _step(curve.c.value)
         other = thrust_of(hover, curve.c.value + step)[rows].mean(axis=1) * unit
@@ -115,7 +111,7 @@ def with_throttle(
     )
     rotors = []
     for i, rotor in enumerate(health.rotors):
-        used = mean_of(u[:, i])
+        used = balance.mean_of(u[:, i], hover.half)
         assert used.value is not None
         _, samples = streams.commands.samples[i]
         turning = samples[samples > 0.0]

@@ -1,7 +1,7 @@
 """The health of a vehicle, from the hover of one flight, as plain facts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gcs_sysid.health.balance import Center
@@ -221,6 +221,14 @@ class Health:
     def reported(self) -> bool:
         """Whether it belongs beside an analysis: something hovered, or the motion contradicts."""
         return self.available or self.contradicted
+
+
+def against_first(given: HealthOptions, health: Health) -> HealthOptions:
+    """What is given for the flights after one: without a baseline, the first that hovers is it."""
+    first = as_baseline(health)
+    if given.baseline is not None or first is None:
+        return given
+    return replace(given, baseline=replace(first, asked=False))
 
 
 def as_baseline(health: Health) -> Baseline | None:

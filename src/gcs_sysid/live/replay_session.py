@@ -196,8 +196,11 @@ class ReplaySession:
         until, piece = self._due(), _PIECE * self._speed
         if goal is not None:
             until, piece = goal, _PIECE
-        due = math.inf if self._on_result is None else self._result_reported_at + RESULT_EVERY
-        end = playback.log_segments.next_end(min(until, due), min(piece, 0.25 * RESULT_EVERY))
+        stop = until
+        if self._on_result is not None:
+            stop = min(until, self._result_reported_at + RESULT_EVERY)
+            piece = min(piece, 0.25 * RESULT_EVERY)
+        end = playback.log_segments.next_end(stop, piece)
         if end is None:
             self._end()
             return 0.0

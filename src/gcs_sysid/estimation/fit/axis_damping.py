@@ -19,7 +19,7 @@ usual one; with speeds that of most evidence (`deviations`), and none where evid
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES
+from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES, evidence_for
 from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import scales
@@ -66,21 +66,16 @@ def axis_damping_doubt(fit: RotationFit, rows: Array, *, commands: bool) -> Arra
         return np.zeros((rb.N_THETA, rb.N_THETA))
     f = max(float(((fit.data_std / white)[known] ** 2).max()), 1.0)
     # As usual, or as much as there is: an axis may be damped twice as much, or not at all.
-    usual = np.hypot(AXIS_DAMPING * moments, theta[rb.DAMPING])
-    sizes = [usual] if commands else [size * moments for size in SIZES["damping"]]
-    tried = [_of_size(own / f, g / f, sigma) for sigma in sizes]
-    evidence, P, phi = max(tried, key=lambda each: each[0])
-    if not commands and evidence < 0.0:
-        return np.zeros((rb.N_THETA, rb.N_THETA))
+    sigma = np.hypot(AXIS_DAMPING * moments, theta[rb.DAMPING])
+    if not commands:
+        sizes = [size * moments for size in SIZES["damping"]]
+        evidence = [evidence_for(g / f, own / f, size) for size in sizes]
+        if max(evidence) < 0.0:
+            return np.zeros((rb.N_THETA, rb.N_THETA))
+        sigma = sizes[int(np.argmax(evidence))]
+    scaled = own / f * np.outer(sigma, sigma)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    P = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T * np.outer(sigma, sigma)
+    phi = P @ g / f
     doubt: Array = S @ (P + np.outer(phi, phi)) @ S.T
     return doubt
-
-
-def _of_size(information: Array, score: Array, sigma: Array) -> tuple[float, Array, Array]:
-    """The evidence for deviations of a size, their covariance P, and phi; see `deviations`."""
-    scaled = information * np.outer(sigma, sigma)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    growth = 1.0 + np.maximum(values, 0.0)
-    P = (vectors / growth) @ vectors.T * np.outer(sigma, sigma)
-    phi = P @ score
-    return 0.5 * float(score @ phi - np.log(growth).sum()), P, phi

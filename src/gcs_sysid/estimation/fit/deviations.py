@@ -188,14 +188,14 @@ class DeviationChoice:
         )
         g, H = score * units, information * np.outer(units, units)
         found, last = list(self._least), np.ones(turns)
-        best = _evidence(g, H, np.concatenate([np.array(found)[kinds], last]))
+        best = evidence_for(g, H, np.concatenate([np.array(found)[kinds], last]))
         for _ in range(3):
             before = list(found)
             for kind, tried in enumerate(SIZES.values()):
                 least = self._least[kind]
                 for size in (least, *(size for size in tried if size > least)):
                     sizes = [*found[:kind], size, *found[kind + 1 :]]
-                    evidence = _evidence(g, H, np.concatenate([np.array(sizes)[kinds], last]))
+                    evidence = evidence_for(g, H, np.concatenate([np.array(sizes)[kinds], last]))
                     evidence -= SURE * np.count_nonzero(np.greater(sizes, self._least))
                     if evidence > best:
                         best, found = evidence, sizes
@@ -222,7 +222,7 @@ class DeviationChoice:
 _THRUST, _TORQUE = 1, 2
 
 
-def _evidence(g: Array, H: Array, std: Array) -> float:
+def evidence_for(g: Array, H: Array, std: Array) -> float:
     """Nats for deviations of (m,) sizes over none, given score and information."""
     use = std > 0.0
     if not use.any():
