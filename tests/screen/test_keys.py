@@ -8,7 +8,7 @@ from textual.command import CommandPalette
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.snapshot import Event
+from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.dialogs import Choose, HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen
@@ -215,6 +215,11 @@ async def test_the_events_are_followed_at_every_size(run_screen):
             s.app.poll()
         await s.settle()
         assert any("event number 58" in line for line in s.lines()[:-2])
+        # A notice above takes a line of the panel.
+        lost = replace(fake.snapshot(), link=fake.link(LinkState.LOST), events=many)
+        await s.serve(lost)
+        await s.serve(replace(lost, events=(*many, Event(60.0, "event number 59"))))
+        assert any("event number 59" in line for line in s.lines()[:-2])
 
 
 async def test_a_click_chooses_a_parameter(run_screen):

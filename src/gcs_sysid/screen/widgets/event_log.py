@@ -44,4 +44,5 @@ class EventLog(ScrolledLines):
 
     def _to_end(self) -> None:
         self._scrolling = False
-        self.scroll_end(animate=False)
+        # At once: a later event would find the log above its end, as if the user had scrolled.
+        self.scroll_end(animate=False, immediate=True)
