@@ -13,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import Craft, information, motion_of
+from gcs_sysid.coach.information import Craft, information, motion_of, prior_noise, prior_vehicle
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.vehicle_files import load_vehicle

@@ -20,8 +20,7 @@ from gcs_sysid.__main__ import main
 from gcs_sysid.cli import live_command as live_command
 from gcs_sysid.cli import screens as screens
 from gcs_sysid.live import live_session as live_session
-from gcs_sysid.live.reception import Reception
-from gcs_sysid.live.recording import SessionRecording
+from gcs_sysid.live.reception import Reception, SessionRecording
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog

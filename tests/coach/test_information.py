@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.coach.information import information, within_reach
+from gcs_sysid.coach.information import information, prior_vehicle, within_reach
 from gcs_sysid.coach.manoeuvre_library import Limits, library
-from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning

@@ -7,10 +7,10 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from gcs_sysid.cli.plan_command import plan_svg, plan_text
-from gcs_sysid.coach.flight_plan import HOVER, PAUSE, make_plan
+from gcs_sysid.coach.choice import HOVER, PAUSE, make_plan
+from gcs_sysid.coach.information import prior_vehicle
 from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import Limits
-from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput

@@ -14,7 +14,7 @@ from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.screen.widgets.health_panel import health_lines
+from gcs_sysid.screen.panels import health_lines
 from tests.screen.fake import health as health_document
 
 AFT = Estimate(-0.1, 0.0067 / 1.96, "m", std_given=0.0067 / 1.96)

@@ -17,13 +17,13 @@ from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer
 from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.results.result import Result
-from gcs_sysid.screen.widgets.health_panel import health_lines
+from gcs_sysid.screen.panels import health_lines
 from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
-from gcs_sysid.web.result_json import why_no_health
+from gcs_sysid.web.page_json import why_no_health
 
 RATE = 100.0
 PX4 = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)

@@ -15,7 +15,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
-from gcs_sysid.web.result_json import comparison_rows
+from gcs_sysid.web.page_json import comparison_rows
 
 STD = 0.01
 MASS = Scale("mass", 1.5, "kg")

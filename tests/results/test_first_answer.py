@@ -2,8 +2,7 @@
 
 import pytest
 
-from gcs_sysid.results.first_answer import first_answer
-from gcs_sysid.results.health_view import health_fact, short_facts
+from gcs_sysid.results.health_view import first_answer, health_fact, short_facts
 from tests.screen.fake import health
 
 QUANTITY = {"value": 0.25, "std": 0.001, "std_given": 0.0, "unit": "1"}

@@ -12,8 +12,8 @@ from textual.pilot import Pilot
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import Actions, EarlierResult, SysidApp
-from gcs_sysid.screen.scene import ReplayApp
-from gcs_sysid.screen.widgets.transport import Transport
+from gcs_sysid.screen.app import ReplayApp
+from gcs_sysid.screen.bars import Transport
 
 from . import fake
 

@@ -8,10 +8,10 @@ from textual.containers import VerticalScroll
 from textual.widgets._footer import FooterKey
 
 from gcs_sysid.results.snapshot import Advice, LinkState
+from gcs_sysid.screen.bars import VerdictPanel, verdict_lines
+from gcs_sysid.screen.lines import Lines
 from gcs_sysid.screen.main_view import PAGES, PageBar
 from gcs_sysid.screen.snapshot_view import headline
-from gcs_sysid.screen.widgets.lines import Lines
-from gcs_sysid.screen.widgets.verdict import VerdictPanel, verdict_lines
 
 from . import fake
 

@@ -12,7 +12,7 @@ from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import Actions, EarlierResult
 from gcs_sysid.screen.dialogs import Choose, HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen
-from gcs_sysid.screen.widgets.plots import Convergence
+from gcs_sysid.screen.plots import Convergence
 
 from . import fake
 

@@ -8,7 +8,25 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History, known_history, settled_range
 from gcs_sysid.results.snapshot import Advice, Gain, LinkState
 from gcs_sysid.screen import text_drawing
+from gcs_sysid.screen.bars import advice_lines, verdict_lines
+from gcs_sysid.screen.panels import (
+    HORIZON_WIDTH,
+    WINGS,
+    deflection,
+    facts,
+    health_lines,
+    horizon,
+    message_line,
+)
 from gcs_sysid.screen.pilot_view import blocks
+from gcs_sysid.screen.plots import (
+    nice_limit,
+    nice_ticks,
+    overlay,
+    reduced_history,
+    shade,
+    strip,
+)
 from gcs_sysid.screen.snapshot_view import (
     MessageRate,
     gain_text,
@@ -20,19 +38,6 @@ from gcs_sysid.screen.snapshot_view import (
 )
 from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
-from gcs_sysid.screen.widgets.coach_panel import advice_lines
-from gcs_sysid.screen.widgets.health_panel import health_lines
-from gcs_sysid.screen.widgets.link_panel import facts, message_line
-from gcs_sysid.screen.widgets.plots import (
-    nice_limit,
-    nice_ticks,
-    overlay,
-    reduced_history,
-    shade,
-    strip,
-)
-from gcs_sysid.screen.widgets.verdict import verdict_lines
 
 from . import fake
 

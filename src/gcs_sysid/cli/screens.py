@@ -20,9 +20,9 @@ from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.screen import Actions, EarlierResult
+from gcs_sysid.screen.app import Scene
+from gcs_sysid.screen.bars import Transport
 from gcs_sysid.screen.call_outs import Announcer
-from gcs_sysid.screen.scene import Scene
-from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.web.session_page import SessionPage
 from gcs_sysid.web.site import Site

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.information import Craft, Noise
-from gcs_sysid.coach.prior_vehicle import PriorVehicle
+from gcs_sysid.coach.information import Craft, Noise, PriorVehicle
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATES, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit

@@ -11,7 +11,7 @@ from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.results.first_answer import FirstAnswer, first_answer
+from gcs_sysid.results.health_view import FirstAnswer, first_answer
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
 from gcs_sysid.session.chain_options import ChainOptions

@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.choice import Choice, choose
-from gcs_sysid.coach.information import Noise, speed_noise
+from gcs_sysid.coach.information import Noise, prior_noise, prior_vehicle, speed_noise
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import (
     Limits,
@@ -23,7 +23,6 @@ from gcs_sysid.coach.manoeuvre_library import (
     sentence,
 )
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
-from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.session.chain import Chain

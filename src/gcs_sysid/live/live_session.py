@@ -26,10 +26,10 @@ from gcs_sysid.live.reception import (
     Reception,
     RecordingCut,
     ResetMark,
+    SessionRecording,
     Source,
     Toggled,
 )
-from gcs_sysid.live.recording import SessionRecording
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result

@@ -24,8 +24,7 @@ from typing import Any, BinaryIO
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live import receiver_wire as wire
-from gcs_sysid.live.reception import Failure, Item, Reception
-from gcs_sysid.live.recording import SessionRecording
+from gcs_sysid.live.reception import Failure, Item, Reception, SessionRecording
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.receiver import ReceivedFrames

@@ -13,17 +13,12 @@ from textual.widget import Widget
 from textual.widgets import Footer
 
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.bars import AnswerLine, Banner, CoachPanel, StatusLine, VerdictPanel
 from gcs_sysid.screen.key_commands import COMMANDS, PAGES, bindings_of
+from gcs_sysid.screen.panels import AttitudePanel, EventLog, HealthPanel, LinkPanel
+from gcs_sysid.screen.parameter_table import ParameterTable
+from gcs_sysid.screen.plots import AccelerationPanel, Convergence
 from gcs_sysid.screen.view import Panel, View
-from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
-from gcs_sysid.screen.widgets.coach_panel import CoachPanel
-from gcs_sysid.screen.widgets.event_log import EventLog
-from gcs_sysid.screen.widgets.health_panel import HealthPanel
-from gcs_sysid.screen.widgets.link_panel import LinkPanel
-from gcs_sysid.screen.widgets.parameter_table import ParameterTable
-from gcs_sysid.screen.widgets.plots import AccelerationPanel, Convergence
-from gcs_sysid.screen.widgets.status_bar import AnswerLine, Banner, StatusLine
-from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
 Hiding = Banner | VerdictPanel | CoachPanel
 """Panels that hide themselves while they have nothing to say."""

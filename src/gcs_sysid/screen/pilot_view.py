@@ -12,6 +12,8 @@ from gcs_sysid.results.number_format import clock
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import contradicted
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.bars import AnswerLine
+from gcs_sysid.screen.lines import Line, Lines
 from gcs_sysid.screen.snapshot_view import (
     Known,
     headline,
@@ -21,8 +23,6 @@ from gcs_sysid.screen.snapshot_view import (
 )
 from gcs_sysid.screen.text_drawing import big, height_of
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line, Lines
-from gcs_sysid.screen.widgets.status_bar import AnswerLine
 
 _LINK_WORDS = {
     LinkState.WAITING: "NO VEHICLE YET",

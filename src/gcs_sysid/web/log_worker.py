@@ -20,8 +20,7 @@ from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
-from gcs_sysid.results.first_answer import no_answer
-from gcs_sysid.results.health_view import short_facts
+from gcs_sysid.results.health_view import no_answer, short_facts
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log

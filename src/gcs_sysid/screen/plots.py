@@ -15,8 +15,8 @@ from gcs_sysid.results.number_format import scaled_unit
 from gcs_sysid.results.result_view import exponent_key
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
+from gcs_sysid.screen.lines import Line, Lines
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line, Lines
 
 Floats = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from gcs_sysid.results import words
 from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.lines import Line, Lines
 from gcs_sysid.screen.snapshot_view import converged
 from gcs_sysid.screen.view import View
-from gcs_sysid.screen.widgets.lines import Line, Lines
 
 Cell = tuple[str, str]
 """Text of exactly the column's width, and its style."""

@@ -1,0 +1,366 @@
+"""The panels of the vehicle: link, attitude and rotors, health in hover, events."""
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from gcs_sysid.model.parameters import AXES
+from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
+from gcs_sysid.results.number_format import PLAIN, clock_tenths, data_rate, grouped
+from gcs_sysid.results.snapshot import Event, LinkStatus
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.lines import Line, Lines, ScrolledLines
+from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates
+from gcs_sysid.screen.view import View
+
+_WARNING = "$text-warning"
+
+
+def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
+    """Name, text and style of each line above the messages."""
+    rejected = f"rejected {grouped(link.rejected)}"
+    lost = f"{grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
+    gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
+    drift = link.clock_ppm
+    # No clock drifts by a hundredth; a computer that falls behind makes it seem so.
+    known = drift is not None and abs(drift) <= 1e4
+    clock = f"{drift:+.0f} ppm" if known else "unknown"
+    return [
+        ("link", f"{LINK_SIGN[link.state]} {link.url}", ""),
+        ("received", f"{grouped(link.received)}, {data_rate(link.bytes_per_second)}", ""),
+        ("lost", lost, _WARNING if link.lost_percent >= 1.0 or link.rejected else ""),
+        ("IMU gaps", gaps, _WARNING if link.gaps else ""),
+        ("clock", clock, ""),
+        *(
+            [("computer", f"too slow: {link.waiting:.1f} s wait", _WARNING)]
+            if link.too_slow
+            else []
+        ),
+        *(
+            [("dropped", f"{grouped(link.dropped)} by the system", _WARNING)]
+            if link.dropped
+            else []
+        ),
+        *([("unknown", f"{grouped(link.unknown)} frames", "")] if link.unknown else []),
+        ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
+    ]
+
+
+def message_line(message: MessageRate, width: int) -> Line:
+    """One message with its rates; a sign says whether it comes as asked."""
+    name, room = message.name, max(8, width - 14)
+    shown = name if len(name) <= room else name[: room - 1] + "…"
+    parts = [(f"{shown:<{room}}{message.got:6.1f}", "")]
+    if message.asked is None:
+        return [*parts, (" " * 6, "")]
+    return [
+        *parts,
+        (f"{message.asked:6.0f}", fmt.MUTED),
+        (" !", "bold $text-warning") if message.slow else (" ✓", "bold $text-success"),
+    ]
+
+
+class LinkPanel(ScrolledLines):
+    """Health of the link; scrolls where a vehicle sends more than fits."""
+
+    BORDER_TITLE = "Link"
+
+    def __init__(self) -> None:
+        super().__init__("link")
+
+    def lay_out(self, view: View) -> None:
+        """Write figures and messages."""
+        lines = self._lines(view)
+        # Messages come and go; a panel that shrinks each time would force a new layout of the
+        # screen.
+        lines += [[]] * (len(self._text.lines) - len(lines))
+        self._text.put(lines)
+
+    def _lines(self, view: View) -> list[Line]:
+        if view.snapshot is None:
+            return [[("no link yet", fmt.MUTED)]]
+        link = view.snapshot.link
+        room = (self.content_size.width or 36) - 2  # of the scroll bar
+        width = min(room, 44)
+        lines: list[Line] = []
+        for name, text, style in facts(link):
+            # The end of a path or an address says more than its beginning.
+            shown = text if len(text) <= room - 9 else "…" + text[max(1, len(text) - room + 10) :]
+            lines.append([(f"{name:<9}", fmt.MUTED), (shown, style)])
+        messages = message_rates(link)
+        if messages:
+            lines.append([(f"{'message':<{max(8, width - 14)}}{'Hz':>6}{'asked':>6}", fmt.MUTED)])
+        lines += [message_line(message, width) for message in messages]
+        return lines
+
+
+HORIZON_WIDTH = 25
+WINGS = "━━━┫◆┣━━━"
+_GROUND, _SKY = "#8a5a2b", "#2d6a9f"
+
+
+def horizon(roll: float, pitch: float, height: int) -> list[str]:
+    """An artificial horizon: the ground in half blocks, the sky blank, the wings in the middle.
+
+    Args:
+        roll: rad, right wing down positive; the ground then rises on the right.
+        pitch: rad, nose up positive; the ground then sinks.
+        height: lines of the drawing, an odd number.
+    """
+    rows = 2 * height
+    sink = math.degrees(pitch) * rows / 60.0  # 60° from the top to the bottom
+    sine, cosine = math.sin(roll), math.cos(roll)
+
+    def ground(column: int, row: int) -> bool:
+        # Half a cell is about as high as a cell is wide, so that angles look right.
+        x = column - (HORIZON_WIDTH - 1) / 2
+        y = row - (rows - 1) / 2 - sink
+        return y * cosine + x * sine > 0.0
+
+    blocks = {(False, False): " ", (True, True): "█", (True, False): "▀", (False, True): "▄"}
+    lines = [
+        [
+            blocks[ground(column, 2 * line), ground(column, 2 * line + 1)]
+            for column in range(HORIZON_WIDTH)
+        ]
+        for line in range(height)
+    ]
+    middle, start = height // 2, (HORIZON_WIDTH - len(WINGS)) // 2
+    lines[middle][start : start + len(WINGS)] = WINGS
+    return ["".join(line) for line in lines]
+
+
+def deflection(value: float, limit: float, width: int) -> str:
+    """A bar from the middle outwards: left for negative values, right for positive ones."""
+    half = width // 2
+    cells = min(half, round(abs(value) / limit * half))
+    left = "━" * cells if value < 0 else ""
+    right = "━" * cells if value > 0 else ""
+    return f"{left:>{half}}│{right:<{half}}"
+
+
+class AttitudePanel(Lines):
+    """Attitude of the vehicle and its rotor signals."""
+
+    BORDER_TITLE = "Attitude and rotors"
+
+    def __init__(self) -> None:
+        super().__init__(id="attitude")
+        self._top_speed = 1.0
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date."""
+        self.put(self._horizon_lines(view) + self._angle_lines(view) + self._rotor_lines(view))
+
+    def _horizon_lines(self, view: View) -> list[Line]:
+        if view.snapshot is None or view.snapshot.attitude is None:
+            return [[("no attitude yet", fmt.MUTED)]]
+        roll, pitch, _ = view.snapshot.attitude
+        rows = self.screen.size.height
+        drawing = horizon(roll, pitch, 7 if rows >= 48 else 3 if 32 <= rows < 44 else 5)
+        colors = f"{_GROUND} on {_SKY}"
+        lines = []
+        for line in drawing:
+            left, wings, right = line.partition(WINGS)
+            lines.append(
+                [("  ", ""), (left, colors), (wings, f"bold #ffffff on {_SKY}"), (right, colors)]
+            )
+        return lines
+
+    def _angle_lines(self, view: View) -> list[Line]:
+        if view.snapshot is None or view.snapshot.attitude is None:
+            return []
+        lines = []
+        rates = view.snapshot.rates
+        limits = (45.0, 45.0, 180.0)
+        for index, name in enumerate(AXES):
+            angle = math.degrees(view.snapshot.attitude[index])
+            # Rounded before the sign is written, so that there is no "-0.0".
+            angle = round(angle, 1) + 0.0
+            rate = "" if rates is None else f"{round(math.degrees(rates[index])) + 0:+5d} °/s"
+            lines.append(
+                [
+                    (f"{name:<6}", fmt.MUTED),
+                    (f"{angle:+6.1f}°", "bold"),
+                    (f" {deflection(angle, limits[index], 10)} ", "$text-primary"),
+                    (rate, ""),
+                ]
+            )
+        return lines
+
+    def _rotor_lines(self, view: View) -> list[Line]:
+        if view.snapshot is None or not view.snapshot.rotor_speeds:
+            return [[("no rotor speeds", fmt.MUTED)]]
+        speeds = view.snapshot.rotor_speeds
+        if view.snapshot.result.rotor_input.motors:
+            return [
+                [
+                    (f"rotor {number:<2}", fmt.MUTED),
+                    (f"{100.0 * command:5.1f}", "bold"),
+                    (" %     ", ""),
+                    (fmt.bar(command, 14), "$text-primary on $panel"),
+                ]
+                for number, command in enumerate(speeds, start=1)
+            ]
+        # The scale only grows, in steps, so that the bars compare from one moment to the next.
+        self._top_speed = max(self._top_speed, 100.0 * math.ceil(max(speeds) * 1.1 / 100.0))
+        lines = []
+        for number, speed in enumerate(speeds, start=1):
+            lines.append(
+                [
+                    (f"rotor {number:<2}", fmt.MUTED),
+                    (f"{speed:5.0f}", "bold"),
+                    (" rad/s ", ""),
+                    (fmt.bar(speed / self._top_speed, 14), "$text-primary on $panel"),
+                ]
+            )
+        return lines
+
+
+_NAME = 16
+_BAR = 12
+_BOLD_WARNING = "bold $text-warning"
+_NOT_YET = "No hover yet: hover for 10 s."
+_SUMS = ("yaw_imbalance", "hover_throttle", "thrust_to_weight", "drift_per_minute")
+_UNEQUAL = "± includes unequal rotors (3 %)"
+
+
+def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
+    """A health file's content as lines.
+
+    Args:
+        health: None before the first look.
+        width: columns.
+    """
+    if health is None or health["verdict"] == "refused":
+        why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
+        return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
+    lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
+    for name, text in filter(None, (health_fact(health, key) for key in _SUMS)):
+        lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
+    for text in health["advice"]:
+        lines += _wrapped(f"→ {text}", width, "")
+    return lines
+
+
+def _wrapped(text: str, width: int, style: str) -> list[Line]:
+    lines = textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
+    return [[(line, style)] for line in lines]
+
+
+def _source(health: Mapping[str, Any]) -> Line:
+    by = RotorInput(health["rotor_input"]).words
+    return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}; {_UNEQUAL}", fmt.MUTED)]
+
+
+def _weak(health: Mapping[str, Any], width: int) -> Iterator[Line]:
+    weakened = health["weakened"]
+    if weakened is not None and weakened["rotor"] is not None and weakened["loss"]:
+        loss = PLAIN.measure(
+            100.0 * weakened["loss"]["value"], 100.0 * half_of(weakened["loss"]), "%"
+        )
+        text = f"! rotor {weakened['rotor'] + 1} gives {loss} less thrust than before"
+        yield from _wrapped(text, width, _BOLD_WARNING)
+
+
+def _places(health: Mapping[str, Any]) -> Iterator[Line]:
+    for name, size, way, alike in cg_facts(health):
+        head = (f"{name:<{_NAME}}", fmt.MUTED)
+        yield [head, (f"{size} {way}", "bold"), (f"  ({alike})", fmt.MUTED)]
+
+
+def _rotors(health: Mapping[str, Any], width: int) -> Iterator[Line]:
+    """A table; the bar is the rotor's load over the most that any has to do."""
+    rotors = health["rotors"]
+    shares = [rotor["thrust_share"]["value"] for rotor in rotors]
+    wide = width >= 70
+    head = f"{'rotor':<6}{'share':>8}{'':>{_BAR + 3}}{'motor gain':>11}{'margin':>9}"
+    yield [(head + (f"{'at full':>10}{'vibration':>14}" if wide else ""), fmt.MUTED)]
+    for number, (rotor, share) in enumerate(zip(rotors, shares, strict=True), 1):
+        parts: Line = [
+            (f"{number:<6}", fmt.MUTED),
+            (f"{100.0 * share:6.1f} % ", "bold"),
+            (fmt.bar(share / max(shares), _BAR), "$text-primary on $panel"),
+            (_cell(rotor["motor_gain"], 1.0, "", 13, 3), ""),
+            (_cell(rotor["headroom"], 100.0, " %", 9, 1), ""),
+        ]
+        if wide:
+            full = rotor["saturated"]
+            saturated = "-" if full is None else f"{100.0 * full:.1f} %"
+            parts.append((f"{saturated:>10}", "" if not full else _BOLD_WARNING))
+            parts.append((_cell(rotor["vibration"], 1.0, " m/s²", 14, 3), ""))
+        yield parts
+
+
+def _cell(
+    quantity: Mapping[str, Any] | None, factor: float, unit: str, width: int, digits: int
+) -> str:
+    known = quantity is not None and quantity["value"] is not None
+    text = f"{factor * quantity['value']:.{digits}f}{unit}" if known and quantity else "-"
+    return f"{text:>{width}}"
+
+
+class HealthPanel(Lines):
+    """The vehicle's health by the hover of the last minutes, or of a whole log that is played."""
+
+    BORDER_TITLE = "Health in hover"
+
+    def __init__(self) -> None:
+        super().__init__(id="health")
+        self._shown: tuple[Mapping[str, Any] | None, int] | None = None
+        self._view: View | None = None
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date; a look is the same object until there is another."""
+        self._view = view
+        health = None if view.snapshot is None else view.snapshot.health
+        width = self.content_size.width or 76
+        if self._shown is None or self._shown[0] is not health or self._shown[1] != width:
+            self._shown = health, width
+            self.put(health_lines(health, width))
+
+    def on_resize(self) -> None:
+        """Wrap the lines again."""
+        if self._view is not None:
+            self.show(self._view)
+
+
+def event_lines(event: Event, width: int) -> list[Line]:
+    """An event, its text wrapped beside its time."""
+    stamp = f"{clock_tenths(event.t)}  "
+    texts = textwrap.wrap(event.text, max(1, width - len(stamp))) or [""]
+    stamps = [stamp, *[" " * len(stamp)] * (len(texts) - 1)]
+    return [[(time, fmt.MUTED), (text, "")] for time, text in zip(stamps, texts, strict=True)]
+
+
+class EventLog(ScrolledLines):
+    """What happened, with times."""
+
+    BORDER_TITLE = "Events"
+
+    def __init__(self) -> None:
+        super().__init__("events")
+        self._shown: tuple[tuple[Event, ...], int] | None = None
+        self._scrolling = True
+
+    def lay_out(self, view: View) -> None:
+        """Write the log, and follow its end unless the user has scrolled up."""
+        found = () if view.snapshot is None else view.snapshot.events
+        width = self.scrollable_content_region.width
+        if (found, width) == self._shown:
+            return
+        follows = self._scrolling or self.scroll_offset.y >= self.max_scroll_y
+        self._shown = found, width
+        lines = [line for event in found for line in event_lines(event, width)]
+        self._text.put(lines or [[("no events yet", fmt.MUTED)]])
+        if follows:
+            # Where the end is, is known once the new lines are laid out.
+            self._scrolling = True
+            self.call_after_refresh(self._to_end)
+
+    def _to_end(self) -> None:
+        self._scrolling = False
+        # At once: a later event would find the log above its end, as if the user had scrolled.
+        self.scroll_end(animate=False, immediate=True)
