@@ -4,8 +4,6 @@ The emulator flies a minute or so with an IMU of 250 Hz, attitude at 100 Hz and 
 frames of that flight are repeated with later times, running sequence numbers and new checksums.
 """
 
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import CRC_EXTRA
 from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_dtype
 from gcs_sysid.telemetry.tlog import TlogReader
+from testbed.study import flown
 
 _BOTH = ["--rotor-input", "both", "--rate", "250"]
 FLIGHT = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems", "--seed", "1", *_BOTH]
@@ -37,9 +36,7 @@ def long_log(path: Path, size: int) -> Path:
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        flight = Path(folder) / "flight.tlog"
-        command = [sys.executable, "-m", "sim_bridge", *FLIGHT, "--speed", "max"]
-        subprocess.run([*command, "--tlog", str(flight)], check=True, capture_output=True)
+        flight, _ = flown(FLIGHT, Path(folder))
         part = path.with_suffix(".part")  # what is broken off is not taken for the whole
         with open(part, "wb") as file:
             (frames,) = TlogReader(flight, flight.stat().st_size + 1).blocks()

@@ -88,6 +88,39 @@ def gone_on_with(
     return [done[n] for n in wanted if n in done]
 
 
+@dataclass(frozen=True)
+class Kept:
+    """Outcomes by name as JSON, a file each, from one run to the next.
+
+    Attributes:
+        folder: below the project's build.
+        version: of what is kept; what another version has kept is not there.
+    """
+
+    folder: Path
+    version: int
+
+    def write(self, name: str, outcomes: dict[str, Any]) -> None:
+        """Keep outcomes."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        told = json.dumps({"version": self.version, "name": name, **outcomes})
+        self._file(name).write_text(told, encoding="utf-8")
+
+    def read(self, name: str) -> dict[str, Any] | None:
+        """Those of a name."""
+        file = self._file(name)
+        return self.all([file]).get(name) if file.exists() else None
+
+    def all(self, files: Iterable[Path] | None = None) -> dict[str, dict[str, Any]]:
+        """All that are kept."""
+        files = sorted(self.folder.glob("*.json")) if files is None else files
+        found = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+        return {done["name"]: done for done in found if done.get("version") == self.version}
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{name.replace(' ', '-').replace(chr(39), '')}.json"
+
+
 def free_port() -> int:
     """A UDP port of this machine that is free at this moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -137,6 +170,33 @@ def run(words: Sequence[str], tree: Path = PROJECT, folder: Path | None = None) 
         peak = usage.ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
         seconds = usage.ru_utime + usage.ru_stime
         return Done(process.returncode, seconds, peak, said.read(), told.read())
+
+
+def sound(done: Done) -> Done:
+    """A command that has ended well.
+
+    Raises:
+        RuntimeError: it has not.
+    """
+    if done.status:
+        raise RuntimeError(done.said.strip() or f"exit status {done.status}")
+    return done
+
+
+def flown(words: Sequence[str], folder: Path) -> tuple[Path, dict[str, Any]]:
+    """A flight of the emulator as its command line has it, as fast as it can be flown.
+
+    Args:
+        words: of `sim-bridge`.
+        folder: for its files, which are replaced.
+
+    Returns:
+        The recording, and what is true.
+    """
+    log, truth = folder / "flight.tlog", folder / "truth.json"
+    files = ("--tlog", str(log), "--truth", str(truth))
+    sound(run(("sim_bridge", *words, "--speed", "max", "--force", *files)))
+    return log, json.loads(truth.read_text(encoding="utf-8"))
 
 
 def children_seconds() -> float:

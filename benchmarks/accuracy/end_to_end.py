@@ -1,8 +1,6 @@
 """The whole path, as a user runs it: emulator, MAVLink, .tlog, analysis."""
 
 import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.estimators import in_percent
+from testbed import study
 from testbed.article import NAMES
 
 FLIGHTS: dict[str, tuple[str, ...]] = {
@@ -31,14 +30,11 @@ def run(seed: int) -> dict[str, Any]:
 
 def _fly(flight: tuple[str, ...], seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        log, truth_file = Path(folder) / "flight.tlog", Path(folder) / "truth.json"
-        python = [sys.executable, "-m"]
-        emulator = [*python, "sim_bridge", "--airframe", "paper", *flight]
-        emulator += ["--seed", str(seed), "--speed", "max"]
-        subprocess.run([*emulator, "--tlog", log, "--truth", truth_file], check=True)
-        analysis = [*python, "gcs_sysid", "analyze", str(log), "--airframe", "paper"]
-        done = subprocess.run([*analysis, "--json", "-"], check=True, capture_output=True)
-    result = json.loads(done.stdout)
+        words = ("--airframe", "paper", *flight, "--seed", str(seed))
+        log, _ = study.flown(words, Path(folder))
+        analysis = ("gcs_sysid", "analyze", str(log), "--airframe", "paper", "--json", "-")
+        done = study.sound(study.run(analysis))
+    result = json.loads(done.told)
     estimates = [result["parameters"][name] for name in NAMES]
     value, std = (np.array([e[key] for e in estimates], dtype=float) for key in ("value", "std"))
     return {**in_percent(value, std), "verdict": result["verdict"]}

@@ -22,9 +22,7 @@ import ctypes
 import gc
 import importlib
 import importlib.util
-import json
 import random
-import subprocess
 import sys
 import tempfile
 import time
@@ -44,7 +42,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge import sensor_faults as sensor_faults
 from sim_bridge.playback import moments
-from testbed.study import arguments
+from testbed.study import arguments, flown
 
 TRAPS = (
     "rpm-repeats", "rpm-signed", "quaternion-flips", "gyro-outliers=0.0005", "imu-frozen=0.005",
@@ -160,14 +158,10 @@ def wrong_numbers(result: Result, truth: dict[str, Any]) -> tuple[float | None, 
 
 def emulate(folder: Path, seed: int, trapped: list[str], faulty: list[str]) -> tuple[Path, Any]:
     """Fly once; the recording and what is true."""
-    log, truth = folder / "flight.tlog", folder / "truth.json"
-    words = ["--rate", "1000", "--seed", str(seed), "--speed", "max", "--force"]
+    words = ["--rate", "1000", "--seed", str(seed)]
     words += [word for name in NOT_SENT for word in ("--trap", f"never-sent={name}")]
     words += [word for text in trapped for word in ("--trap", text)]
-    words += [word for text in faulty for word in ("--fault", text)]
-    files = ["--tlog", str(log), "--truth", str(truth)]
-    subprocess.run([sys.executable, "-m", "sim_bridge", *words, *files], check=True)
-    return log, json.loads(truth.read_text())
+    return flown([*words, *(w for text in faulty for w in ("--fault", text))], folder)
 
 
 def fly(folder: Path, seed: int) -> Round:
