@@ -19,6 +19,3 @@ TABLE_3 = {
 
 CONVERGENCE = 5.0
 """s, "The RLS algorithm converges within 5 seconds for all parameters"."""
-
-INERTIA_AFTER_MASS_STEP = 3.0
-"""%, "The identification error for inertia parameters remains below 3% in all cases"."""

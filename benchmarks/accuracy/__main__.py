@@ -4,21 +4,16 @@ Outcomes are kept as JSON under build/accuracy, one file a case; with --only, th
 from what is kept of the others.
 """
 
-import json
 import os
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy import document
 from benchmarks.accuracy.cases import CASES, Case
 from benchmarks.accuracy.tables_others import whole_path
-from testbed.study import PROJECT, WORKERS, arguments, in_processes, say
+from testbed.study import PROJECT, WORKERS, Kept, arguments, in_processes, say
 
-CACHE = PROJECT / "build" / "accuracy"
-VERSION = 2
-"""Of what is kept; others are left alone."""
+KEPT = Kept(PROJECT / "build" / "accuracy", 3)
 
 
 def study(case: Case, count: int, workers: int) -> dict[str, Any]:
@@ -32,7 +27,6 @@ def study(case: Case, count: int, workers: int) -> dict[str, Any]:
     outcomes = in_processes(case.run, firsts, workers, case.name)
     spent = processor_seconds() - before - prepared
     return {
-        "version": VERSION,
         "seeds": len(firsts) * case.together,
         "seconds": round(time.monotonic() - began, 1),
         "prepared": round(prepared, 1),
@@ -48,19 +42,10 @@ def processor_seconds() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def kept(folder: Path = CACHE) -> dict[str, Any]:
-    """Outcomes of the cases that were run, now or earlier."""
-    found = {}
-    for case in CASES:
-        file = folder / f"{case.name}.json"
-        if not file.exists():
-            continue
-        done = json.loads(file.read_text(encoding="utf-8"))
-        if done.get("version") == VERSION:
-            found[case.name] = done
-        else:
-            print(f"{file.name} is of another version: left out", file=sys.stderr)
-    return found
+def kept() -> dict[str, Any]:
+    """Outcomes of the cases that were run, now or earlier, in their order."""
+    found = KEPT.all()
+    return {case.name: found[case.name] for case in CASES if case.name in found}
 
 
 def main() -> None:
@@ -72,12 +57,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=WORKERS)
     parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     options = parser.parse_args()
-    CACHE.mkdir(parents=True, exist_ok=True)
     for case in CASES:
         if options.page or (options.only and case.name not in options.only):
             continue
         done = study(case, options.seeds or case.seeds, options.workers)
-        (CACHE / f"{case.name}.json").write_text(json.dumps(done), encoding="utf-8")
+        KEPT.write(case.name, done)
         print(
             f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s (processor: "
             f"{done['prepared']:.1f} s to prepare, {done['each']:.2f} s a run)",
@@ -86,6 +70,8 @@ def main() -> None:
     if options.only == ["end-to-end"]:
         print("\n".join(whole_path(kept()).lines).rstrip())
         return
+    from benchmarks.accuracy import document  # draws, with the group `bench`
+
     print(document.write(kept(), PROJECT / "docs"), file=sys.stderr)
 
 

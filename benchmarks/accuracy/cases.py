@@ -1,15 +1,13 @@
 """What is flown and estimated: a case maps a seed to an outcome that JSON can hold."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from benchmarks import filter_errors
-from benchmarks.accuracy import changes, end_to_end
+from benchmarks import filter_claims
+from benchmarks.accuracy import end_to_end
 from benchmarks.accuracy.estimators import (
     article_noise,
     at_known_mass,
@@ -22,10 +20,10 @@ from benchmarks.accuracy.estimators import (
 from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record.article_estimator import Method
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
-from gcs_sysid.signals.complementary import ComplementaryFilter
 from testbed.article import NAMES, TABLE_3
 from testbed.article_flights import (
     EXCITED_FROM,
@@ -191,47 +189,24 @@ def delays(seed: int) -> dict[str, Any]:
     return out
 
 
-def _peers() -> ModuleType:
-    from benchmarks.accuracy import peers  # needs the packages of the group `bench`
+CHAINS: dict[Method, str] = {
+    "article": "article, as printed",
+    "article-usual-td": "article, usual TD",
+    "article-stepwise": "article, stepwise",
+    "central-difference": "central differences + RLS",
+}
+"""`--method` -> its row."""
 
-    return peers
 
-
-def comparison(seed: int) -> dict[str, Any]:
+def chains(seed: int) -> dict[str, Any]:
     samples = measure(fly("paper", 20), "paper", SIGMA, seed)
     fit = online(samples, 0.05)
+    tunings = {label: EstimatorTuning(method=method) for method, label in CHAINS.items()}
     return {
-        **_peers().all_of(samples, 0.05, fit, "paper"),
-        "ours, online": outcome(fit),
-        "ours, offline": outcome(offline(samples, 0.05, fit, ROUNDING_STD)),
+        **{label: outcome(online(samples, 0.05, tuning)) for label, tuning in tunings.items()},
+        "here, online": outcome(fit),
+        "here, offline": outcome(offline(samples, 0.05, fit, ROUNDING_STD)),
     }
-
-
-def comparison_mems(seed: int) -> dict[str, Any]:
-    samples = measure(fly("paper", 250), "mems", 0.0, seed)
-    fit = online(samples, 0.004)
-    return {**_peers().all_of(samples, 0.004, fit, "mems"), "ours, online": outcome(fit)}
-
-
-def speed(seed: int) -> dict[str, float]:
-    """Samples a second of processor time: complementary filter, estimator, refit at 10 Hz."""
-    dt = 0.004
-    samples = measure(fly("paper", 250), "mems", 0.0, seed)
-    each, n = round(REFIT / dt), len(samples.gyro)
-    out = {}
-    for name, size in (("block", 100 * each), ("ticks", each), ("single", 1)):
-        complementary = ComplementaryFilter(dt)
-        estimator = OnlineEstimator(GEOMETRY, dt, EstimatorTuning())
-        began = time.process_time()
-        for begin in range(0, n, size):
-            now = samples.part(slice(begin, begin + size))
-            attitude = complementary.update(now.gyro, now.attitude)
-            rates = now.gyro - complementary.biases
-            first = (begin // each + 1) * each
-            stops = [k - begin for k in range(first, min(begin + size, n) + 1, each)]
-            estimator.follow(replace(now, rates=rates, attitude=attitude), stops)
-        out[name] = len(samples.gyro) / (time.process_time() - began)
-    return out
 
 
 def _fly_late() -> None:
@@ -248,7 +223,7 @@ def _fast() -> object:
     return fly("paper", 250)
 
 
-# Together some 15 minutes on two cores, 20 at most; more with --seeds.
+# Together some 10 minutes on two cores; more with --seeds.
 CASES = (
     Case("bounds", 1, bounds, _slow, once=True),
     Case("baseline", 100, baseline, _slow),
@@ -259,11 +234,7 @@ CASES = (
     Case("mems-offline", 3, mems_offline, _fast),
     Case("course", 200, history, lambda: fly("all-axes", 20)),
     Case("delay", 24, delays, _fly_late),
-    Case("peers", 8, comparison, lambda: _peers().tune("paper")),
-    Case("peers-mems", 2, comparison_mems, lambda: _peers().tune("mems")),
-    Case("changes", 30, changes.run, changes.prepare),
-    Case("false-alarms", 8, changes.quiet, changes.prepare_quiet),
-    Case("filters", 100, filter_errors.measure, filter_errors.prepare, filter_errors.AT_ONCE),
-    Case("speed", 3, speed, _fast),
+    Case("chains", 8, chains, _slow),
+    Case("filters", 100, filter_claims.measure, filter_claims.prepare, filter_claims.AT_ONCE),
     Case("end-to-end", 3, end_to_end.run, lambda: None),
 )

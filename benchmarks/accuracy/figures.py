@@ -7,9 +7,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from benchmarks.accuracy.statistics import Data, bound, kind, least, summary
+from benchmarks.accuracy.statistics import Data, bound, least, summary
 from benchmarks.accuracy.tables_errors import at_noise
-from testbed.article import INERTIA_AFTER_MASS_STEP, NAMES, TABLE_3
+from testbed.article import NAMES, TABLE_3
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -32,7 +32,6 @@ _OURS, _BETTER, _THEIRS, _BOUND = "#1f77b4", "#2ca02c", "#d62728", "#666666"
 
 UNTIL = 20.0
 """s from the start of the excitation that are drawn; little happens later on."""
-_PEERS = ("#7f0000", "#d62728", "#ff7f0e", "#8c564b", "#9467bd", "#e377c2", "#17becf")
 
 
 def noise(data: Data) -> Any:
@@ -85,50 +84,6 @@ def convergence(data: Data) -> Any:
     return figure
 
 
-def peers(data: Data) -> Any:
-    """RMS error per parameter, ours and others'."""
-    case = data["peers"]
-    figure, axis = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
-    labels = [name for name in case["outcomes"][0] if name != "settings"]
-    # k_T is the same for all: it comes from the momentum balance.
-    drawn = [i for i, name in enumerate(NAMES) if name != "k_T"]
-    for i, name in enumerate(labels):
-        rms = np.sqrt((kind(case, name)[0] ** 2).mean(axis=0))[drawn]
-        own = {"ours, online": (_OURS, "o"), "ours, offline": (_BETTER, "D")}.get(name)
-        color, marker = own or (_PEERS[i % len(_PEERS)], "sv^<>Pd"[i % 7])
-        at = np.arange(len(drawn)) + 0.07 * (i - len(labels) / 2)
-        size = 6.0 if own else 4.5
-        axis.plot(at, rms, marker, color=color, label=name, markersize=size)
-    axis.set_xticks(range(len(drawn)), [NAMES[i] for i in drawn])
-    axis.set(yscale="log", ylabel="RMS error, %", ylim=(1e-3, 2e2))
-    axis.yaxis.set_major_formatter("{x:g}")
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
-    return figure
-
-
-def mass_step(data: Data) -> Any:
-    """Mass and moments around the step."""
-    outcomes = [o["mass"] for o in data["changes"]["outcomes"]]
-    t = np.array(outcomes[0]["t"])
-    errors = np.array([o["error"] for o in outcomes], dtype=float)
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 2.8), layout="constrained")
-    for axis, names, until, limit in (
-        (axes[0], {"mass": 0}, 2.0, 20.0),
-        (axes[1], {"Ixx": 1, "Iyy": 2, "Izz": 3}, 20.0, 5.0),
-    ):
-        for (name, i), color in zip(names.items(), (_OURS, _BETTER, _THEIRS), strict=False):
-            known = (t <= until) & np.isfinite(errors[:, :, i]).all(axis=0)
-            low, middle, high = np.percentile(errors[:, known, i], [2.5, 50.0, 97.5], axis=0)
-            axis.fill_between(t[known], low, high, color=color, alpha=0.2, linewidth=0)
-            axis.plot(t[known], middle, ".-" if i == 0 else "-", color=color, label=name)
-        axis.set(xlabel="s after the step", ylim=(-limit, limit), xlim=(0, until))
-        axis.legend(fontsize=8, loc="lower right", ncols=3)
-    for bar in (-INERTIA_AFTER_MASS_STEP, INERTIA_AFTER_MASS_STEP):
-        axes[1].axhline(bar, color=_BOUND, linewidth=0.7, linestyle="--")
-    axes[0].set_ylabel("error, %")
-    return figure
-
-
 FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
     "noise": (("bounds", "baseline", "sweep", "noisiest"), "Errors against noise", noise),
     "convergence": (
@@ -136,8 +91,6 @@ FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
         "Errors of the first 20 s, 95 % of runs",
         convergence,
     ),
-    "mass-step": (("changes",), "Mass and moments of inertia after the step", mass_step),
-    "peers": (("peers",), "Rms error of each parameter", peers),
 }
 """File to the cases that it needs, what it shows, and who draws it."""
 

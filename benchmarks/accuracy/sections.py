@@ -10,8 +10,8 @@ from benchmarks.accuracy.tables_errors import (
     fast,
     noise_sweep,
 )
-from benchmarks.accuracy.tables_others import comparison, cost, filters, whole_path
-from benchmarks.accuracy.tables_time import changes, convergence, late
+from benchmarks.accuracy.tables_others import chains, filters, whole_path
+from benchmarks.accuracy.tables_time import convergence, late
 from benchmarks.accuracy.verdicts import Section
 
 SECTIONS: dict[str, tuple[tuple[str, ...], Callable[[Data], Section]]] = {
@@ -21,11 +21,9 @@ SECTIONS: dict[str, tuple[tuple[str, ...], Callable[[Data], Section]]] = {
     "fast": (("mems",), fast),
     "coverage": (("baseline", "mems"), coverage),
     "convergence": (("course",), convergence),
-    "changes": (("changes",), changes),
     "delay": (("delay",), late),
-    "comparison": (("peers",), comparison),
+    "chains": (("chains",), chains),
     "filters": (("filters",), filters),
-    "cost": (("speed",), cost),
     "whole-path": (("end-to-end",), whole_path),
 }
 """Place in the template to the cases that it needs and what goes there."""

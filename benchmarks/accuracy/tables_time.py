@@ -1,17 +1,11 @@
 """Sections of docs/accuracy.md on what happens during a flight."""
 
-from collections import Counter
-from typing import Any
-
 import numpy as np
 
-from benchmarks.accuracy.statistics import Data, kind, settled, summary
-from benchmarks.accuracy.verdicts import Section, Verdict, at_most, number, of, table
+from benchmarks.accuracy.statistics import Data, kind, summary
+from benchmarks.accuracy.verdicts import Section, at_most, number, of, table
 from gcs_sysid.arrays import Array
-from testbed.article import CONVERGENCE, INERTIA_AFTER_MASS_STEP, NAMES
-
-MAX_TILT = 45.0
-"""Degrees; a vehicle that leans further after a change is no longer called stable."""
+from testbed.article import CONVERGENCE, NAMES
 
 
 def convergence(data: Data) -> Section:
@@ -58,97 +52,6 @@ def convergence(data: Data) -> Section:
         *table(["", *NAMES, "any"], rows),
     ]
     return Section(of("all-axes mission, 20 Hz", case["seeds"], judged), lines)
-
-
-def changes(data: Data) -> Section:
-    case = data["changes"]
-    verdicts = [
-        *of("mass +20 %, 250 Hz", case["seeds"], _mass(case) + _false_alarms(data)),
-        *of("payload, 250 Hz", case["seeds"], _payload(case)),
-    ]
-    rows = []
-    for name in ("mass", "payload"):
-        outcomes = [o[name] for o in case["outcomes"]]
-        known = Counter(str(o["cause"]) for o in outcomes).most_common()
-        said = ", ".join(f"`{cause}` {count}" for cause, count in known)
-        again = sum(o["again"] for o in outcomes)
-        t, errors = _history(outcomes)
-        back = np.median(settled(t, errors), axis=0)
-        rows.append([name, said, str(again), *(number(float(b)) for b in back)])
-    lines = [
-        f"{case['seeds']} seeds. Event reported, later alarms in all runs together, and median "
-        "time in s until each estimate stays within 5 %:",
-        "",
-        *table(
-            ["", "event", "later alarms", "mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz"], rows
-        ),
-    ]
-    return Section(verdicts, lines)
-
-
-def _history(outcomes: list[dict[str, Any]]) -> tuple[Array, Array]:
-    """Times (n,) after the change and errors (seeds, n, 7) in %: mass and inertia."""
-    errors = np.array([o["error"] for o in outcomes], dtype=float)
-    return np.array(outcomes[0]["t"]), errors
-
-
-def _detection(outcomes: list[dict[str, Any]], bar: float) -> Verdict:
-    delay = [np.inf if o["delay"] is None else 1000.0 * o["delay"] for o in outcomes]
-    return at_most("detected, median", float(np.median(delay)), bar, "ms")
-
-
-def _mass(case: dict[str, Any]) -> list[Verdict]:
-    outcomes = [o["mass"] for o in case["outcomes"]]
-    t, errors = _history(outcomes)
-    sizes = np.nan_to_num(np.abs(errors), nan=np.inf)
-    at = int(np.searchsorted(t, 1.0, side="right")) - 1
-    mass = float(np.percentile(sizes[:, at, 0], 95, method="higher"))
-    inertia = float(np.percentile(sizes[:, -1, 1:].max(axis=1), 95, method="higher"))
-    motion = outcomes[0]["motion"]  # of the true state: the same for all seeds
-    return [
-        _detection(outcomes, 20.0),
-        at_most(f"error of the mass after {t[at]:.1f} s, 95th percentile", mass, 1.0),
-        at_most(
-            f"largest of six inertia errors after {t[-1]:.0f} s, 95th percentile",
-            inertia,
-            INERTIA_AFTER_MASS_STEP,
-        ),
-        at_most(
-            f"vehicle stays stable: largest tilt (before: {motion['tilt'][0]:.0f}°)",
-            motion["tilt"][1],
-            MAX_TILT,
-            "°",
-        ),
-        at_most(
-            "vehicle stays stable: vertical speed of the last 5 s, relative to before",
-            motion["vertical speed"][1] / max(motion["vertical speed"][0], 1e-9),
-            1.0,
-            "times",
-        ),
-    ]
-
-
-def _payload(case: dict[str, Any]) -> list[Verdict]:
-    outcomes = [o["payload"] for o in case["outcomes"]]
-    t, errors = _history(outcomes)
-    back = np.median(settled(t, errors[:, :, 1:]), axis=0)
-    return [
-        _detection(outcomes, 50.0),
-        at_most("Ixx, Iyy settle within 5 %, median", float(back[:2].max()), 5.0, "s"),
-        at_most("all six settle within 5 %, median", float(back.max()), 20.0, "s"),
-    ]
-
-
-def _false_alarms(data: Data) -> list[Verdict]:
-    """Over flights without a change, and over those with one but for its own alarm."""
-    runs = [o[name] for o in data["changes"]["outcomes"] for name in ("mass", "payload")]
-    alarms = sum(o["false"] + o["again"] for o in runs)
-    minutes = sum(o["minutes"] for o in runs)
-    for o in data.get("false-alarms", {"outcomes": []})["outcomes"]:
-        alarms += sum(flight["alarms"] for flight in o.values())
-        minutes += sum(flight["minutes"] for flight in o.values())
-    what = f"false alarms in 10 min ({alarms} in {minutes:.0f} min)"
-    return [at_most(what, 10.0 * alarms / minutes, 1.0, "")]
 
 
 def late(data: Data) -> Section:

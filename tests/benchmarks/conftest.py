@@ -10,7 +10,7 @@ import pytest
 # The benchmarks are no part of the installed package.
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks import filter_errors
+from benchmarks import filter_claims
 from testbed.article import NAMES, TABLE_3
 
 SEEDS = 200
@@ -50,29 +50,15 @@ def history() -> dict[str, Any]:
     }
 
 
-def changed() -> dict[str, Any]:
-    t = [0.096, 0.496, 0.996, 5.0, 20.0]
-    return {
-        "t": t,
-        "error": [[float("nan")] * 7, [float("nan")] * 7, *[[0.5] * 7] * 3],
-        "delay": 0.008,
-        "false": 0,
-        "again": 0,
-        "minutes": 0.5,
-        "cause": "mass_change",
-        "motion": {"tilt": [24.0, 25.0], "vertical speed": [0.02, 0.01], "command": [0.6, 0.7]},
-    }
-
-
 def filtered() -> dict[str, Any]:
-    """As `filter_errors.measure` gives it, each filter as good as its bar asks and a little."""
-    methods = [filter_errors.BACKWARD, filter_errors.CENTRAL, filter_errors.DEFAULT]
+    """As `filter_claims.measure` gives it, each filter as good as its bar asks and a little."""
+    methods = [filter_claims.BACKWARD, filter_claims.CENTRAL, filter_claims.DEFAULT]
     acceleration = dict(zip((m.name for m in methods), ([4, 2], [2, 2], [9, 1]), strict=True))
-    gains = filter_errors.GAINS
+    gains = filter_claims.GAINS
     attitude = {"raw": 1.0, "formula": [0.1 + 0.01 * g for g in gains]}
     attitude |= {"reference": [1.0, 1.0], "tool": [0.15, 0.1]}
     one = {"seeds": 4, "attitude": attitude, "acceleration": acceleration, "R": 80.0, "power": 25.0}
-    return {str(c): one for c in filter_errors.CASES}
+    return {str(c): one for c in filter_claims.CASES}
 
 
 @pytest.fixture
@@ -88,7 +74,7 @@ def data() -> dict[str, Any]:
         for speeds in ("exact", "telemetered")
     }
     late = [f"{rate} {delay}" for rate in (20, 250) for delay in (0.0, 0.02)]
-    peer = {"other": outcome(random, 10.0), "ours, online": outcome(random, scale)}
+    peer = {"other": outcome(random, 10.0), "here, online": outcome(random, scale)}
     flight = {**outcome(random, scale), "verdict": "identified"}
     return {
         "bounds": case([bounds]),
@@ -99,11 +85,8 @@ def data() -> dict[str, Any]:
         "mems": case([{k: outcome(random, scale) for k in ("still", "vibrating")} for _ in some]),
         "course": case([history() for _ in some]),
         "delay": case([{n: {"error": [0.1] * 10, "std": [0.1] * 10, "off": 0.1} for n in late}]),
-        "peers": case([{**peer, "settings": {"other": 5.0}}]),
-        "changes": case([{"mass": changed(), "payload": changed()} for _ in some]),
-        "false-alarms": case([{"hover": {"alarms": 0, "minutes": 1.0}}]),
+        "chains": case([peer]),
         "filters": case([filtered()], seeds=50),
-        "speed": case([{"block": 30000.0, "ticks": 12000.0, "single": 4000.0}]),
         "end-to-end": case([{"a flight": flight}]),
     }
 

@@ -29,10 +29,10 @@ def test_every_section_has_a_place() -> None:
 
 
 def test_page_of_a_partial_run_says_what_is_missing(data: Data) -> None:
-    kept = {name: data[name] for name in ("mems", "speed")}
+    kept = {name: data[name] for name in ("mems", "delay")}
     page = document.page(kept, set())
     assert "Not in this run (`--only baseline`)." in page
-    assert "samples/s" in page
+    assert "speeds in whole rpm" in page
     assert "accuracy/" not in page.replace("benchmarks/accuracy/", "")
 
 
@@ -41,13 +41,13 @@ def test_figures_come_out_the_same_twice(data: Data, tmp_path: Path) -> None:
     first, second = tmp_path / "a", tmp_path / "b"
     assert figures.draw(data, first) == set(figures.FIGURES)
     # One is enough for the second time, each takes seconds.
-    assert figures.draw({"changes": data["changes"]}, second) == {"mass-step"}
-    svg = (first / "mass-step.svg").read_bytes()
-    assert svg == (second / "mass-step.svg").read_bytes()
+    assert figures.draw({"course": data["course"]}, second) == {"convergence"}
+    svg = (first / "convergence.svg").read_bytes()
+    assert svg == (second / "convergence.svg").read_bytes()
     assert b"<svg" in svg
 
 
 def test_page_is_written(data: Data, tmp_path: Path) -> None:
-    path = document.write({"speed": data["speed"]}, tmp_path)
+    path = document.write({"delay": data["delay"]}, tmp_path)
     assert path == tmp_path / "accuracy.md"
     assert b"\r" not in path.read_bytes()

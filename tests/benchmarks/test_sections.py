@@ -45,7 +45,6 @@ def test_small_errors_meet_every_bar(data: Data, name: str) -> None:
         ("efficiency", "white"),
         ("fast", "mems"),
         ("coverage", "baseline"),
-        ("changes", "changes"),
     ],
 )
 def test_large_errors_miss_them(data: Data, name: str, case: str) -> None:
@@ -81,23 +80,6 @@ def test_wrong_claims_are_counted_by_runs(data: Data) -> None:
     found = verdicts(data, "convergence")
     assert [outcome for what, outcome in found.items() if "at any refit" in what] == ["not met"]
     assert [outcome for what, outcome in found.items() if "at the end" in what] == ["met"]
-
-
-def test_a_change_that_nobody_saw_is_no_detection(data: Data) -> None:
-    for outcome in data["changes"]["outcomes"]:
-        outcome["mass"]["delay"] = None
-    found = [v for v in SECTIONS["changes"][1](data).verdicts if v.quantity.startswith("detected")]
-    assert [(v.measured, v.outcome) for v in found] == [("never", "not met"), ("8 ms", "met")]
-
-
-def test_false_alarms_count_flights_of_both_kinds(data: Data) -> None:
-    data["changes"]["outcomes"][0]["mass"]["false"] = 20
-    data["changes"]["outcomes"][1]["payload"]["again"] = 10
-    data["false-alarms"]["outcomes"][0]["hover"]["alarms"] = 2
-    (found,) = [v for v in SECTIONS["changes"][1](data).verdicts if "false" in v.quantity]
-    # 200 seeds of two flights of half a minute, and one more minute.
-    assert found.quantity == "false alarms in 10 min (32 in 201 min)"
-    assert found.outcome == "not met"
 
 
 def test_what_a_section_lacks(data: Data) -> None:
