@@ -89,7 +89,7 @@ accept: $(SIMULATORS_INSTALLED) ## is it still right? digits, and figures beside
 accept-short: $(INSTALLED) ## some rows of each kind, as CI runs them (4 min)
 	$(BIN)/python -m benchmarks.accept --short
 
-bench: $(INSTALLED) ## cost of emulator and chain, and of commands against the last release
+bench: $(INSTALLED) ## cost of emulator, estimator and live session, and of commands against the last release
 	$(BIN)/python -m benchmarks.cost
 	$(BIN)/python -m benchmarks.accept judge --only cost
 

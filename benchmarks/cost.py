@@ -1,4 +1,4 @@
-"""What the emulator and the chain cost, in processor time: `make bench`.
+"""What the emulator, the estimator and a live session cost, in processor time: `make bench`.
 
 Prints a table. Bars are ratios to the flight's own length, so they mean the same on any machine
 that can fly it in real time at all.
@@ -15,12 +15,9 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.live_estimate import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
-from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.ensemble import fly_ensemble
@@ -28,16 +25,9 @@ from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.article_flights import GEOMETRY, fly, measure
-from testbed.linked import linked
-from testbed.study import free_port, run
+from testbed.study import arguments, free_port, run
 
 RATE = 250
-_BLOCKS = (
-    ("blocks of 10 s", 10.0),
-    ("blocks of 0.1 s", 0.1),
-    ("blocks of 8 ms", 0.008),
-    ("sample by sample", 1.0 / RATE),
-)
 FLIGHT = ["--airframe", "paper", "--mission", "paper", "--noise", "mems", "--rate", str(RATE)]
 
 
@@ -49,12 +39,11 @@ def cost_of(*words: str) -> float:
     return done.seconds
 
 
-def emulator(folder: Path) -> tuple[Path, float]:
-    """Write a flight to a file; the file, and real time over processor time."""
-    log = folder / "flight.tlog"
+def emulator(folder: Path) -> float:
+    """Real time over processor time of a flight into a file."""
     start_up = cost_of("sim_bridge", "--version")
-    spent = cost_of("sim_bridge", *FLIGHT, "--speed", "max", "--tlog", str(log))
-    return log, 62.0 / (spent - start_up)
+    log = str(folder / "flight.tlog")
+    return 62.0 / (cost_of("sim_bridge", *FLIGHT, "--speed", "max", "--tlog", log) - start_up)
 
 
 def ensemble_speed(vehicles: int = 1000, seconds: float = 2.0) -> float:
@@ -63,40 +52,6 @@ def ensemble_speed(vehicles: int = 1000, seconds: float = 2.0) -> float:
     began = time.process_time()
     fly_ensemble(fleet, MISSIONS["paper"], 50.0, seconds)
     return vehicles * seconds / (time.process_time() - began)
-
-
-def chain_rates(log: Path) -> dict[str, float]:
-    """IMU samples a second through the chain, refit at 10 Hz, by block length."""
-    records = Intake().frames(frame for _, frame in read_tlog(log))
-    samples = sum(record.stream == "imu" for record in records)
-    rates = {}
-    for name, seconds in _BLOCKS:
-        size = max(round(seconds * RATE * len(records) / samples), 1)
-        blocks = [RecordBlock.of(records[i : i + size]) for i in range(0, len(records), size)]
-        chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.1))
-        began = time.process_time()
-        for block in blocks:
-            chain.take(block)
-        chain.finish()
-        rates[name] = samples / (time.process_time() - began)
-    return rates
-
-
-def frame_rates(log: Path) -> dict[str, float]:
-    """IMU samples a second from frames to the end of the chain, by how many are read in one go."""
-    frames = [frame for _, frame in read_tlog(log)]
-    samples = sum(frame.message_id == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU for frame in frames)
-    rates = {}
-    for name, seconds in _BLOCKS[1:]:
-        size = max(round(seconds * RATE * len(frames) / samples), 1)
-        chain, link = linked(load_airframe("paper"))
-        began = time.process_time()
-        for i in range(0, len(frames), size):
-            chain.take(link.gather(frames[i : i + size], 1.7e9))
-        chain.take(link.rest())
-        chain.finish()
-        rates[name] = samples / (time.process_time() - began)
-    return rates
 
 
 def step_rate(block: int) -> float:
@@ -166,9 +121,9 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
 
 def main() -> None:
     """Print the table."""
+    arguments(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        log, speed = emulator(Path(folder))
-        rates, from_frames = chain_rates(log), frame_rates(log)
+        speed = emulator(Path(folder))
         looking = health_share(Path(folder))
     rows = [
         ("emulator, full 250 Hz message set, to file", f"{speed:.1f} x real time", ">= 50"),
@@ -191,14 +146,6 @@ def main() -> None:
                 ("blocks of 0.1 s", RATE // 10, ""),
                 ("sample by sample", 1, ">= 3000"),
             )
-        ),
-        *(
-            (f"chain with refit at 10 Hz, {name}", f"{rate:.0f} samples/s", "")
-            for name, rate in rates.items()
-        ),
-        *(
-            (f"frames to estimates, {name}", f"{rate:.0f} samples/s", "")
-            for name, rate in from_frames.items()
         ),
     ]
     print(f"{'what':<50}{'measured':>22}{'bar':>10}")

@@ -10,7 +10,6 @@ and torque, and ten seconds of hover must name it; the same flights without the 
 stretches of ten seconds, count the false alarms.
 """
 
-import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.thrust_curve_bound import curve_bound
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
@@ -58,8 +56,6 @@ HOVER = 30.0
 STRETCH = 10.0
 """s in which a weak rotor is to be named."""
 LOSS = 0.05
-CURVE_BAR = 0.05
-"""How near a thrust curve should come."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +188,7 @@ class Score:
 def vehicles(
     numbers: range, folder: Path, mission: DoubletMission, seconds: float
 ) -> Iterator[str]:
-    """The table of errors and intervals, and how well commands can show the thrust curve."""
+    """The table of errors and intervals."""
     yield "| | rms | largest | median half interval | intervals hold |"
     yield "|---|---|---|---|---|"
     for speeds in (False, True):
@@ -203,21 +199,6 @@ def vehicles(
             yield f"| **{kind}, {what}** | | | | |"
             for score in scores:
                 yield score.row()
-    bounds = np.array([_bound(number, folder) for number in numbers])
-    # Of unbiased normal errors at the bound.
-    chance = np.prod([math.erf(CURVE_BAR / std / math.sqrt(2.0)) for std in bounds])
-    yield ""
-    yield (
-        f"thrust curve by commands, Cramér-Rao bound (1 sigma): {bounds.min():.3f} to "
-        f"{bounds.max():.3f}, median {np.median(bounds):.3f}; at the bound all {len(bounds)} are "
-        f"within {CURVE_BAR} in {100.0 * chance:.0f} % of such sets"
-    )
-
-
-def _bound(number: int, folder: Path) -> float:
-    drawn = draw(number, LAYOUTS)
-    streams = streams_in(folder / f"{number}_True.tlog", drawn.airframe, speeds=False)
-    return curve_bound(streams, windows_of(streams, len(drawn.vehicle.rotors)), drawn.vehicle)
 
 
 def _scores(
@@ -310,7 +291,6 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
-    distances: dict[bool, list[float]] = {False: [], True: []}
     mission = HoverMission("hover", 10.0 * STRETCH)
     for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
@@ -329,37 +309,19 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
                 fly(log, drawn, mission, seed, flown, seconds)
         for speeds in (True, False):
             both = {u: tally[speeds, u] for u in (False, True)}
-            margins = _judge(both, names, drawn, rotor, speeds=speeds)
-            for unchanged, margin in margins.items():
-                distances[unchanged].append(margin)
+            _judge(both, names, drawn, rotor, speeds=speeds)
     for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
         kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
             f"| {kind} | {right:.0f} | {wrong:.0f} | {silent:.0f} | {alarms:.0f} "
             f"| {seconds / 3600.0:.2f} |"
         )
-    yield ""
-    for unchanged, apart in distances.items():
-        # Neyman-Pearson: of two normal hypotheses so far apart, an ideal test takes the right one.
-        best = float(np.mean([0.5 + 0.5 * math.erf(math.sqrt(d / 8.0)) for d in apart]))
-        enough = np.count_nonzero(np.array(apart) > TUNING.named_margin)
-        yield (
-            f"chi-square of the fault over the next best explanation without noise"
-            f"{', --unchanged' if unchanged else ''}: least {min(apart):.0f}, median "
-            f"{np.median(apart):.0f}, enough for a name in {enough} of {len(apart)}; an ideal test "
-            f"of those two is right in {100.0 * best:.1f} %"
-        )
 
 
 def _judge(
     tally: dict[bool, Array], names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool
-) -> dict[bool, float]:
-    """Count what a vehicle's flights tell, by whether it is known that nothing was moved.
-
-    Returns:
-        Chi-square by which the fault, without noise, would beat the next best explanation, by
-        whether it is known that nothing was moved.
-    """
+) -> None:
+    """Count what a vehicle's flights tell, by whether it is known that nothing was moved."""
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
@@ -380,12 +342,6 @@ def _judge(
             found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
             counts[3] += found.verdict == "rotor"
             counts[4] += STRETCH
-    x, y, spin = airframe.geometry
-    effect = np.vstack([np.ones(len(x)), x - cg[0], y - cg[1], spin])
-    lost = effect[:, rotor] * base.value[rotor]
-    change = effect.T @ np.linalg.solve(effect @ effect.T, lost) / base.value
-    clean = replace(weak[0], value=base.value * np.exp(-math.log1p(-LOSS) * change))
-    return {u: compare_loads(base, clean, airframe, cg, unchanged=u).margin for u in tally}
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
-"""False alarms of the tests for weak rotors over hours of sound flight, emulated and recorded.
+"""False alarms of the tests for weak rotors over hours of sound flight.
 
-    python -m benchmarks.health_alarms [--hours H] [--first N] [--flights FOLDER] [--logs FOLDER]
+    python -m benchmarks.health_alarms [--hours H] [--first N] [--flights FOLDER]
 
 Drawn vehicles of four, six and eight rotors that scatter by 3 % fly five minutes each, none with a
 fault: hover and gentle doublets with climbs, in light turbulence and in wind with gusts, rotor
@@ -8,7 +8,7 @@ drag, flapping and a battery that sags. Vehicles and seeds are none that any num
 Each flight is judged as `health` does within a flight; as the live screen does by the last 90 s,
 twice as often; and stretch by stretch of ten seconds against 40 s flown before, with `--unchanged`
 and without. IMU comes at 25 Hz, rotors at 10 Hz. `--flights` keeps the flights and what each gave,
-and goes on where it ended. `--logs` judges recordings, within each flight.
+and goes on where it ended. Recordings: `benchmarks.health_logs FOLDER --part every`.
 """
 
 import tempfile
@@ -19,18 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.health import LAYOUTS, ORDINARY, STRETCH, fly, loads_of, streams_in, uneven
+from benchmarks.health import LAYOUTS, ORDINARY, fly, loads_of, streams_in, uneven
 from gcs_sysid.arrays import complete_rows
-from gcs_sysid.errors import InputError
 from gcs_sysid.health import balance
-from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.command_curve import curve_of, thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
-from gcs_sysid.health.vehicle_health import HealthOptions
-from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
 from testbed.study import arguments, gone_on_with, markdown
@@ -152,53 +147,18 @@ def _row(kind: str, name: str, rows: Sequence[dict[str, Any]]) -> str:
     return f"| {kind} | {name} | {hours:.2f} | {hover:.2f} | {' | '.join(cells)} |"
 
 
-def recorded(folders: Sequence[Path]) -> Iterator[str]:
-    """Recordings, none of which has a known weak rotor, within each flight."""
-    hover = judged = 0.0
-    alarms = []
-    logs = 0
-    for folder in folders:
-        for file in sorted(p for p in folder.rglob("*") if p.suffix.lower() in LOG_SUFFIXES):
-            health = None
-            for airframe in (None, *sorted(file.parent.glob(f"{file.stem}.toml"))):
-                try:
-                    given = None if airframe is None else load_airframe(str(airframe))
-                    health = health_of_log(file, HealthOptions(given))
-                except InputError:
-                    continue
-                if health.available:
-                    break
-            if health is None or not health.available:
-                continue
-            logs += 1
-            hover += health.seconds
-            # Stretches overlap by half.
-            judged += 0.5 * health.watched * STRETCH
-            if health.weakened is not None:
-                rotor = (health.weakened.condition.rotor or 0) + 1
-                alarms.append(f"{file.name}: rotor {rotor} by {health.weakened.t:.0f} s")
-    yield (
-        f"recorded: {logs} logs that hover, {hover / 3600.0:.2f} h of hover, {judged / 3600.0:.2f} "
-        f"h of it held against the flights' own begin: {len(alarms)} alarms"
-    )
-    yield from alarms
-
-
 def main() -> None:
-    """Print both tables."""
+    """Print the table."""
     parser = arguments(__doc__)
     parser.add_argument("--hours", type=float, default=10.0, help="of emulated flight")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first vehicle")
     parser.add_argument("--flights", type=Path, help="folder that keeps flights and results")
-    parser.add_argument("--logs", type=Path, nargs="*", default=[], help="folders of recordings")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = options.flights or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
         for line in emulated(options.hours, options.first, folder):
             print(line, flush=True)
-    if options.logs:
-        print("", *recorded(options.logs), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
-"""Health of recorded flights: known parameters, repeatability, every log of a folder, two formats.
+"""Health of recorded flights: known parameters, repeatability, every log of a folder.
 
-    python -m benchmarks.health_logs FOLDER [--part thinned|repeated|between|every|formats]
+    python -m benchmarks.health_logs FOLDER [--part thinned|repeated|between|every]
 
 `thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
 real flight in three parts. `between`: flights of one vehicle, chi-square per degree of freedom of
 what each shows, by the flights' own intervals. `every`: all logs below the folder without an
 airframe file or an arm (tables with `--csv`), the findings of each or why it has none, and rotors
-called weak in a flight; none has a known fault. `formats`: flights that there are as .BFL and as
-.tlog: do `health` and `analyze` agree on both, and is any rotor called weak against the flight
-before?
+called weak in a flight; none has a known fault.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,15 +22,12 @@ from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.vehicle_health import Health, HealthOptions, as_baseline
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
 from testbed.recordings import rectangle
 from testbed.study import arguments
 
-PAIRED = ("LOG*.BFL", "cinerat.toml")
-"""Flights of one vehicle, each also as .tlog of the same name, and their airframe file."""
 _FLEETS = (
     ("Quiver 107 to 116", "quiver/000001[01]?.BIN", 0.67, 20.15),
     ("Quiver 120 to 128", "quiver/0000012?.BIN", 0.67, 20.15),
@@ -181,62 +176,11 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
     )
 
 
-def formats(folder: Path) -> Iterator[str]:
-    """Blackbox logs beside the same flights as MAVLink."""
-    pattern, file = PAIRED
-    found = next(folder.rglob(file), None)
-    if found is None:
-        return
-    airframe = load_airframe(str(found))
-    yield "| flight | CG off, mm | shares off, % | verdicts | widest apart by `analyze`, stds |"
-    yield "|---|---|---|---|---|"
-    flights: list[Health] = []
-    for log in sorted(found.parent.glob(pattern)):
-        both = log, log.with_suffix(".tlog")
-        if not both[1].exists():
-            continue
-        one, other = (health_of_log(path, HealthOptions(airframe)) for path in both)
-        a, b = (analyze_log(path, airframe) for path in both)
-        flights.append(one)
-        if not (one.available and other.available and one.cg and other.cg):
-            yield f"| {log.stem} | {'; '.join(one.reasons)} | {'; '.join(other.reasons)} | | |"
-            continue
-        cg = max(
-            abs((p.value or 0.0) - (q.value or 0.0)) for p, q in zip(one.cg, other.cg, strict=True)
-        )
-        share = max(
-            abs((p.thrust_share.value or 0.0) - (q.thrust_share.value or 0.0))
-            for p, q in zip(one.rotors, other.rotors, strict=True)
-        )
-        off, widest = 0.0, "-"
-        for name, p in a.parameters.items():
-            q = b.parameters[name]
-            if p.status != "identified" or q.status != "identified" or not (p.std and q.std):
-                continue
-            apart = abs((p.value or 0.0) - (q.value or 0.0)) / float(np.hypot(p.std, q.std))
-            if apart >= off:
-                off, widest = apart, f"{apart:.2f} ({name})"
-        yield (
-            f"| {log.stem} | {1e3 * cg:.2f} | {100.0 * share:.2f} | {a.verdict}, {b.verdict} "
-            f"| {widest} |"
-        )
-    called = []
-    for before, after in pairwise([flight for flight in flights if flight.available]):
-        given = HealthOptions(airframe, baseline=as_baseline(before))
-        condition = health_of_log(Path(after.source), given).condition
-        if condition is not None:
-            called.append(condition.verdict)
-    yield ""
-    weak = called.count("rotor")
-    yield f"{len(called)} flights held against the one before: {weak} rotors called weak"
-
-
 PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "thinned": thinned_logs,
     "repeated": repeated,
     "between": between,
     "every": every,
-    "formats": formats,
 }
 
 

@@ -2,24 +2,22 @@
 
 Makes one long log (an emulated flight, repeated; kept under build/) and reads it, and the
 recorded flights in ../shared/logs where these are, with each reader in a process of its own.
-All are asked for the same four message types. Times are of the processor, without start-up, the
-least of several turns, in which all readers take part by turns; only their ratios mean anything.
+Of a .tlog all are asked for the same four message types. Times are of the processor, without
+start-up, the least of several turns, in which all readers take part by turns; only their ratios
+mean anything.
 """
 
 import argparse
 import importlib
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.study import arguments
+from testbed.study import PROJECT, arguments, children_seconds, run
 
-PROJECT = Path(__file__).resolve().parents[1]
 FOUR = ("HIGHRES_IMU", "ATTITUDE", "ESC_STATUS", "LOCAL_POSITION_NED")
 MEGABYTE = 1_000_000
 
@@ -69,6 +67,7 @@ def read_records(path: str) -> None:
 
 def read_pymavlink(path: str) -> int:
     """With ESC_STATUS, which pymavlink's own dialects lack."""
+    os.environ["MAVLINK20"] = "1"  # otherwise what it reads is turned into version 1
     from pymavlink import mavutil
 
     from gcs_sysid.telemetry.dialect import mavlink
@@ -100,6 +99,27 @@ def read_dataflash(path: str) -> None:
         pass
 
 
+def read_orangebox(path: str) -> None:
+    """Every field of the first session of a blackbox log."""
+    import logging
+
+    from orangebox import Parser
+
+    logging.disable(logging.CRITICAL)  # it warns of every header that it misses
+    for _ in Parser.load(path).frames():
+        pass
+
+
+def read_frames(path: str) -> None:
+    """The same by our reader."""
+    from gcs_sysid.telemetry import blackbox_format, blackbox_frames
+
+    data = Path(path).read_bytes()
+    start, stop = blackbox_format.session_starts(data)[:2]
+    header = blackbox_format.read_header(data, start, stop)
+    blackbox_frames.read_frames(data, header, stop)
+
+
 def read_fasttlogparser(path: str) -> int:
     """C++ behind pybind11."""
     import fasttlogparser
@@ -126,49 +146,51 @@ def read_analyze(path: str) -> None:
 
 
 class Reader(NamedTuple):
-    """One line of the table."""
+    """One line of the table.
+
+    Attributes:
+        title: as printed.
+        read: a log of that path; messages of the four types, where the reader reports them.
+        needs: modules loaded before the clock starts.
+        kinds: of logs that it reads.
+        once: it takes so long that one turn must do.
+        long_only: it reads the long log alone.
+    """
 
     title: str
     read: Callable[[str], int | None]
-    needs: tuple[str, ...]
-    """Modules loaded before the clock starts."""
-    once: bool = False
-    """Whether it takes so long that one turn must do."""
-    long_only: bool = False
-    """Whether it reads the long log alone."""
+    needs: tuple[str, ...] = ()
     kinds: tuple[str, ...] = (".tlog",)
-    """Of logs that it reads."""
+    once: bool = False
+    long_only: bool = False
 
 
+_BLACKBOX = (".bbl", ".bfl")
+KINDS = (".tlog", ".ulg", ".bin", *_BLACKBOX)
+_OURS = "gcs_sysid.telemetry"
 READERS = {
-    "file": Reader("reading the file", read_file, (), kinds=(".tlog", ".ulg", ".bin")),
-    "decoder": Reader("this decoder, whole", read_decoder, ("gcs_sysid.telemetry.tlog",)),
-    "windows": Reader("this decoder, windows", read_windows, ("gcs_sysid.telemetry.tlog",)),
-    "records": Reader(
-        "records of the chain",
-        read_records,
-        ("gcs_sysid.telemetry.logs",),
-        kinds=(".tlog", ".ulg", ".bin"),
+    "file": Reader("reading the file", read_file, kinds=KINDS),
+    "decoder": Reader("this decoder, whole", read_decoder, (f"{_OURS}.tlog",)),
+    "windows": Reader("this decoder, windows", read_windows, (f"{_OURS}.tlog",)),
+    "frames": Reader(
+        "frames, every field", read_frames, (f"{_OURS}.blackbox_frames",), _BLACKBOX
     ),
-    "pyulog": Reader(
-        "pyulog", read_pyulog, ("pyulog", "gcs_sysid.telemetry.ulog"), kinds=(".ulg",)
-    ),
+    "records": Reader("records of the chain", read_records, (f"{_OURS}.logs",), KINDS),
+    "pyulog": Reader("pyulog", read_pyulog, ("pyulog", f"{_OURS}.ulog"), (".ulg",)),
     "DFReader": Reader(
-        "pymavlink's DFReader", read_dataflash, ("pymavlink.DFReader",), once=True, kinds=(".bin",)
+        "pymavlink's DFReader", read_dataflash, ("pymavlink.DFReader",), (".bin",), once=True
     ),
+    "orangebox": Reader("orangebox", read_orangebox, ("orangebox",), _BLACKBOX, once=True),
     "fasttlogparser": Reader("fasttlogparser", read_fasttlogparser, ("fasttlogparser",)),
     "pymavlink": Reader(
-        "pymavlink", read_pymavlink, ("pymavlink.mavutil", "gcs_sysid.telemetry.dialect"), once=True
+        "pymavlink", read_pymavlink, ("pymavlink.mavutil", f"{_OURS}.dialect"), once=True
     ),
     "mavpose": Reader("mavpose", read_mavpose, ("mavpose",), once=True),
     "analyze": Reader(
-        "gcs-sysid analyze",
-        read_analyze,
-        ("gcs_sysid.cli.analyze_command",),
-        once=True,
+        "gcs-sysid analyze", read_analyze, ("gcs_sysid.cli.analyze_command",), once=True,
         long_only=True,
     ),
-}
+}  # fmt: skip
 
 
 def read_here(name: str, path: str) -> None:
@@ -176,50 +198,21 @@ def read_here(name: str, path: str) -> None:
     reader = READERS[name]
     for module in reader.needs:
         importlib.import_module(module)
-    # Some print; the last line is ours.
-    began, others = time.process_time(), _of_children()
+    began, others = time.process_time(), children_seconds()
     messages = reader.read(path)
-    own, other = time.process_time() - began, _of_children() - others
-    longest = max(own, other) if other else 0.0
-    measured = Measured(own + other, peak_memory(), messages, longest)
-    print(json.dumps(measured._asdict()))
-
-
-def _of_children() -> float:
-    """S of processor time of the processes started here that have ended."""
-    try:
-        import resource
-    except ImportError:
-        return 0.0
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
-
-
-def peak_memory() -> float:
-    """Bytes of memory that this process has held at most."""
-    try:
-        # Since the program was loaded; getrusage includes the parent's.
-        status = Path("/proc/self/status").read_text()
-        return 1024.0 * int(status.split("VmHWM:")[1].split()[0])
-    except OSError:
-        import resource
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return float(peak) * (1 if sys.platform == "darwin" else 1024)
+    own, other = time.process_time() - began, children_seconds() - others
+    # Some print; the last line is ours.
+    print(json.dumps([own + other, messages, max(own, other) if other else 0.0]))
 
 
 def measure(name: str, path: Path) -> Measured | str:
     """Read a log in a new process; its last line of trouble if that fails."""
-    # Without this, pymavlink turns what it reads into version 1.
-    environment = {**os.environ, "MAVLINK20": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "benchmarks.speed", "--read", name, str(path)]
-    done = subprocess.run(
-        command, check=False, capture_output=True, text=True, env=environment, cwd=PROJECT
-    )
-    if done.returncode:
-        said = done.stderr.strip().splitlines()
-        return said[-1] if said else f"exit status {done.returncode}"
-    return Measured(**json.loads(done.stdout.splitlines()[-1]))
+    done = run(("benchmarks.speed", "--read", name, str(path)))
+    if done.status:
+        said = done.said.strip().splitlines()
+        return said[-1] if said else f"exit status {done.status}"
+    seconds, messages, longest = json.loads(done.told.splitlines()[-1])
+    return Measured(seconds, done.peak, messages, longest)
 
 
 def compare(path: Path, names: list[str], repeats: int, *, long: bool) -> dict[str, Measured | str]:
@@ -227,40 +220,35 @@ def compare(path: Path, names: list[str], repeats: int, *, long: bool) -> dict[s
     best: dict[str, Measured | str] = {}
     for turn in range(repeats):
         for name in names:
-            reader = READERS[name]
-            if (turn and reader.once) or (reader.long_only and not long):
-                continue
-            if path.suffix not in reader.kinds:
-                continue
-            seen = best.get(name)
-            if isinstance(seen, str):
+            reader, seen = READERS[name], best.get(name)
+            left_out = (turn and reader.once) or (reader.long_only and not long)
+            if left_out or path.suffix.lower() not in reader.kinds or isinstance(seen, str):
                 continue
             now = measure(name, path)
             if seen is None or isinstance(now, str):
                 best[name] = now
             else:
-                peak = max(seen.peak, now.peak)
-                best[name] = min(seen, now)._replace(peak=peak)
+                best[name] = min(seen, now)._replace(peak=max(seen.peak, now.peak))
     return best
 
 
 def table(path: Path, measured: dict[str, Measured | str]) -> list[str]:
     """Lines that compare the readers on one log."""
     size = path.stat().st_size
+    found = {name: m.seconds for name, m in measured.items() if isinstance(m, Measured)}
+    other = next((n for n in ("pymavlink", "pyulog", "DFReader", "orangebox") if n in found), "")
     lines = [
         f"{path.name}, {size / MEGABYTE:.1f} MB",
-        f"{'':<24}{'s':>8}{'of the four':>13}{'MB/s':>8}{'x pymavlink':>13}{'x file':>8}"
-        f"{'peak MB':>9}{'x size':>8}",
+        f"{'':<24}{'s':>8}{'of the four':>13}{'MB/s':>8}{f'x {other}' if other else '':>13}"
+        f"{'x file':>8}{'peak MB':>9}{'x size':>8}",
     ]
-    found = {name: m for name, m in measured.items() if isinstance(m, Measured)}
     for name, m in measured.items():
         title = READERS[name].title
         if isinstance(m, str):
             lines.append(f"{title:<24}  left out: {m}")
             continue
-        pymavlink, file = found.get("pymavlink"), found.get("file")
-        faster = f"{pymavlink.seconds / m.seconds:.1f}" if pymavlink else "-"
-        slower = f"{m.seconds / file.seconds:.1f}" if file else "-"
+        faster = f"{found[other] / m.seconds:.1f}" if other else "-"
+        slower = f"{m.seconds / found['file']:.1f}" if found.get("file") else "-"
         messages = "-" if m.messages is None else str(m.messages)
         lines.append(
             f"{title:<24}{m.seconds:>8.2f}{messages:>13}{size / MEGABYTE / m.seconds:>8.0f}"
@@ -269,32 +257,27 @@ def table(path: Path, measured: dict[str, Measured | str]) -> list[str]:
     return lines
 
 
-BARS = {
-    "decoder, x pymavlink": 15.0,
-    "decoder, x fasttlogparser": 1.0,
-    "analyze, x pymavlink": 5.0,
-}
-_BESIDE = "analyze, its longer process, x pymavlink"
+BARS = {("decoder", "pymavlink"): 15, ("decoder", "fasttlogparser"): 1, ("analyze", "pymavlink"): 5}
+"""Reader, other reader, and times the other's speed at least."""
 
 
 def verdicts(path: Path, measured: dict[str, Measured | str]) -> list[str]:
     """What must hold on the long log, beside what was measured."""
-    seconds = {name: m.seconds for name, m in measured.items() if isinstance(m, Measured)}
-    lines = []
-    for what, bar in BARS.items():
-        reader, other = what.split(", x ")
-        if reader in seconds and other in seconds:
-            times = seconds[other] / seconds[reader]
-            lines.append(f"{what:<40}{times:>9.1f}   at least {bar:.0f}")
-    analyze = measured.get("analyze")
-    if isinstance(analyze, Measured) and analyze.longest and "pymavlink" in seconds:
-        lines.append(f"{_BESIDE:<40}{seconds['pymavlink'] / analyze.longest:>9.1f}   at least 10")
-    decoder = measured.get("decoder")
-    if isinstance(decoder, Measured):
+    found = {name: m for name, m in measured.items() if isinstance(m, Measured)}
+    rows = [
+        (f"{ours}, x {other}", found[other].seconds / found[ours].seconds, f"at least {bar}")
+        for (ours, other), bar in BARS.items()
+        if ours in found and other in found
+    ]
+    if "analyze" in found and found["analyze"].longest and "pymavlink" in found:
+        times = found["pymavlink"].seconds / found["analyze"].longest
+        rows.append(("analyze, its longer process, x pymavlink", times, "at least 10"))
+    if "decoder" in found:
         most = 3.5 * path.stat().st_size / MEGABYTE + 120.0
-        peak = decoder.peak / MEGABYTE
-        lines.append(f"{'decoder, peak MB':<40}{peak:>9.0f}   at most {most:.0f}")
-    return lines
+        rows.append(("decoder, peak MB", found["decoder"].peak / MEGABYTE, f"at most {most:.0f}"))
+    return [
+        f"{what:<42}{value:>7.{0 if 'MB' in what else 1}f}   {bar}" for what, value, bar in rows
+    ]
 
 
 def main() -> None:
@@ -303,7 +286,10 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=200.0, metavar="MB", help="of the long log")
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="turns, each of all")
     parser.add_argument("--only", nargs="+", choices=READERS, default=[*READERS])
-    parser.add_argument("--folder", type=Path, default=PROJECT.parent / "shared" / "logs")
+    parser.add_argument(
+        "--logs", "--folder", nargs="+", type=Path, default=[PROJECT.parent / "shared" / "logs"],
+        help="recorded logs, or folders of them",
+    )  # fmt: skip
     parser.add_argument("--cache", type=Path, default=PROJECT / "build", help="for the long log")
     parser.add_argument("--read", nargs=2, metavar=("READER", "LOG"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -312,12 +298,15 @@ def main() -> None:
         return
     from benchmarks.speed_log import long_log
 
-    size = round(options.size * MEGABYTE)
-    log = long_log(options.cache / f"speed-{size}.tlog", size)
-    measured = compare(log, options.only, options.repeats, long=True)
-    print("\n".join([*table(log, measured), "", *verdicts(log, measured)]), flush=True)
-    logs = (path for path in options.folder.rglob("*") if path.suffix in (".tlog", ".ulg", ".bin"))
-    for recorded in sorted(logs):
+    if options.size:
+        size = round(options.size * MEGABYTE)
+        log = long_log(options.cache / f"speed-{size}.tlog", size)
+        measured = compare(log, options.only, options.repeats, long=True)
+        print("\n".join([*table(log, measured), "", *verdicts(log, measured)]), flush=True)
+    paths = (
+        f for given in options.logs for f in ([given] if given.is_file() else given.rglob("*"))
+    )
+    for recorded in sorted(path for path in paths if path.suffix.lower() in KINDS):
         rows = compare(recorded, options.only, options.repeats, long=False)
         print("\n".join(["", *table(recorded, rows)]), flush=True)
 

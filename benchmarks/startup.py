@@ -1,17 +1,14 @@
 """How long every command takes to start: `make startup`.
 
-    python -m benchmarks.startup [--runs 5] [--why COMMAND] [--sizes]
+    python -m benchmarks.startup [--runs 5] [--sizes]
 
 Prints a row for each command: processor time of `COMMAND --help`, and of loading all that the
 command needs before it looks at its input, the least of several runs; what the latter has loaded of
-the heavy packages; and its ratio to Python with NumPy alone. --why lists the imports that take
-longest, --sizes what the dependencies take on disk, with the screen and without. A ratio means the
-same on any machine. Not on Windows.
+the heavy packages; and its ratio to Python with NumPy alone, which means the same on any machine.
+--sizes: what the dependencies take on disk, with the screen and without. Not on Windows.
 """
 
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -19,14 +16,11 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from gcs_sysid.cli.commands import COMMANDS
-from testbed.study import arguments, markdown, run
+from testbed.study import PROJECT, arguments, markdown, run
 
-ROOT = Path(__file__).parents[1]
 SCREEN = ("textual", "textual-serve", "aiohttp")
 HEAVY = ("numpy", "scipy", "pymavlink", "textual", "aiohttp", "rich", "serial", "asyncio",
          "multiprocessing", "pyarrow", "distributed")  # fmt: skip
-_CACHED = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-"""Users' Python compiles a module once."""
 _SHOW = "import sys; print(*(n for n in {heavy} if n in sys.modules))"
 
 
@@ -36,21 +30,6 @@ def cost(code: str, runs: int) -> tuple[float, str]:
     if best.status:
         sys.exit(best.said)
     return best.seconds, best.told.strip()
-
-
-def longest(command: str) -> list[str]:
-    """The imports that take longest by themselves, with their ms."""
-    code = f"import gcs_sysid.cli.{command}_command"
-    done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=_CACHED,
-    )
-    rows = re.findall(r"import time:\s*(\d+) \|\s*(\d+) \|(\s*)(\S+)", done.stderr)
-    top = sorted(((int(own), int(whole), name) for own, whole, _, name in rows), reverse=True)[:25]
-    return [f"{own / 1e3:8.1f} ms of {whole / 1e3:8.1f}  {name}" for own, whole, name in top]
 
 
 def needed(roots: Sequence[str]) -> dict[str, int]:
@@ -75,7 +54,7 @@ def needed(roots: Sequence[str]) -> dict[str, int]:
 
 def sizes() -> list[str]:
     """What is installed for the program, and what of it for the screen alone."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.match(r"[\w.-]+", line)[0] for line in project["dependencies"]]  # type: ignore[index]
     core = needed([name for name in names if name not in SCREEN])
     alone = {n: size for n, size in needed(SCREEN).items() if n not in core}
@@ -92,7 +71,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = arguments(__doc__)
     names = [command.name for command in COMMANDS]
     parser.add_argument("--runs", type=int, default=5, metavar="N")
-    parser.add_argument("--why", choices=names, metavar="COMMAND")
     parser.add_argument("--sizes", action="store_true")
     options = parser.parse_args(argv)
     if options.sizes:
@@ -101,9 +79,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.runs < 1:
         print("benchmarks.startup: error: --runs begins at 1", file=sys.stderr)
         return 2
-    if options.why:
-        print("\n".join(longest(options.why)))
-        return 0
     bare, _ = cost("pass", options.runs)
     with_numpy, _ = cost("import numpy", options.runs)
     print(f"Python {1e3 * bare:.0f} ms, with NumPy {1e3 * with_numpy:.0f} ms (processor time)")

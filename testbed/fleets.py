@@ -121,12 +121,8 @@ def vehicles(count: int, seed: int, curve: float | None = None) -> list[Vehicle]
     return drawn
 
 
-def samples_of(flight: Flight, i: int, *, commands: bool, told: bool = False) -> Samples:
-    """One vehicle's samples; `told`: with its voltage, every second."""
-    volts = np.full((len(flight.t), 1), np.nan)
-    if told:
-        every = round(1.0 / flight.interval)
-        volts[:, 0] = np.repeat(flight.voltage[i, ::every], every)[: len(volts)].round(3)
+def samples_of(flight: Flight, i: int, *, commands: bool) -> Samples:
+    """One vehicle's samples."""
     return Samples(
         gyro=flight.gyro[i],
         rates=flight.gyro[i] - flight.gyro[i].mean(axis=0),
@@ -134,7 +130,6 @@ def samples_of(flight: Flight, i: int, *, commands: bool, told: bool = False) ->
         attitude=flight.quaternion[i],
         force=flight.specific_force[i],
         velocity=flight.velocity[i],
-        voltage=volts,
     )
 
 

@@ -11,7 +11,6 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from testbed import practitioner
 from testbed.emulated import Truth
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
@@ -19,32 +18,22 @@ NO_CHANGE = ("disturbance", "rotor_input", "landing")
 """Kinds of events that claim nothing of the vehicle."""
 
 
-def judge(log: Path, airframe: Airframe, truth: Truth, *, peer: bool = True) -> dict[str, Any]:
+def judge(log: Path, airframe: Airframe, truth: Truth) -> dict[str, Any]:
     """What came of a flight, as JSON holds it. The estimator sees the log and the airframe alone.
 
     Args:
         log: the recording.
         airframe: as the user has it.
         truth: parameter -> value or values.
-        peer: whether to try the practitioner's least squares too.
     """
-    onlooker = practitioner.Onlooker()
     try:
-        result = analyze_log(log, airframe, observer=onlooker if peer else None)
+        result = analyze_log(log, airframe)
     except InputError as error:
         return {"verdict": "refused", "error": str(error).replace(str(log), log.name)}
     except Exception as error:  # noqa: BLE001 - a defect is an outcome here
         trace = traceback.extract_tb(error.__traceback__)[-1]
         return {"verdict": "error", "error": f"{type(error).__name__}: {error} ({trace.name})"}
-    out = outcome(result, truth)
-    if peer:
-        theirs = practitioner.estimate(onlooker.blocks, airframe)
-        out["practitioner"] = {
-            name: against(value, half / Z95, truth[name])
-            for name, (value, half) in theirs.items()
-            if name in truth
-        }
-    return out
+    return outcome(result, truth)
 
 
 def outcome(result: Result, truth: Truth) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def _truth_units(is_short: bool) -> list[tuple[str, int]]:
 
 def _truth(unit: tuple[str, int]) -> dict[str, Any]:
     name, number = unit
-    return {**truth.fly(name, None, number, peer=False), "scenario": name}
+    return {**truth.fly(name, None, number), "scenario": name}
 
 
 def claims(

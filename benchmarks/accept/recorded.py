@@ -269,7 +269,7 @@ def _thinned(unit: tuple[str, int]) -> dict[str, Any]:
     truth, airframe = recordings.truth_of(log), recordings.airframe_for(log)
     with tempfile.TemporaryDirectory() as folder:
         thin = recordings.thinned(log, Path(folder) / name, seed)
-        return truth_judge.judge(thin, airframe, truth, peer=False)
+        return truth_judge.judge(thin, airframe, truth)
 
 
 def _thinned_figures(outcomes: Outcomes) -> list[Figure]:

@@ -8,7 +8,6 @@ table is printed, not written.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -20,19 +19,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.public import entries, score
-from benchmarks.public.flight import Claims, Entry, flight_of
+from benchmarks.public.flight import Claims, Entry, Onlooker, flight_of
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from testbed import emulated, independent, practitioner, recordings
+from testbed import emulated, independent, recordings
 from testbed.scenarios import SCENARIOS
-from testbed.study import PROJECT, arguments, say
+from testbed.study import PROJECT, Kept, arguments, say
 
-CACHE = PROJECT / "build" / "public"
+KEPT = Kept(PROJECT / "build" / "public", 2)
 PAGE = PROJECT / "docs" / "benchmark.md"
-VERSION = 1
-"""Of what is kept; others are made again."""
 MODEL, BEYOND, OTHERS = "the model", "not the model", "other simulators"
 EMULATED = {
     MODEL: ("a",),
@@ -86,7 +83,7 @@ def claims_of(result: Result) -> Claims:
 
 def fly(group: str, name: str, make: Make, others: Mapping[str, Entry]) -> score.Flown:
     """One flight: our own result, then the others on the samples that it rests on."""
-    onlooker = practitioner.Onlooker()
+    onlooker = Onlooker()
     estimators: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         log, airframe, truth = make(Path(folder))
@@ -119,7 +116,6 @@ def fly(group: str, name: str, make: Make, others: Mapping[str, Entry]) -> score
                 n: c for n, c in outcome.get("claims", {}).items() if n in possible
             }
     return {
-        "version": VERSION,
         "group": group,
         "flight": name,
         "possible": possible,
@@ -132,20 +128,15 @@ def study(options: argparse.Namespace, others: Mapping[str, Entry]) -> list[scor
     flown = []
     todo = cases(options.vehicles, options.logs)
     for count, (group, name, make) in enumerate(todo, 1):
-        file = CACHE / f"{group}-{name}.json".replace(" ", "-").replace("'", "")
-        done = None
-        if file.exists() and not options.fresh:
-            done = json.loads(file.read_text(encoding="utf-8"))
+        done = None if options.fresh else KEPT.read(f"{group} {name}")
         if options.page:
-            flown += [done] if done and done["version"] == VERSION else []
+            flown += [done] if done else []
             continue
-        missing = {w: e for w, e in others.items() if not done or w not in done["estimators"]}
-        if done is None or done["version"] != VERSION or missing:
+        if done is None or any(who not in done["estimators"] for who in others):
             say(f"{count}/{len(todo)} {group} {name}")
             done = fly(group, name, make, others)
             if not options.estimator:
-                CACHE.mkdir(parents=True, exist_ok=True)
-                file.write_text(json.dumps(done), encoding="utf-8")
+                KEPT.write(f"{group} {name}", done)
         flown.append(done)
     return flown
 

@@ -14,9 +14,7 @@ from scipy.signal import savgol_filter
 
 from benchmarks.public.flight import Claims, Entry, Flight, Stretch
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
-from testbed import practitioner
 
 CLAIM = 0.2
 """Largest standard deviation of a claim, of the value (of a CG: of a tenth of the arm)."""
@@ -60,12 +58,33 @@ def thrust_coefficient(flight: Flight) -> float:
 
 
 def least_squares(flight: Flight) -> Claims:
-    """Savitzky-Golay derivatives in Euler's equations: `testbed.practitioner`."""
-    parts = [(s.rates, s.rotors, s.force) for s in flight.stretches]
-    rates, rotors, force = (np.concatenate(c) for c in zip(*parts, strict=True))
-    found = practitioner.fit(rates, rotors, force, flight.dt, flight.geometry, flight.mass)
-    values = {name: value for name, (value, _) in found.items()}
-    return claims_of(flight, values, {name: half / Z95 for name, (_, half) in found.items()})
+    """What a practitioner does in an afternoon: Ixx and Iyy by Euler's equations.
+
+    Savitzky-Golay filters smooth the rates and differentiate them; thrust is one k_T times squared
+    speeds, at once; intervals as if the residuals were white. In yaw, with k_M unknown, the
+    equation's right side is zero and noise pulls Izz there.
+    """
+    length = max(5, round(WINDOW / flight.dt) | 1)
+    rates = np.concatenate([s.rates for s in flight.stretches])
+    if len(rates) < 10 * length:
+        return {}
+    speeds = np.concatenate([s.rotors for s in flight.stretches])
+    rotors = savgol_filter(rb.rotor_signals(flight.geometry, speeds)[0], length, 3, axis=0)
+    turning = savgol_filter(rates, length, 3, deriv=1, delta=flight.dt, axis=0)
+    force = np.concatenate([s.force[:, 2] for s in flight.stretches])
+    k_T = -flight.mass * float(force @ rotors[:, 2]) / float(rotors[:, 2] @ rotors[:, 2])
+    phi, y = rb.direct_rows(smooth(rates, flight.dt), turning, rotors)
+    x = phi.reshape(-1, 9)
+    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
+    found, _, rank, _ = np.linalg.lstsq(x / size, y.ravel(), rcond=None)
+    if rank < 9:
+        return {}
+    residual = y.ravel() - x / size @ found
+    covariance = np.linalg.inv((x / size).T @ (x / size)) * float(np.mean(residual**2))
+    names = ("Ixx", "Iyy")
+    values = dict(zip(names, (k_T * found / size).tolist(), strict=False))
+    stds = abs(k_T) * np.sqrt(np.diag(covariance)) / size
+    return claims_of(flight, values, dict(zip(names, stds.tolist(), strict=False)))
 
 
 # An extended Kalman filter whose state has the parameters in it.

@@ -8,6 +8,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
 
 SHORTEST = 2.0
@@ -67,6 +68,24 @@ class Flight:
 Claims = Mapping[str, tuple[float, float]]
 """Parameter -> value and its standard deviation, SI. What is not claimed is left out."""
 Entry = Callable[[Flight], Claims]
+
+
+class Onlooker:
+    """Keeps the aligned samples that the program's own chain makes of a log."""
+
+    def __init__(self) -> None:
+        self.blocks: list[SampleBlock] = []
+
+    def begin(self) -> None:
+        """Reset: the log is read again."""
+        self.blocks = []
+
+    def take(self, block: SampleBlock) -> None:
+        """Keep a block."""
+        self.blocks.append(block)
+
+    def end(self, chain: Chain) -> None:
+        """Nothing more."""
 
 
 def flight_of(blocks: list[SampleBlock], airframe: Airframe) -> Flight | None:

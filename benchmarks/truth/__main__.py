@@ -5,7 +5,6 @@ from what is kept of the others. `--short` flies a few and prints the table.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -19,12 +18,10 @@ from testbed import emulated, independent, recordings
 from testbed.emulated import Recording
 from testbed.judge import judge
 from testbed.scenarios import SCENARIOS
-from testbed.study import PROJECT, WORKERS, arguments, in_processes
+from testbed.study import PROJECT, WORKERS, Kept, arguments, in_processes
 
-CACHE = PROJECT / "build" / "truth"
+KEPT = Kept(PROJECT / "build" / "truth", 1)
 PAGE = PROJECT / "docs" / "truth.md"
-VERSION = 1
-"""Of what is kept; others are left alone."""
 SHORT = {"a": 2, "s": 1, "swap": 1}
 """Scenarios of the short form, and vehicles of each."""
 LOGS = "logs"
@@ -34,14 +31,13 @@ _BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 _SAYS = {name: says for name, (*_, says) in independent.PLANTS.items()}
 
 
-def fly(name: str, seconds: float | None, number: int, *, peer: bool = True) -> dict[str, Any]:
+def fly(name: str, seconds: float | None, number: int) -> dict[str, Any]:
     """Record one flight of a scenario, analyse it, and hold the result against the truth.
 
     Args:
         name: of the scenario.
         seconds: of flight; None for the whole mission.
         number: of the vehicle.
-        peer: whether to try the practitioner's least squares too.
     """
     with tempfile.TemporaryDirectory() as folder:
         recording: Recording
@@ -49,14 +45,14 @@ def fly(name: str, seconds: float | None, number: int, *, peer: bool = True) -> 
             recording = independent.record(name, number, Path(folder), seconds)
         else:
             recording = emulated.record(_BY_NAME[name], number, Path(folder), seconds)
-        out = judge(recording.log, recording.airframe, recording.truth, peer=peer)
+        out = judge(recording.log, recording.airframe, recording.truth)
     return {**out, "vehicle": recording.vehicle}
 
 
 def run_log(log: Path) -> dict[str, Any]:
     """Hold a recorded flight against its truth."""
     airframe, truth = recordings.airframe_for(log), recordings.truth_of(log)
-    out = judge(log, airframe, truth, peer=log.suffix == ".tlog")
+    out = judge(log, airframe, truth)
     if recordings.is_changed_in_flight(log):
         out["events"] = []  # some of what it tells is so; others count that
     return {**out, "vehicle": log.name}
@@ -70,25 +66,13 @@ def study(
     outcomes = in_processes(run, inputs, workers, name)
     took = time.monotonic() - began
     print(f"{name}: {page.verdicts(outcomes)} in {took:.0f} s", file=sys.stderr, flush=True)
-    return {"version": VERSION, "says": says, "seconds": round(took, 1), "outcomes": outcomes}
+    return {"says": says, "seconds": round(took, 1), "outcomes": outcomes}
 
 
 def kept(order: Sequence[str]) -> page.Rows:
     """Outcomes of this run and earlier ones, in the order of the page."""
-    found: page.Rows = {}
-    for file in sorted(CACHE.glob("*.json")):
-        done = json.loads(file.read_text(encoding="utf-8"))
-        if done.get("version") == VERSION:
-            found[done["name"]] = done
-    known = [name for name in order if name in found]
-    return {name: found[name] for name in (*known, *(n for n in found if n not in known))}
-
-
-def keep(name: str, done: dict[str, Any]) -> None:
-    """Keep a scenario's outcomes."""
-    CACHE.mkdir(parents=True, exist_ok=True)
-    file = CACHE / f"{name.replace(' ', '-').replace(chr(39), '')}.json"
-    file.write_text(json.dumps({"name": name, **done}), encoding="utf-8")
+    found = KEPT.all()
+    return {name: found[name] for name in dict.fromkeys([*order, *found]) if name in found}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -122,12 +106,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not options.only or name in options.only:
             inputs = range(options.vehicles)
             done = study(name, says[name], partial(fly, name, None), inputs, options.workers)
-            keep(name, done)
+            KEPT.write(name, done)
     if options.logs and not options.page and (not options.only or LOGS in options.only):
         for place, logs in recordings.cases(options.logs).items():
             name = f"{LOGS}: {place}"
             what = f"recorded flights ({place})"
-            keep(name, study(name, what, run_log, logs, options.workers))
+            KEPT.write(name, study(name, what, run_log, logs, options.workers))
     PAGE.write_text(page.page(kept(order)), encoding="utf-8", newline="\n")
     print(PAGE.relative_to(PROJECT), file=sys.stderr)
     return 0

@@ -19,7 +19,7 @@ Rows = dict[str, dict[str, Any]]
 HEAD = [
     "scenario", "flights", "verdicts", "`identified` that hold", "all that hold",
     "moments claimed", "error of claimed moments: median", "largest", "largest z of any claim",
-    "false changes", "held-out R²", "whiteness", "least squares: hold", "median", "largest",
+    "false changes", "held-out R²", "whiteness",
 ]  # fmt: skip
 _SHORT = {"identified": "i", "partial": "p", "refused": "r", "error": "e"}
 
@@ -60,8 +60,6 @@ def row(name: str, outcomes: list[Outcome]) -> list[str]:
     claims = judged(outcomes, claimed=True)
     moments = [abs(f["error"]) for n, f in claims if n in MOMENTS]
     sizes = [abs(f["z"]) for _, f in claims]
-    theirs = [p for o in outcomes for p in o.get("practitioner", {}).items()]
-    errors = [abs(f["error"]) for _, f in theirs]
     r_squared = [o["r_squared"] for o in outcomes if o.get("r_squared") is not None]
     white = [o["whiteness"] for o in outcomes if o.get("whiteness") is not None]
     return [
@@ -77,9 +75,6 @@ def row(name: str, outcomes: list[Outcome]) -> list[str]:
         str(sum(len(o.get("events", [])) for o in outcomes)),
         number(float(np.median(r_squared))) if r_squared else "–",
         number(float(np.median(white))) if white else "–",
-        held(theirs),
-        percent(errors, np.median),
-        percent(errors, max),
     ]
 
 

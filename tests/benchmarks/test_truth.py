@@ -91,7 +91,6 @@ def test_a_table_counts_what_holds() -> None:
             "events": [{"t": 1.0, "kind": "change"}],
             "r_squared": 0.9,
             "whiteness": 4.0,
-            "practitioner": {"Ixx": bad},
         },
         {"verdict": "error", "vehicle": "two", "error": "KeyError: 'k_T' (before)"},
     ]
@@ -101,7 +100,6 @@ def test_a_table_counts_what_holds() -> None:
     assert row["all that hold"] == "67 % of 3"
     assert row["moments claimed"] == "33 % of 6"
     assert (row["largest z of any claim"], row["false changes"]) == ("8", "1")
-    assert row["least squares: hold"] == "0 % of 1"
     text = page.page({"a": {"says": "the model", "outcomes": outcomes}})
     assert "{{" not in text
     assert "| a | one | Izz | -20 % | 8 | identified | 0.9 | 4 |" in text
