@@ -19,13 +19,11 @@ from numpy.typing import ArrayLike
 from gcs_sysid.argument_types import GIVEN, parse_given, with_given
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
-from gcs_sysid.report.data import Recorder
-from gcs_sysid.report.prediction_series import predict
+from gcs_sysid.report.data import Recorder, predicted
 from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
@@ -269,16 +267,11 @@ def analyze(
 
 def _prediction(recorder: Recorder, result: Result, airframe: Airframe) -> Acceleration | None:
     """Angular acceleration of the part that the validation held out; None: none was."""
-    validated = recorder.validation
-    if validated is None or recorder.dt is None:
+    if recorder.validation is None:
         return None
-    source = result.telemetry["rotor_input"]
-    model = Model(
-        validated.theta, validated.coordinates, airframe.geometry, result.rotor_input,
-        source.get("gyro_filter"), source.get("loop_filter"),
-    )  # fmt: skip
-    since = max((float(segment["end"]) for segment in result.segments), default=0.0)
-    rows = predict(recorder.samples(), recorder.dt, model, since, np.inf, validated.fitted_share)
+    rows = predicted(result, recorder, airframe)
+    if rows is None:
+        return None
     part = rows.held_out
     return Acceleration(rows.t[part], rows.measured[part], rows.predicted[part])
 

@@ -9,8 +9,7 @@
 
 import math
 import re
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,6 @@ from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording
 
 _EV_ARMED, _EV_DISARMED, _EV_LANDED, _EV_NOT_LANDED = 10, 11, 18, 28
-_MODE_LAND = 9
 _OUTPUTS = ("RCOU", "RCO2", "RCO3")
 """Entries with outputs, RCOU with the first."""
 _EKF_2 = 2.0
@@ -313,7 +311,7 @@ class _EntryReader:
                 recording.add(Stream.ROTOR_SPEED, t[there], rpm[there] * RPM, sensor, "RPM")
 
     def _add_states(self, recording: Recording) -> None:
-        """Armed, and in the air without landing by itself, from the changes that are logged."""
+        """Armed and in the air, from the changes that are logged."""
         if self._span is None:
             return
         armed: dict[float, bool] = {}
@@ -324,16 +322,11 @@ class _EntryReader:
             if number in (_EV_LANDED, _EV_NOT_LANDED):
                 flies[t] = number == _EV_NOT_LANDED
         armed.update((t, bool(state)) for t, state in self._pairs("ARM", "ArmState"))
-        landing = {t: mode == _MODE_LAND for t, mode in self._pairs("MODE", "ModeNum")}
         # What was true before the first change is its opposite: many logs begin on arming.
         start, end = self._span
         for changes in (armed, flies):
             if changes:
                 changes.setdefault(start, not changes[min(changes)])
-        if flies:
-            in_air, lands = _state(flies), _state(landing)
-            both = sorted({*flies, *landing})
-            flies = {t: in_air(t) and not lands(t) for t in both if t >= start}
         recording.add_state(Stream.ARMED, armed, end)
         recording.add_state(Stream.IN_AIR, flies, end)
 
@@ -359,14 +352,3 @@ class _EntryReader:
 def _known(numbers: Array) -> Array:
     """Each number once; a damaged log may give a count the type of a fraction."""
     return np.unique(numbers[np.isfinite(numbers)])
-
-
-def _state(changes: Mapping[float, bool]) -> Callable[[float], bool]:
-    """The state at a time, from the changes to it; False before the first."""
-    times = sorted(changes)
-
-    def at(t: float) -> bool:
-        before = bisect_right(times, t)
-        return changes[times[before - 1]] if before else False
-
-    return at
