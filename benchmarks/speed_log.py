@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.telemetry.checksums import checksums
-from gcs_sysid.telemetry.frame_block import FrameBlock
+from gcs_sysid.telemetry.frame_block import FrameBlock, checksums
 from gcs_sysid.telemetry.frames import CRC_EXTRA
 from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_dtype
 from gcs_sysid.telemetry.tlog import TlogReader

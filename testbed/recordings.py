@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.signals.records import Record
+from gcs_sysid.telemetry import logs
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed.emulated import Truth
@@ -91,6 +93,11 @@ class Log:
         """Options that name the mapping file of a table."""
         at = self.given.index("--csv") if "--csv" in self.given else len(self.given)
         return self.given[at : at + 2]
+
+
+def records_of(log: logs.Log) -> list[Record]:
+    """The records of a log one by one, in the order in which they came."""
+    return [record for block in log.blocks() for _, record in block.records()]
 
 
 def all_logs() -> Iterator[Log]:

@@ -1,4 +1,4 @@
-"""Files read whole, within bounds, and written whole or not at all; standard streams."""
+"""Files read within bounds, and written whole or not at all; standard streams."""
 
 import contextlib
 import errno
@@ -8,8 +8,10 @@ import select
 import stat
 import sys
 import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from gcs_sysid.errors import InputError, nearest
 
@@ -270,3 +272,57 @@ def _umask() -> int:
     mask = os.umask(0o022)
     os.umask(mask)
     return mask
+
+
+MOST_BYTES_OF_LOG = 2**32
+"""Of an onboard log: the cards that autopilots write to hold no larger file."""
+
+
+@contextlib.contextmanager
+def reading_log(path: Path) -> Iterator[None]:
+    """What goes wrong in reading an onboard log, as one line.
+
+    Raises:
+        InputError: it cannot be read, or is too large for a card, or for the memory.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MOST_BYTES_OF_LOG:
+            raise InputError(f"{path}: too large for an autopilot's log: {size:,} bytes")
+        yield
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: too large for this machine's memory") from error
+
+
+@dataclass
+class FileWindow:
+    """Bytes of a log that are in memory together."""
+
+    content: bytes
+    position: int
+    """Of the first of them in the file."""
+    final: bool
+    """Whether nothing follows them."""
+    done: int = 0
+    """How many of them need not come again; set by the reader."""
+
+
+def file_windows(file: BinaryIO, size: int, stop: int | None = None) -> Iterator[FileWindow]:
+    """Read a file from where it stands; what one window leaves undone comes again with the next.
+
+    Args:
+        file: open.
+        size: bytes read at once.
+        stop: position at which to end; None: where the file ends.
+    """
+    position, rest, final = file.tell(), b"", False
+    while not final:
+        left = size if stop is None else stop - position - len(rest)
+        more = file.read(min(size, left))
+        final = len(more) < size or (left <= size and stop is not None)
+        window = FileWindow(rest + more, position, final)
+        yield window
+        position += window.done
+        rest = window.content[window.done :]

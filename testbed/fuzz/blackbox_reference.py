@@ -1,7 +1,8 @@
 """A blackbox session read byte by byte, as the reference decoder does it: slow and plain.
 
 It differs from that where the reader says so: a pause needs an I frame behind it, P frames count
-for so long after an I frame, and two I frames that agree with each other are believed.
+for so long after an I frame, two I frames that agree with each other are believed, and a number
+of too many bytes has all of them.
 """
 
 from dataclasses import dataclass, field
@@ -28,13 +29,11 @@ class _Stream:
         return self.data[self.at - 1]
 
     def unsigned(self) -> int:
-        value = 0
-        for i in range(5):
-            byte = self.byte()
-            value |= (byte & 127) << 7 * i
-            if byte < 128:
-                return value % _WRAP
-        return 0
+        value, count = 0, 0
+        while (byte := self.byte()) > 127:
+            value |= (byte & 127) << 7 * count
+            count += 1
+        return (value | byte << 7 * count) % _WRAP if count < 5 else 0
 
     def signed(self) -> int:
         value = self.unsigned()
@@ -116,8 +115,6 @@ class Plain:
     main: list[list[int]] = field(default_factory=list)
     time_us: list[int] = field(default_factory=list)
     slow: list[list[int]] = field(default_factory=list)
-    gps: list[list[int]] = field(default_factory=list)
-    home: list[list[int]] = field(default_factory=list)
     damaged: int = 0
 
 
@@ -144,9 +141,8 @@ class PlainReader:
 
     def read(self) -> Plain:
         """All of it."""
-        order: list[tuple[_Chain, int] | tuple[list[int], list[int]]] = []
+        order: list[tuple[_Chain, int]] = []
         chain: _Chain | None = None
-        home = [0, 0]
         at, stop = self._header.data, self._stop
         while at < stop:
             letter = chr(self._data[at])
@@ -178,28 +174,18 @@ class PlainReader:
                 order.append((chain, 0))
             elif letter == "P" and chain is not None and self._add(chain, raw):
                 order.append((chain, len(chain.rows) - 1))
-            elif letter == "G":
-                order.append((raw, home))
             elif letter == "S":
                 self._out.slow.append(self._fixed("S", raw))
-            elif letter == "H":
-                home = [*raw, 0, 0]
-                self._out.home.append(self._fixed("H", raw))
             elif letter == "E" and event is not None:
                 self._parts.append(event)
                 chain = None
             if over:
                 break
         self._believe()
-        last = 0
-        for item, of in order:
-            if isinstance(item, _Chain) and isinstance(of, int):
-                if item.start is not None:
-                    last = item.start + item.passed[of]
-                    self._out.main.append(item.rows[of])
-                    self._out.time_us.append(last)
-            elif isinstance(item, list) and isinstance(of, list):
-                self._out.gps.append(self._fixed("G", item, of, last))
+        for chain, row in order:
+            if chain.start is not None:
+                self._out.main.append(chain.rows[row])
+                self._out.time_us.append(chain.start + chain.passed[row])
         return self._out
 
     def _event(self, stream: _Stream) -> tuple[tuple[int, int] | None, bool]:
@@ -257,21 +243,12 @@ class PlainReader:
             return value
         return _extend(value, 32) if definition.signed[i] else value % _WRAP
 
-    def _fixed(
-        self, letter: str, raw: list[int], home: list[int] | None = None, last: int = 0
-    ) -> list[int]:
+    def _fixed(self, letter: str, raw: list[int]) -> list[int]:
         """Values of a frame that builds on no other."""
         definition, constants = self._header.frames[letter], self._header.constants()
         values = list(raw)
-        pair = 0
         for i, predictor in enumerate(definition.predictors):
             values[i] += constants.get(predictor, 0)
-            if predictor == 10:
-                values[i] += last
-            elif predictor == 7:
-                pair = pair + 1 if i and definition.predictors[i - 1] == 7 else 0
-                known = len(self._header.frames["H"].names) if "H" in self._header.frames else 0
-                values[i] += home[pair] if home and pair < known else 0
             values[i] = self._cut(letter, i, values[i])
         return [self._cut(letter, i, v) for i, v in enumerate(self._with_motor(letter, values))]
 

@@ -14,8 +14,8 @@ from random import Random
 from zlib import crc32
 
 from gcs_sysid.telemetry.blackbox import read_blackbox
-from gcs_sysid.telemetry.blackbox_format import MAGIC
 from gcs_sysid.telemetry.dataflash import read_dataflash
+from gcs_sysid.telemetry.log_formats import BLACKBOX_HEAD
 from gcs_sysid.telemetry.mapped_table import read_table
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
@@ -199,7 +199,7 @@ _SET_TO = (
 def bbl_of(data: bytes) -> bytes:
     """The .bbl that an input stands for."""
     take = _Choices(data)
-    log = MAGIC + b"\n"
+    log = BLACKBOX_HEAD + b"\n"
     while take:
         kind = take.byte() % 8
         if kind < 2:
@@ -222,7 +222,7 @@ def bbl_of(data: bytes) -> bytes:
         elif kind < 7:
             piece = b"IPSGHE"[take.byte() % 6 :][:1] + take.take(take.byte() % 24)
         else:
-            piece = MAGIC + b"\n" if take.byte() % 2 else take.take(5)
+            piece = BLACKBOX_HEAD + b"\n" if take.byte() % 2 else take.take(5)
         log += _flood(take, piece)
     return log
 

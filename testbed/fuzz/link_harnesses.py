@@ -25,7 +25,7 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
-from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner
+from gcs_sysid.telemetry.tlog import STAMP, ScanCounts, Scanner
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 from testbed.fuzz.harness import Bytes, Scratch, one_line_errors

@@ -26,7 +26,7 @@ SMALL = 2**16
 _SMALL_WINDOWS = f"from gcs_sysid.telemetry import tlog; tlog.WINDOW = {SMALL};"
 _MAIN = "from gcs_sysid.health import reader_main; reader_main.main()"
 _KILLED = """
-from gcs_sysid.telemetry import object_pipe
+from gcs_sysid.telemetry import log_relay
 import os, signal
 put, left = object_pipe.ObjectSender.put, [{parts}]
 def counted(self, what):
@@ -174,7 +174,7 @@ def test_a_log_that_cannot_be_read_is_one_line(tmp_path, monkeypatch, beside, ca
 
 def test_a_file_that_fails_midway_is_one_line(flight, tmp_path, beside, monkeypatch, capfd):
     beside(
-        "from gcs_sysid.telemetry import tlog_scan",
+        "from gcs_sysid.telemetry import tlog",
         "from gcs_sysid.telemetry.tlog import Scanner",
         "scan, left = Scanner.scan, [3]",
         "def failing(self, *args, **more):",

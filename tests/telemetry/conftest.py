@@ -8,6 +8,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.message_table import MESSAGES
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from testbed.recordings import records_of
 
 
 class Sender:
@@ -125,7 +126,7 @@ def of():
     """Picks the records of a stream, and of a source where there are several."""
 
     def of(log, stream, source=""):
-        return [r for r in log.records() if r.stream is stream and r.source == source]
+        return [r for r in records_of(log) if r.stream is stream and r.source == source]
 
     return of
 

@@ -14,6 +14,7 @@ from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.signals.columns import IntakeEvent
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import ClockDrift, VehicleClock
+from gcs_sysid.telemetry.decode import read_parameter
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.marks import is_reset_mark
@@ -21,7 +22,6 @@ from gcs_sysid.telemetry.message_table import MOST_ROTORS, RPM
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Contradictions
-from gcs_sysid.telemetry.vehicle_states import read_parameter
 from gcs_sysid.telemetry.vehicles import VehicleSelector
 
 MILLI_G = 9.80665e-3

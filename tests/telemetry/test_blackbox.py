@@ -22,6 +22,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
 from testbed import blackbox_log as bbl
 from testbed.blackbox_log import BlackboxWriter, Field
+from testbed.recordings import records_of
 
 SETTINGS = {
     "Firmware type": "Betaflight", "gyro_scale": bbl.float_bits(1.0), "acc_1G": 2048,
@@ -278,7 +279,7 @@ def test_a_session_is_named_behind_the_file(sessions):
     log = open_log(path)
     assert log.kind == "blackbox"
     assert str(log.vehicle) == "generic vehicle 1:1"
-    assert next(r for r in log.records() if r.stream is Stream.IMU).values[0] == pytest.approx(
+    assert next(r for r in records_of(log) if r.stream is Stream.IMU).values[0] == pytest.approx(
         math.radians(2.0)
     )
     assert split_session(path) == (sessions, 2)
@@ -315,7 +316,7 @@ def test_told_by_content(tmp_path):
     path.write_bytes(b"\xff\0" * 100 + writer.data)  # the end of a log that was overwritten
     log = open_log(path)
     assert log.kind == "blackbox"
-    assert sum(1 for record in log.records() if record.stream is Stream.IMU) == 50
+    assert sum(1 for record in records_of(log) if record.stream is Stream.IMU) == 50
     assert log.as_dict()["damaged"] is False
 
 
@@ -341,7 +342,7 @@ def test_real_logs_give_what_their_tlogs_give(shared_logs, name):
     most = {Stream.IMU: 1e-5, Stream.ROTOR_SPEED: 0.06, Stream.VELOCITY: 1e-5}
     for stream, expected in most.items():
         ours, theirs = (
-            np.array([r.values for r in open_log(path).records() if r.stream is stream])
+            np.array([r.values for r in records_of(open_log(path)) if r.stream is stream])
             for path in (shared_logs / "real" / f"{name}{suffix}" for suffix in (".BFL", ".tlog"))
         )
         assert len(ours) - 2 <= len(theirs) <= len(ours) + 1

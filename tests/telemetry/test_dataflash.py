@@ -7,14 +7,16 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from gcs_sysid import files
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import dataflash_format, file_windows
+from gcs_sysid.telemetry import dataflash_format
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
 from testbed.fuzz.body_harnesses import assert_alike
 from testbed.fuzz.file_harnesses import check_recording
+from testbed.recordings import records_of
 
 RPM = 2.0 * math.pi / 60.0
 
@@ -136,7 +138,7 @@ def test_vehicle_parameters_and_losses_are_told(path):
     log = open_log(path)
     assert str(log.vehicle) == "ArduPilot hexarotor 9:1"
     assert log.parameters["INS_GYRO_FILTER"] == 20.0
-    first = next(log.records())
+    first = records_of(log)[0]
     assert (first.stream, first.t) == (Stream.PARAMETER, 5.0)
     assert log.as_dict()["lost"] == 3
     assert log.as_dict()["messages"]["IMU"]["count"] == 600
@@ -222,7 +224,7 @@ def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
             del hurt[rng.randrange(8, len(hurt)) :]
         path.write_bytes(hurt)
         try:
-            records = list(open_log(path).records())
+            records = records_of(open_log(path))
         except InputError as error:
             told.append(str(error))
         else:
@@ -336,7 +338,7 @@ def test_one_flight_recorded_both_ways_agrees(shared_logs):
     ways = []
     for name in ("ardupilot-sitl.tlog", "ardupilot-sitl.bin"):
         streams = {}
-        for record in open_log(shared_logs / name).records():
+        for record in records_of(open_log(shared_logs / name)):
             streams.setdefault((record.stream, record.source), []).append(record)
         ways.append(streams)
     tlog, onboard = ways
@@ -368,8 +370,8 @@ def test_a_log_larger_than_any_card_holds_is_not_read(tmp_path):
     path = tmp_path / "sparse.bin"
     with open(path, "wb") as file:
         file.write(dataflash_format.HEAD)
-        file.truncate(file_windows.MOST_BYTES + 1)
-    with pytest.raises(InputError, match=r"too large for an ArduPilot log: 4,294,967,297 bytes"):
+        file.truncate(files.MOST_BYTES_OF_LOG + 1)
+    with pytest.raises(InputError, match=r"too large for an autopilot's log: 4,294,967,297 bytes"):
         open_log(path)
 
 

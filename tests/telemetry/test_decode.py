@@ -7,11 +7,10 @@ import pytest
 
 from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry.decode import RecordDecoder
+from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.track_collector import TrackCollector
-from gcs_sysid.telemetry.vehicle_states import STATE_IDS
 from tests.telemetry.scalar_decoder import ScalarDecoder
 
 ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.telemetry.imu_loss import ImuLoss
+from gcs_sysid.telemetry.monitor import ImuLoss
 
 RNG = np.random.default_rng
 

@@ -9,9 +9,8 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry import tlog
-from gcs_sysid.telemetry.log_relay import LogFigures, RelayedLog, relayed
+from gcs_sysid.telemetry.log_relay import LogFigures, ObjectSender, RelayedLog, read_object, relayed
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.object_pipe import ObjectSender, read_object
 
 pytestmark = pytest.mark.slow
 
@@ -91,15 +90,6 @@ def test_blocks_and_figures_are_those_of_the_log(paper_flight, pipe, wanted):
 def test_likewise_of_every_kind_of_log(shared_logs, pipe, name):
     path = shared_logs / name
     assert_same(read_by_another(path, pipe), blocks_of(open_log(path)))
-
-
-def test_a_record_at_a_time_with_its_events(paper_flight):
-    here, there = open_log(paper_flight.tlog), RelayedLog(paper_flight.tlog, None, ended)
-    assert [*there.records()] == [*here.records()]
-    events = here.take_events()
-    assert events
-    assert there.take_events() == events
-    assert there.take_events() == []
 
 
 def ended():

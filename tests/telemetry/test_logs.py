@@ -16,6 +16,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.recordings import records_of
 
 WALL = 1_750_000_000.0
 
@@ -46,7 +47,7 @@ def write(path, rows):
 def test_a_tlog_is_known_whatever_its_name(tmp_path, sender, name):
     log = open_log(write(tmp_path / name, flight(sender)))
     assert log.kind == "tlog"
-    assert sum(r.stream is Stream.IMU for r in log.records()) == 1500
+    assert sum(r.stream is Stream.IMU for r in records_of(log)) == 1500
     assert str(log.vehicle) == "PX4 quadrotor 1:1"
     assert log.share_read == 1.0
 
@@ -68,17 +69,16 @@ def test_a_tlog_gives_what_its_frames_give(tmp_path, sender):
     expected = intake.frames(frame for _, frame in read_tlog(path))
     log = open_log(path)
     assert log.recorded is None
-    assert list(log.records()) == expected
+    assert records_of(log) == expected
     assert log.recorded == WALL
     assert log.as_dict() == {**intake.as_dict(), "clock_drift_ppm": log.drift_ppm}
-    assert [event.kind for event in log.take_events()] == ["vehicle"]
 
 
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.008])
 def test_drift_of_the_vehicles_clock_is_told(tmp_path, sender, rate):
     log = open_log(write(tmp_path / "flight.tlog", flight(sender, rate=rate)))
     assert log.drift_ppm is None
-    assert all(True for _ in log.records())
+    assert records_of(log)
     assert log.drift_ppm == pytest.approx(1e6 * (rate - 1.0), abs=50.0)
 
 
@@ -93,9 +93,9 @@ def test_qgroundcontrol_has_milliseconds_and_its_own_messages(tmp_path, sender, 
                 type=mavlink.MAV_TYPE_GCS, autopilot=mavlink.MAV_AUTOPILOT_INVALID
             )
             rows.append((wall, beat))
-    plain = list(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))).records())
+    plain = records_of(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))))
     log = open_log(write(tmp_path / "qgc.tlog", rows))
-    assert list(log.records()) == plain
+    assert records_of(log) == plain
     assert [str(system) for system in log.systems] == [
         "PX4 quadrotor 1:1",
         "ground station 255:190",
@@ -104,14 +104,14 @@ def test_qgroundcontrol_has_milliseconds_and_its_own_messages(tmp_path, sender, 
 
 def test_mavproxy_marks_the_link_and_may_hear_all_twice(tmp_path, sender, make_sender):
     """The low two bits of its times are the number of the link."""
-    plain = list(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))).records())
+    plain = records_of(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))))
     data = b""
     for wall, frame in flight(sender):
         for link in (0, 1):
             data += struct.pack(">Q", round(wall * 1e6) & ~3 | link) + frame.raw
     (tmp_path / "twice.tlog").write_bytes(data)
     log = open_log(tmp_path / "twice.tlog")
-    records = list(log.records())
+    records = records_of(log)
     assert [r for i, r in enumerate(records) if i % 2 == 0] == plain
     assert records[0::2] == records[1::2]
     assert log.as_dict()["lost"] == 0
@@ -130,7 +130,7 @@ def test_mission_planner_writes_both_directions_out_of_order(tmp_path, sender, m
     # Neighbors change places, but the first heartbeat.
     order = sorted(range(len(rows)), key=lambda i: i + 2.5 * rng.random() * (i > 0))
     log = open_log(write(tmp_path / "mp.tlog", [rows[i] for i in order]))
-    records = list(log.records())
+    records = records_of(log)
     times = {stream: [r.t for r in records if r.stream is stream] for stream in Stream}
     assert sorted(times[Stream.IMU]) == pytest.approx([5.0 + 0.02 * i for i in range(1500)])
     assert len(times[Stream.ATTITUDE]) == 1500
@@ -148,7 +148,7 @@ def test_versions_1_and_2_mix(tmp_path, sender):
             frame = sender.frame(message, version=1)
         mixed.append((wall, frame))
     log = open_log(write(tmp_path / "mixed.tlog", mixed))
-    assert sum(r.stream is Stream.ATTITUDE for r in log.records()) == 1500
+    assert sum(r.stream is Stream.ATTITUDE for r in records_of(log)) == 1500
     assert {frame.version for _, frame in read_tlog(tmp_path / "mixed.tlog")} == {1, 2}
 
 
@@ -158,11 +158,10 @@ def test_the_vehicle_wanted_is_the_onboard_logs_own_or_none(tmp_path, ulog_file)
     ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
     path = tmp_path / "flight.ulg"
     path.write_bytes(ulog_file.bytes())
-    assert len(list(open_log(path, (4, None)).records())) == 2
+    assert len(records_of(open_log(path, (4, None)))) == 2
     other = open_log(path, (5, 1))
     assert other.vehicle is None
-    assert list(other.records()) == []
-    assert other.take_events() == []
+    assert records_of(other) == []
     assert [str(system) for system in other.systems] == ["PX4 vehicle 4:1"]
 
 
@@ -188,11 +187,11 @@ def test_a_log_is_read_as_it_was_packed(tmp_path, sender, ulog_file):
         archive.writestr("logs/a.ulg", ulog_file.bytes())
     for name in ("a.gz", "b.zip"):
         log = open_log(tmp_path / name)
-        assert (log.kind, len(list(log.records()))) == ("ulog", 1)
+        assert (log.kind, len(records_of(log))) == ("ulog", 1)
     plain = write(tmp_path / "a.tlog", flight(sender))
     (tmp_path / "c.gz").write_bytes(gzip.compress(plain.read_bytes()))
     log = open_log(tmp_path / "c.gz")
-    assert list(log.records()) == list(open_log(plain).records())
+    assert records_of(log) == records_of(open_log(plain))
     assert log.share_read == 1.0
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry import message_table
+from gcs_sysid.telemetry.decode import STATE_IDS
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake
@@ -14,7 +15,6 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Message, Stamp
 from gcs_sysid.telemetry.messages import LAYOUTS, MESSAGE_IDS
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
-from gcs_sysid.telemetry.vehicle_states import STATE_IDS
 
 AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 MILLI = (1e-3, 1e-3, 1e-3, 9.80665e-3, 9.80665e-3, 9.80665e-3)

@@ -7,11 +7,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gcs_sysid.telemetry import tlog_scan
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, counts_of
 from gcs_sysid.telemetry.frames import Validity, read_frame
-from gcs_sysid.telemetry.tlog import TlogReader
-from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner
+from gcs_sysid.telemetry.tlog import ScanCounts, Scanner, TlogReader, _RecordChain
 
 START = 1_750_000_000_000_000
 STEP = 4000
@@ -202,8 +200,9 @@ def test_frames_in_what_repeats_itself_are_those_found_one_by_one(raws, pattern)
     frame = raws[0] + bytes(-len(raws[0]) % 42)  # whose period is one that is looked for
     garbage = ((frame if pattern == "frame" else pattern) * 6000)[:6000]
     content = as_log(raws[:20]) + garbage + as_log(raws[20:40]) + garbage[:2500]
-    data = np.frombuffer(content + bytes(300), np.uint8)
-    good = tlog_scan._RecordChain(content, data, len(content)).good().tolist()
+    chain, good = _RecordChain(content, len(content)), []
+    while (at := chain.next_good(good[-1] + 1 if good else 0)) is not None:
+        good.append(at)
     frames = ((at, read_frame(content, at)) for at in range(len(content)))
     one_by_one = [at for at, frame in frames if frame and frame.valid is Validity.OK]
     assert good == one_by_one

@@ -10,9 +10,10 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import ulog_scan
+from gcs_sysid.telemetry import ulog_format
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
+from testbed.recordings import records_of
 
 NAN = float("nan")
 
@@ -101,7 +102,7 @@ def test_taking_off_by_itself_is_flying(path, of):
 
 
 def test_records_come_in_the_order_of_time(path):
-    times = [r.t for r in open_log(path).records()]
+    times = [r.t for r in records_of(open_log(path))]
     assert times == sorted(times)
 
 
@@ -161,7 +162,7 @@ def test_what_is_not_read_takes_no_memory(tmp_path, ulog_file, monkeypatch):
         log.row("other", 3.0 + 0.01 * i, *[0.0] * 100)
     path = tmp_path / "long.ulg"
     path.write_bytes(log.bytes() + log.bytes()[start:] * 150)
-    monkeypatch.setattr(ulog_scan.UlogFile, "_WINDOW", 2**17)
+    monkeypatch.setattr(ulog_format.UlogFile, "_WINDOW", 2**17)
     read_ulog(path)  # what is imported and kept takes its memory
     tracemalloc.start()
     recording = read_ulog(path)
@@ -189,7 +190,7 @@ def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
             del hurt[rng.randrange(8, len(hurt)) :]
         path.write_bytes(hurt)
         try:
-            records = list(open_log(path).records())
+            records = records_of(open_log(path))
         except InputError as error:
             told.append(str(error))
         else:
@@ -221,7 +222,7 @@ def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
     ways = {}
     for suffix in ("tlog", "ulg"):
         ways[suffix] = {}
-        for record in open_log(shared_logs / f"px4-sih-default.{suffix}").records():
+        for record in records_of(open_log(shared_logs / f"px4-sih-default.{suffix}")):
             ways[suffix].setdefault((record.stream, record.source), {})[round(record.t, 6)] = (
                 record.values
             )

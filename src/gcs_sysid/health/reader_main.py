@@ -16,9 +16,8 @@ import sys
 import threading
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.log_relay import relayed
+from gcs_sysid.telemetry.log_relay import ObjectSender, relayed
 from gcs_sysid.telemetry.logs import Log, open_log
-from gcs_sysid.telemetry.object_pipe import ObjectSender
 
 MOST_WAITING = 4
 """Blocks under way that are not kept for the assessment."""

@@ -10,8 +10,7 @@ from typing import Any, cast
 
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.processes import apart, one_thread_environment
-from gcs_sysid.telemetry.log_relay import RelayedLog
-from gcs_sysid.telemetry.object_pipe import read_object
+from gcs_sysid.telemetry.log_relay import RelayedLog, read_object
 
 COMMAND = [sys.executable, "-P", "-m", "gcs_sysid.health.reader_main"]
 _PIPE = 2**20

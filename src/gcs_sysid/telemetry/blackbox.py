@@ -17,16 +17,15 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import reading_log
 from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.motor_order import MIXER
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import BlackboxFrames, read_frames
+from gcs_sysid.telemetry.blackbox_frames import DISARM, BlackboxFrames, read_frames
 from gcs_sysid.telemetry.blackbox_predictors import latest
-from gcs_sysid.telemetry.blackbox_search import DISARM
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.file_windows import MOST_BYTES
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
@@ -98,14 +97,8 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
     Raises:
         InputError: it cannot be read, or the session holds no flight data.
     """
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path}: too large for a blackbox log")
+    with reading_log(path):
         data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except MemoryError as error:
-        raise InputError(f"{path}: too large for this machine's memory") from error
     starts = session_starts(data)
     sessions = len(starts) - 1
     number = 1 if session is None else session
@@ -141,8 +134,9 @@ def _listed(path: Path, data: bytes, starts: list[int]) -> str:
 def flight_sessions(path: Path) -> list[int]:
     """The numbers of a file's sessions that hold frames; [] when it cannot be read."""
     try:
-        data = path.read_bytes() if path.stat().st_size <= MOST_BYTES else b""
-    except (OSError, MemoryError):
+        with reading_log(path):
+            data = path.read_bytes()
+    except InputError:
         return []
     found = []
     for number, (start, stop) in enumerate(pairwise(session_starts(data)), 1):

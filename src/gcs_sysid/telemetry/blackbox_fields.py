@@ -1,7 +1,6 @@
 """From bytes to fields, for many frames of a blackbox log at once."""
 
 from collections.abc import Callable
-from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +9,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.blackbox_format import (
     GROUPS,
     INCREMENT,
+    MOST_FIELDS,
     NEG_14BIT,
     NULL,
     SIGNED_VB,
@@ -18,10 +18,87 @@ from gcs_sysid.telemetry.blackbox_format import (
     TAG8_8SVB,
     Definition,
 )
-from gcs_sysid.telemetry.byte_window import ONES, ByteWindow
 
 _SMALL_FRAME, _BYTES_A_FIELD = 256, 4
 """A frame has at most 256 bytes, or four for each field: Indiflight writes 170 fields."""
+
+
+ONES = np.array([bin(i).count("1") for i in range(256)], np.int32)
+"""Of the bits of a byte."""
+_LONGEST_NUMBER = 5
+"""Bytes; one that goes on for longer is damaged, and read as 0."""
+
+
+class ByteWindow:
+    """Bytes of a session in which many frames are read at once.
+
+    Where a field ends shows without reading it: a number ends with the first byte below 0x80, a
+    group has its length in its tag. So the n-th number from a position on begins behind the end
+    that is n - 1 further in the list of all ends: one look-up for any number of frames and fields.
+
+    Args:
+        raw: (n,) uint8. Behind the last first byte of a frame come as many as the longest frame
+            may have, zeros where the session has ended.
+    """
+
+    def __init__(self, raw: Array) -> None:
+        self.raw = raw
+        self._end = len(raw) - 1
+        last = raw < 0x80
+        # How many numbers end before each byte, and where the one behind the k-th end begins, from
+        # 1 on; of half the size of positions, so that more of it stays in the cache.
+        self._rank = np.zeros(len(raw) + 1, np.int32)
+        np.cumsum(last, dtype=np.int32, out=self._rank[1:])
+        behind = np.flatnonzero(last[:-1])
+        self._begins = np.full(len(behind) + 1 + MOST_FIELDS, self._end, np.int32)
+        self._begins[0] = 0
+        np.add(behind, 1, out=self._begins[1 : len(behind) + 1], casting="unsafe")
+
+    def nth(self, at: Array, n: Array | int) -> Array:
+        """Where number n, from 0 on, begins of those that follow each other from a position on.
+
+        Args:
+            at: positions; of any shape to which n can be brought.
+            n: how many numbers lie between.
+        """
+        found: Array = np.maximum(self._begins.take(self._rank.take(at) + n), at)
+        return found
+
+    def behind_tagged(self, at: Array, count: int) -> Array:
+        """Where what follows a tag and the numbers that it marks begins.
+
+        Args:
+            at: (k,) positions of the tag.
+            count: of the numbers that it can mark.
+        """
+        tag = self.raw.take(at)
+        return self.within(self.nth(at + 1, ONES.take(tag & ((1 << count) - 1))))
+
+    def within(self, at: Array) -> Array:
+        """(k,) positions, none behind the last."""
+        return np.minimum(at, self._end)
+
+    def numbers(self, at: Array) -> Array:
+        """Unsigned numbers that begin at positions of any shape; 0 where one is too long."""
+        values = self.raw[at].astype(np.int64)
+        flat, at = values.reshape(-1), at.reshape(-1)
+        more = np.flatnonzero(flat > 0x7F)
+        flat[more] &= 0x7F
+        for i in range(1, _LONGEST_NUMBER):
+            byte = self.raw[np.minimum(at[more] + i, self._end)].astype(np.int64)
+            flat[more] |= (byte & 0x7F) << (7 * i)
+            more = more[byte > 0x7F]
+        flat[more] = 0
+        values &= 0xFFFFFFFF
+        return values
+
+    def words(self, at: Array, size: int, *, little: bool) -> Array:
+        """(k,) uint64 of the bytes from (k,) positions on, at most eight."""
+        order = range(size - 1, -1, -1) if little else range(size)
+        values = np.zeros(len(at), np.uint64)
+        for i in order:
+            values = values << np.uint64(8) | self.raw[np.minimum(at + i, self._end)]
+        return values
 
 
 class _FieldRun(Protocol):
@@ -225,16 +302,11 @@ class FrameLayout:
         self.longest = max(_SMALL_FRAME, _BYTES_A_FIELD * self.fields)
         """Longest plausible frame in bytes, its letter not counted."""
         self._parts = list(_parts(definition, version))
-        runs = (list(run) for _, run in groupby(self._parts, _alike))
-        self._runs = [(run[0], len(run)) for run in runs]
 
     def ends(self, window: ByteWindow, at: Array) -> Array:
         """(k,) positions behind frames whose first fields are at (k,) positions."""
-        for part, groups in self._runs:
-            if groups > 1:
-                at = window.behind_tagged(at, part.count, groups)
-            else:
-                at = part.behind(window, at)
+        for part in self._parts:
+            at = part.behind(window, at)
         return at
 
     def decode(self, window: ByteWindow, at: Array, columns: Array) -> Array:
@@ -256,11 +328,6 @@ class FrameLayout:
             done = stop
             at = part.behind(window, at)
         return out
-
-
-def _alike(part: _FieldRun) -> _FieldRun | int:
-    """Equal for groups of as many tagged numbers."""
-    return part.count if isinstance(part, _TaggedNumbers) else part
 
 
 def _parts(definition: Definition, version: float) -> list[_FieldRun]:

@@ -19,8 +19,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.log_formats import BLACKBOX_HEAD
 
-MAGIC = b"H Product:Blackbox flight data recorder by Nicholas Sherlock"
 MARKERS = b"IPGHSE"
 """First bytes of frames."""
 MOST_SESSIONS = 1000
@@ -126,10 +126,10 @@ class Header:
 def session_starts(data: bytes) -> list[int]:
     """Positions at which sessions begin, and the end of the file."""
     starts: list[int] = []
-    at = data.find(MAGIC)
+    at = data.find(BLACKBOX_HEAD)
     while at >= 0 and len(starts) < MOST_SESSIONS:
         starts.append(at)
-        at = data.find(MAGIC, at + len(MAGIC))
+        at = data.find(BLACKBOX_HEAD, at + len(BLACKBOX_HEAD))
     return [*starts, len(data) if at < 0 else at]
 
 

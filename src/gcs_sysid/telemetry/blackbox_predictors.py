@@ -13,9 +13,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.blackbox_format import (
     AVERAGE_2,
-    HOME_COORD,
     INCREMENT,
-    LAST_MAIN_FRAME_TIME,
     MOTOR_0,
     PREVIOUS,
     STRAIGHT_LINE,
@@ -31,8 +29,6 @@ _LONGEST_CHAIN = 4096
 WRAP = 2**32
 MOST_TIME, MOST_LOOPS = 10_000_000, 5_000
 """us and loops between two frames that belong together; as the reference decoder."""
-_DOUBTS = 16
-"""Chains in a row that are not believed, before many are looked at together."""
 
 
 @dataclass(frozen=True)
@@ -221,10 +217,7 @@ def _add_earlier(
         written = np.ascontiguousarray(values[:, columns])
         written[chains.first] = top[:, columns]
         low = definition.lowest()[columns]
-        averaged = _averages(written.copy(), chains.first, None)
-        if _outside(averaged, low).any():
-            averaged = _averages(written, chains.first, low)
-        values[:, columns] = averaged
+        values[:, columns] = _averages(written, chains.first, low)
     counted = np.flatnonzero(predictors == INCREMENT)
     loop = names.index("loopIteration")
     if loop in counted:
@@ -236,33 +229,23 @@ def _add_earlier(
         values[:, column] = chains.held(top[:, column]) + steps
 
 
-def _averages(values: Array, first: Array, low: Array | None) -> Array:
+def _averages(values: Array, first: Array, low: Array) -> Array:
     """Add to differences the mean of the two values before, rounded towards zero.
 
     Args:
         values: (n, columns) I frames as they are and P frames as written; changed.
         first: (k,) rows of the I frames.
-        low: (columns,) lowest values of columns that are cut to 32 bits, where any need it.
+        low: (columns,) lowest values of columns that are cut to 32 bits.
     """
     lengths = np.diff(first, append=len(values))
     by_length = np.argsort(-lengths, kind="stable")
     starts, shorter = first[by_length], -lengths[by_length]
-    last = int(lengths.max())
-    alone = int(np.sort(lengths)[-2]) if len(lengths) > 1 and low is None else last
-    for step in range(1, alone):
+    for step in range(1, int(lengths.max())):
         rows = starts[: np.searchsorted(shorter, -step)] + step
         both = values[rows - 1] + values[rows - min(step, 2)]
         both += both < 0
         both >>= 1
-        both += values[rows]
-        values[rows] = both if low is None else _cut(both, low)
-    # What only the longest chain has left, as in garbage, needs no look-up.
-    chain = values[starts[0] : starts[0] + last]
-    for step in range(max(alone, 1), last):
-        both = chain[step - 1] + chain[max(step - 2, 0)]
-        both += both < 0
-        both >>= 1
-        chain[step] += both
+        values[rows] = _cut(both + values[rows], low)
     return values
 
 
@@ -297,33 +280,11 @@ def _wrap(values: Array, definition: Definition) -> None:
         values[:, outside] = _cut(values[:, outside], low[outside])
 
 
-def fixed_frames(
-    header: Header, letter: str, written: FrameTable | None, main: FrameTable, time_us: Array,
-    home: FrameTable | None,
-) -> FrameTable:  # fmt: skip
-    """S, G or H frames, which build on no other of their type.
-
-    Args:
-        header: of the session.
-        letter: of the type.
-        written: the frames as written; None when the header does not describe the type.
-        main: the main frames.
-        time_us: (n,) of the main frames.
-        home: the H frames as written, which have no predictors that matter.
-    """
-    if written is None:
-        return FrameTable((), np.zeros(0, np.int64), np.zeros((0, 0), np.int64))
-    definition = header.frames[letter].only(written.names)
+def slow_frames(header: Header, written: FrameTable) -> FrameTable:
+    """S frames, which build on no others, from those as written."""
+    definition = header.frames["S"].only(written.names)
     constants = header.constants()
     values = written.values + [constants.get(p, 0) for p in definition.predictors]
-    homes = 0
-    for column, predictor in enumerate(definition.predictors):
-        if predictor == LAST_MAIN_FRAME_TIME:
-            values[:, column] += latest(main.order, time_us, written.order)
-        elif predictor == HOME_COORD:
-            homes = homes + 1 if column and definition.predictors[column - 1] == predictor else 0
-            if home is not None and homes < home.values.shape[1]:
-                values[:, column] += latest(home.order, home.values[:, homes], written.order)
     _wrap(values, definition)
     return replace(written, values=values)
 
@@ -354,9 +315,8 @@ def _believed_starts(chains: Array, passed: Array, resumed: Array) -> Array:
     start = -1
     last: tuple[int, int] | None = None
     doubted: tuple[int, int, int] | None = None
-    now = paused = i = trusted = 0
-    while i < len(rows):
-        _, loop, clock, end_loop, end_clock = rows[i]
+    now = paused = 0
+    for i, (_, loop, clock, end_loop, end_clock) in enumerate(rows):
         if pauses[i] > paused:
             now += (int(resumed[paused, 2]) - last[1]) % WRAP if last else int(resumed[paused, 2])
             now += int(lasting[pauses[i] - 1] - lasting[paused])
@@ -370,50 +330,13 @@ def _believed_starts(chains: Array, passed: Array, resumed: Array) -> Array:
             start += WRAP if start < before else 0
             starts[doubted[0]] = max(start - before, 0)
         else:
-            if i - trusted > _DOUBTS:
-                next_pause = resumed[paused, 0] if paused < len(resumed) else np.inf
-                i = _next_believed(chains, i, last, next_pause)
-            doubted = (i, *rows[i][3:])
-            i += 1
+            doubted = (i, end_loop, end_clock)
             continue
         starts[i] = start
         now = start + times[i]
         last, doubted = (end_loop, end_clock), None
-        trusted = i
-        i += 1
     return np.array(starts, np.int64)
-
-
-def _next_believed(chains: Array, doubted: int, last: tuple[int, int], pause: float) -> int:
-    """The last of the chains that are doubted because one is; all between are doubted, too.
-
-    Args:
-        chains: as for `_believed_starts`.
-        doubted: number of the one.
-        last: loop and us of the last main frame that is believed.
-        pause: the place of the next event that marks a pause.
-    """
-    at, step = doubted + 1, _DOUBTS
-    while at < len(chains):
-        some = chains[at - 1 : at + step]
-        place, loop, clock = some[1:, :3].T
-        may_follow = _follow_each(np.array([last]), loop, clock)
-        may_follow |= _follow_each(some[:-1, 3:], loop, clock)
-        may_follow |= place > pause
-        found = np.flatnonzero(may_follow)
-        if len(found):
-            return at - 1 + int(found[0])
-        at += step
-        step *= 2
-    return len(chains) - 1
 
 
 def _follows(last: tuple[int, int], loop: int, clock: int) -> bool:
     return 0 <= loop - last[0] < MOST_LOOPS and (clock - last[1]) % WRAP < MOST_TIME
-
-
-def _follow_each(last: Array, loop: Array, clock: Array) -> Mask:
-    last_loop, last_clock = last.T
-    jump = loop - last_loop
-    soon: Mask = (jump >= 0) & (jump < MOST_LOOPS) & ((clock - last_clock) % WRAP < MOST_TIME)
-    return soon

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.file_windows import MOST_BYTES, file_windows
+from gcs_sysid.files import file_windows, reading_log
+from gcs_sysid.telemetry.log_formats import TEXT_DATAFLASH
 
 HEAD = b"\xa3\x95"
 EVERY = slice(None)
@@ -52,11 +53,6 @@ class EntryType:
     """Bytes, header included."""
     letters: str
     columns: tuple[str, ...]
-
-
-_TEXT_HEAD = 2**12
-_TEXT_FMT = re.compile(rb"^FMT, *128, *89, *FMT", re.MULTILINE)
-"""In the first bytes of a log that was saved as text."""
 
 
 def _of_text(file: BinaryIO) -> BinaryIO:
@@ -159,15 +155,8 @@ class DataflashLog:
         self._hunting = False  # whether the last window ended in garbage
         self._found: list[int] = []  # entries in what was searched, and up to where that was
         self._searched = 0
-        try:
-            size = path.stat().st_size
-            if size > MOST_BYTES:
-                raise InputError(f"{path}: too large for an ArduPilot log: {size:,} bytes")
+        with reading_log(path):
             self._read()
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {error.strerror}") from error
-        except MemoryError as error:
-            raise InputError(f"{path}: too large for this machine's memory") from error
         if not any(rows.count for number, rows in self._rows.items() if number != _FMT):
             raise InputError(
                 f"{path} cannot be read as an ArduPilot log: no entry found that it describes"
@@ -236,7 +225,7 @@ class DataflashLog:
 
     def _read(self) -> None:
         with open(self.path, "rb") as file:
-            is_text = _TEXT_FMT.search(file.read(_TEXT_HEAD)) is not None
+            is_text = re.search(TEXT_DATAFLASH, file.read(_LONGEST_LINE), re.MULTILINE)
             file.seek(0)
             with _of_text(file) if is_text else file as entries:
                 for window in file_windows(entries, self._window):

@@ -11,7 +11,7 @@ from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import ClockDrift
-from gcs_sysid.telemetry.decode import RecordDecoder
+from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame
@@ -22,7 +22,6 @@ from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.track_collector import TrackCollector
-from gcs_sysid.telemetry.vehicle_states import STATE_IDS
 from gcs_sysid.telemetry.vehicles import INERTIAL_IDS, MavlinkSystem, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")

@@ -19,13 +19,15 @@ from pathlib import Path
 from typing import IO, Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import MAPPING_FILE, TABLE_SUFFIXES, check_regular
-from gcs_sysid.telemetry.file_windows import MOST_BYTES
+from gcs_sysid.files import MAPPING_FILE, MOST_BYTES_OF_LOG, TABLE_SUFFIXES, check_regular
 
 HEAD = 2**12
 """Bytes in which a format shows itself; there may be the end of another log before it."""
 LOOKED_AT = 2**20
 """Bytes of a file that does not begin as a log in which one may begin."""
+BLACKBOX_HEAD = b"H Product:Blackbox flight data recorder by Nicholas Sherlock"
+TEXT_DATAFLASH = rb"^FMT, *128, *89, *FMT"
+"""The first entry of a .bin that was saved as text."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def _holds(pattern: bytes, head: bytes) -> bool:
 
 def _is_tlog(head: bytes) -> bool:
     # Loaded here: the choices of an option need no frames.
-    from gcs_sysid.telemetry.tlog_scan import shows_a_record
+    from gcs_sysid.telemetry.tlog import shows_a_record
 
     return shows_a_record(head)
 
@@ -81,7 +83,7 @@ FORMATS = (
         "blackbox",
         "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
         (".bbl", ".bfl"),
-        partial(_holds, rb"H Product:Blackbox flight data recorder by Nicholas Sherlock"),
+        partial(_holds, BLACKBOX_HEAD),
         "blackbox:read_blackbox",
         (".txt",),
         in_sessions=True,
@@ -91,7 +93,7 @@ FORMATS = (
         "ArduPilot's own log (.bin)",
         (".bin",),
         # Anything may be before the entry that describes itself, in bytes or as text.
-        partial(_holds, rb"\A\xa3\x95|\xa3\x95\x80\x80\x59FMT|^FMT, *128, *89, *FMT"),
+        partial(_holds, rb"\A\xa3\x95|\xa3\x95\x80\x80\x59FMT|" + TEXT_DATAFLASH),
         "dataflash:read_dataflash",
         (".log",),
     ),
@@ -230,6 +232,6 @@ def unpack(path: Path, until: ExitStack) -> Path:
         with open(whole, "wb") as target, _damage_in_words(path):
             while piece := file.read(LOOKED_AT):
                 target.write(piece)
-                if target.tell() > MOST_BYTES:
+                if target.tell() > MOST_BYTES_OF_LOG:
                     raise InputError(f"{path}: too large when unpacked")
     return whole

@@ -1,7 +1,7 @@
 """The one door to recordings of every kind.
 
     log = open_log(Path("flight.ulg"))
-    for record in log.records():
+    for block in log.blocks():
         ...
     print(log.vehicle, log.as_dict())
 
@@ -9,8 +9,7 @@ What a file is shows in its content, not in its name.
 """
 
 import weakref
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from gcs_sysid.files import (
     unreadable,
 )
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.log_formats import BY_NAME, format_of, unpack, usual_endings
@@ -64,9 +63,6 @@ class Telemetry(Protocol):
     def problems(self) -> tuple[str, ...]:
         """Why what comes may not be the vehicle's, one line each."""
 
-    def take_events(self) -> list[IntakeEvent]:
-        """What happened since this was last asked."""
-
     def as_dict(self) -> dict[str, Any]:
         """The result's `telemetry`."""
 
@@ -78,13 +74,7 @@ class Log(Telemetry, Protocol):
     """Name of its row in `log_formats.FORMATS`."""
 
     def blocks(self) -> Iterator[RecordBlock]:
-        """The records of the chosen vehicle, once, as columns; blocks follow each other.
-
-        Events are in the blocks, not in `take_events`.
-        """
-
-    def records(self) -> Iterator[Record]:
-        """The same one by one, in the order in which they came; instead of `blocks`."""
+        """The records of the chosen vehicle and the events, once; blocks follow each other."""
 
     @property
     def share_read(self) -> float:
@@ -95,28 +85,22 @@ class Log(Telemetry, Protocol):
         """How fast the vehicle's clock ran against the wall clock; None when not known."""
 
 
-class TlogLog:
+class TlogLog(Intake):
     """What a ground station recorded."""
 
     kind = "tlog"
-    recorded: float | None = None
 
     def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
-        self.intake = Intake(wanted)
+        super().__init__(wanted)
         self._reader = read_tlog(path)
         self._size = max(path.stat().st_size, 1)
-        self._events: list[IntakeEvent] = []
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says."""
         for frames in self._reader.blocks():
             if self.recorded is None:
                 self.recorded = float(frames.time_us[0]) * 1e-6
-            yield self.intake.block(frames)
-
-    def records(self) -> Iterator[Record]:
-        """As `Log` says."""
-        return one_by_one(self.blocks(), self._events)
+            yield self.block(frames)
 
     @property
     def share_read(self) -> float:
@@ -126,45 +110,14 @@ class TlogLog:
     @property
     def drift_ppm(self) -> float | None:
         """As `Log` says; by the times at which the ground station received."""
-        return self.intake.drift.ppm
-
-    @property
-    def drift(self) -> ClockDrift:
-        """As `Telemetry` says."""
-        return self.intake.drift
-
-    @property
-    def vehicle(self) -> MavlinkSystem | None:
-        """As `Telemetry` says."""
-        return self.intake.vehicle
-
-    @property
-    def systems(self) -> list[MavlinkSystem]:
-        """As `Telemetry` says."""
-        return self.intake.systems
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """As `Telemetry` says."""
-        return self.intake.parameters
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """As `Telemetry` says."""
-        return self.intake.problems
-
-    def take_events(self) -> list[IntakeEvent]:
-        """As `Telemetry` says."""
-        events = self._events[:]
-        self._events.clear()
-        return events
+        return self.drift.ppm
 
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
-        self.intake.garbage_bytes = self._reader.garbage_bytes
+        self.garbage_bytes = self._reader.garbage_bytes
         torn = self._reader.counts.cut_short
         facts = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
-        return {**self.intake.as_dict(), **facts}
+        return {**super().as_dict(), **facts}
 
 
 class OnboardLog:
@@ -188,40 +141,21 @@ class OnboardLog:
         fits = wanted is None or (wanted[0] == own.system and wanted[1] in (None, own.component))
         self.vehicle = own if fits else None
         self.parameters = {name: value for _, name, value in recording.parameters}
-        self._given = 0
-        self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
         received = IntakeEvent(start, "vehicle", f"{own} found")
         self._notes = ((0, received),) if fits else ()
-        self._events: list[IntakeEvent] = []
+        self.share_read = 0.0
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""
         if self.vehicle is not None:
             yield replace(self._recording.block(), events=self._notes)
-            self._given = self._total
-
-    def records(self) -> Iterator[Record]:
-        """As `Log` says."""
-        for record in one_by_one(self.blocks(), self._events):
-            self._given += record.stream is not Stream.PARAMETER
-            yield record
-
-    @property
-    def share_read(self) -> float:
-        """As `Log` says."""
-        return self._given / self._total
+            self.share_read = 1.0
 
     @property
     def extras(self) -> Mapping[str, tuple[Array, Array]]:
         """As of `Recording`."""
         return self._recording.extras
-
-    def take_events(self) -> list[IntakeEvent]:
-        """As `Telemetry` says."""
-        events = self._events[:]
-        self._events.clear()
-        return events
 
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says, with the writing's pauses as `dropouts`."""
@@ -272,17 +206,6 @@ class OnboardLog:
                 ]
                 return {"count": len(long), "last": last}
         return {"count": 0, "last": []}
-
-
-def one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Iterator[Record]:
-    """The records of blocks; events are put into `noted` before the records after them."""
-    for block in blocks:
-        events = deque(block.events)
-        for order, record in block.records():
-            while events and events[0][0] <= order:
-                noted.append(events.popleft()[1])
-            yield record
-        noted += (event for _, event in events)
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.telemetry.checksums import rows_of
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
+from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of, rows_of
 
 Value = int | float | str | tuple[int, ...] | tuple[float, ...]
 HEADER = [

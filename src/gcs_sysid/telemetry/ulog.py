@@ -23,7 +23,7 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording, interpolated
-from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
+from gcs_sysid.telemetry.ulog_format import Topic, UlogFile
 
 _ARMED = 2
 """vehicle_status.arming_state."""
