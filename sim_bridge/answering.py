@@ -9,6 +9,7 @@ import numpy as np
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import Schedule, Stream, VehicleClock
 from sim_bridge.instruments import Instruments
+from sim_bridge.log_server import LogServer
 from sim_bridge.other_systems import OtherSystems
 from sim_bridge.status_messages import StatusMessages
 from sim_bridge.vehicle_parameters import Parameter
@@ -82,6 +83,12 @@ class AnsweringAutopilot(ABC):
             "PARAM_SET": self._parameter_set,
             "MISSION_REQUEST_LIST": self._mission_list,
         }
+        self._logs: LogServer | None = None
+
+    def serve(self, logs: LogServer) -> None:
+        """Have logs on board."""
+        self._logs = logs
+        self._handlers |= logs.handlers
 
     @property
     def rotor_delay(self) -> float:
@@ -110,6 +117,8 @@ class AnsweringAutopilot(ABC):
         if tick >= self._parameters_tick >= 0:
             self._parameters_tick = -1
             frames += self._parameter_list(None)
+        if self._logs is not None:
+            frames += self._logs.poll()
         for stream in self.schedule.take(tick):
             if not self._holds_back or self._is_sent(stream):
                 frames += stream.make()

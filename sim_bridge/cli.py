@@ -30,6 +30,7 @@ from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
+from sim_bridge.log_server import LogServer
 from sim_bridge.missions import Mission
 from sim_bridge.physics import make_physics, parse_physics, physics_help
 from sim_bridge.playback import play, wait_for_somebody
@@ -218,6 +219,14 @@ def make_parser() -> argparse.ArgumentParser:
     link = parser.add_argument_group("output")
     add = link.add_argument
     add(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a log on board, for who asks for it; may be repeated",
+    )
+    add(
         "--fault",
         type=parse_fault,
         action="append",
@@ -310,6 +319,8 @@ def run(args: argparse.Namespace) -> None:
         except KeyError:
             name = mavlink.mavlink_map[msgid].msgname
             raise InputError(f"--stream: {args.autopilot} here sends no {name}") from None
+    if args.log:
+        autopilot.serve(LogServer(args.log, autopilot.writer))
     _check_truth(args)
     truth = TruthFile(args.truth, simulation, autopilot)
     links: list[Link] = []

@@ -13,11 +13,21 @@ import gcs_sysid
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
-from gcs_sysid.telemetry.outgoing import ADMITTED, Gate, NotAllowedError, is_allowed
+from gcs_sysid.telemetry.outgoing import (
+    ADMITTED,
+    FILE_HEADER,
+    FileRequest,
+    Gate,
+    NotAllowedError,
+    is_allowed,
+)
 
 PACKAGE = Path(gcs_sysid.__file__).parent
 SECURITY = Path(__file__).parents[2] / "docs" / "security.md"
-ALLOWED = {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ"}
+ALLOWED = {
+    "HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ", "LOG_REQUEST_LIST",
+    "LOG_REQUEST_DATA", "LOG_REQUEST_END", "FILE_TRANSFER_PROTOCOL",
+}  # fmt: skip
 """In harmless forms alone."""
 ALLOWED_COMMANDS = {510, 511, 512}
 ASKED_FOR = {
@@ -73,7 +83,7 @@ def test_no_other_command_can_be_sent():
 def test_the_page_on_security_names_what_the_gate_admits_and_nothing_else():
     text = SECURITY.read_text(encoding="utf-8")
     section = text.partition("## Sending")[2].partition("\n## ")[0]
-    named = set(re.findall(r"\b[A-Z][A-Z_]{3,}[A-Z]\b", section))
+    named = set(re.findall(r"(?<!@)\b[A-Z][A-Z_]{3,}[A-Z]\b", section))
     commands = {
         everything.enums["MAV_CMD"][n].name.removeprefix("MAV_CMD_") for n in ALLOWED_COMMANDS
     }
@@ -99,6 +109,28 @@ def test_no_other_group_can_be_asked_for():
     # A rate of 0 stops: the way back to a vehicle that was silent.
     stopped = {(s, 0, 0) for s in streams}
     assert passing == started | stopped
+
+
+def file_request(opcode, path="", size=None, target=(0, 1, 1), asked=0, session=0):
+    size = len(path) if size is None else size
+    head = FILE_HEADER.pack(1, session, opcode, size, asked, 0, 0)
+    payload = (head + path.encode()).ljust(251, b"\0")
+    return mavlink.MAVLink_file_transfer_protocol_message(*target, payload)
+
+
+def test_files_are_listed_opened_read_and_closed_under_the_logs_and_nothing_else():
+    log = "@MAV_LOG/2026-01-02/03_04_05.ulg"
+    paths = ["", "@MAV_LOG", log, "/", "/fs/microsd/log", "@MAV_LOG/..", "@MAV_LOG/../etc/x",
+             "@MAV_LOG/a b", "@MAV_LOGS/1", "@PARAM/param.pck", "@SYS/threads.txt"]  # fmt: skip
+    passing = {(o, p) for o in range(256) for p in paths if is_allowed(file_request(o, p))}
+    named = {(opcode, path) for opcode in (3, 4) for path in ("@MAV_LOG", log)}
+    assert passing == named | {(1, ""), (5, "")}
+    assert is_allowed(file_request(5, size=239))
+    assert not is_allowed(file_request(5, size=240))
+    assert not is_allowed(file_request(4, log, size=8))
+    assert not is_allowed(file_request(4, log, asked=4))
+    assert not is_allowed(file_request(4, log, target=(0, 0, 0)))
+    assert not is_allowed(file_request(4, log, target=(1, 1, 1)))
 
 
 @pytest.mark.parametrize(
@@ -128,6 +160,9 @@ def test_no_other_group_can_be_asked_for():
         mavlink.MAVLink_param_request_read_message(1, 1, b"A\x1b[2J", -1),
         mavlink.MAVLink_param_request_read_message(0, 0, b"SYS_AUTOSTART", -1),
         mavlink.MAVLink_param_request_list_message(0, 0),
+        mavlink.MAVLink_log_request_list_message(0, 0, 0, 65535),
+        mavlink.MAVLink_log_request_data_message(0, 0, 1, 0, 90),
+        mavlink.MAVLink_log_erase_message(1, 1),
         mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3),  # would pose as a vehicle
         mavlink.MAVLink_heartbeat_message(6, 8, 128, 0, 4, 3),
     ],
@@ -149,6 +184,10 @@ def speak(gate):
         gate.request_group((1, 1), 1, 50),
         gate.request_group((1, 1), 1, 0),
         gate.read_parameter((1, 1), "INS_GYRO_FILTER"),
+        gate.request_log_list((1, 1)),
+        gate.request_log_data((1, 1), 7, 90, 90),
+        gate.end_log_requests((1, 1)),
+        gate.request_file((1, 1), 1, 0, FileRequest.LIST_DIRECTORY, 0, 8, b"@MAV_LOG"),
     ]
 
 
@@ -157,7 +196,7 @@ def test_everything_the_gate_offers_passes_and_is_ours(gate, sent):
     frames = [read_frame(raw) for raw in sent]
     assert all(frame.valid == "ok" for frame in frames)
     assert {(frame.system, frame.component) for frame in frames} == {(245, 190)}
-    assert [frame.sequence for frame in frames] == list(range(9))
+    assert [frame.sequence for frame in frames] == list(range(13))
     interval = unpack(76, frames[1].payload)
     assert (interval["command"], interval["param1"], interval["param2"]) == (511, 105.0, 4000.0)
 

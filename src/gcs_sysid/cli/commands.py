@@ -52,6 +52,7 @@ from gcs_sysid.cli.options import (
     RESULT,
     SEED,
     SET,
+    SIGNING_KEY,
     SPAN,
     SPEED,
     T_MAX,
@@ -199,6 +200,28 @@ COMMANDS = (
             TRUTH,
             *DISPLAY,
             COACH,
+        ),
+    ),
+    Command(
+        "fetch",
+        "copy a log from the vehicle",
+        "Copies a log from PX4 or ArduPilot over a MAVLink link, by LOG_REQUEST_DATA or MAVLink "
+        "FTP. The same command continues a transfer that was cut off. Nothing on the vehicle is "
+        "changed.",
+        (
+            option("url", "URL", "such as /dev/ttyACM0 or udpin:0.0.0.0:14550"),
+            OneOf(
+                (
+                    option("number", "NUMBER", "of the log", nargs="?", type=count(0, 65535)),
+                    option("--last", None, "the latest log (default)", action="store_true"),
+                    option("--list", None, "show which logs there are", action="store_true"),
+                )
+            ),
+            option("-o, --output", "FILE", "default: named by number and time"),
+            FORCE,
+            BAUD.but("serial baud rate (default 115200)"),
+            SIGNING_KEY,
+            VEHICLE,
         ),
     ),
     Command(

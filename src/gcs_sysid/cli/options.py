@@ -180,16 +180,17 @@ RATE = option(
     type=between(1.0, 2000.0, "Hz"),
     default=250.0,
 )
+SIGNING_KEY = option(
+    "--signing-key",
+    "FILE",
+    "MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
+    "unsigned frames are rejected",
+)
 LINK = (
     BAUD.but("serial baud rate (default 115200); limits the message rates"),
     option("--listen-only", None, "send nothing", action="store_true"),
     RATE,
-    option(
-        "--signing-key",
-        "FILE",
-        "MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
-        "unsigned frames are rejected",
-    ),
+    SIGNING_KEY,
 )
 DURATION = option("--duration", "S", "stop after S seconds", type=positive)
 

@@ -1,14 +1,16 @@
 """The one place that decides what may be sent to a vehicle.
 
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
-requests for the rates of messages and groups of them, and reading of parameters. Nothing that
-moves, arms, configures or restarts a vehicle can pass, and each field of what passes is limited to
-useful values: a caller's slip is refused as well.
+requests for the rates of messages and groups of them, and reading of parameters and logs. Nothing
+that moves, arms, configures or restarts a vehicle, writes or erases can pass, and each field of
+what passes is limited to useful values: a caller's slip is refused as well.
 """
 
 import math
 import re
+import struct
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
@@ -55,6 +57,21 @@ _ASKED_FOR = frozenset(
 )
 """Messages whose rates this tool asks for, and that it may therefore have to stop again."""
 _PARAMETER_NAME = re.compile(r"[A-Z0-9_]{1,16}")
+LOG_FOLDER = "@MAV_LOG"
+"""Where MAVLink FTP has the logs, whatever the vehicle's folders."""
+_LOG_PATH = re.compile(rf"{LOG_FOLDER}(/[A-Za-z0-9_-][A-Za-z0-9_.-]*)*")
+FILE_HEADER = struct.Struct("<HBBBBBxI")
+"""Before the data of MAVLink FTP: sequence, session, opcode, size, opcode asked for, whether a
+burst is complete, offset."""
+
+
+class FileRequest(IntEnum):
+    """What is asked of MAVLink FTP: its opcodes that read, and the end of that."""
+
+    TERMINATE_SESSION = 1
+    LIST_DIRECTORY = 3
+    OPEN_FILE_RO = 4
+    READ_FILE = 5
 
 
 class NotAllowedError(GcsSysidError):
@@ -111,11 +128,34 @@ def _is_harmless_reading(message: Any) -> bool:
     return bool(by_name and _is_of_one_vehicle(message))
 
 
+def is_log_path(text: str) -> bool:
+    """Whether it is the folder of logs for MAVLink FTP, or a path from there down."""
+    return _LOG_PATH.fullmatch(text) is not None
+
+
+def _is_harmless_file_request(message: Any) -> bool:
+    """Of logs alone, and read alone."""
+    payload = bytes(message.payload)
+    _, _, opcode, size, asked, burst, _ = FILE_HEADER.unpack_from(payload)
+    data = payload[FILE_HEADER.size :]
+    if asked or burst or message.target_network != 0 or not _is_of_one_vehicle(message):
+        return False
+    if opcode in (FileRequest.READ_FILE, FileRequest.TERMINATE_SESSION):
+        return size <= len(data) and not any(data)
+    path = data[:size].decode("ascii", "replace")
+    named = is_log_path(path) and not any(data[size:])
+    return named and opcode in (FileRequest.LIST_DIRECTORY, FileRequest.OPEN_FILE_RO)
+
+
 ADMITTED: dict[int, Callable[[Any], bool]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _is_harmless_group,
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _is_harmless_reading,
+    mavlink.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _is_of_one_vehicle,
+    mavlink.MAVLINK_MSG_ID_LOG_REQUEST_DATA: _is_of_one_vehicle,
+    mavlink.MAVLINK_MSG_ID_LOG_REQUEST_END: _is_of_one_vehicle,
+    mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _is_harmless_file_request,
 }
 """What may be sent, by message id, and which values of its fields. docs/security.md lists it."""
 
@@ -231,3 +271,32 @@ class Gate:
         return self.send(
             mavlink.MAVLink_param_request_read_message(*target, name.encode("ascii")[:16], -1)
         )
+
+    def request_log_list(self, target: tuple[int, int]) -> bool:
+        """Ask for the list of all logs."""
+        return self.send(mavlink.MAVLink_log_request_list_message(*target, 0, 0xFFFF))
+
+    def request_log_data(
+        self, target: tuple[int, int], number: int, offset: int, size: int
+    ) -> bool:
+        """Ask for bytes of a log."""
+        return self.send(mavlink.MAVLink_log_request_data_message(*target, number, offset, size))
+
+    def end_log_requests(self, target: tuple[int, int]) -> bool:
+        """End the reading of logs: the vehicle records again where it had paused that."""
+        return self.send(mavlink.MAVLink_log_request_end_message(*target))
+
+    def request_file(
+        self,
+        target: tuple[int, int],
+        sequence: int,
+        session: int,
+        request: FileRequest,
+        offset: int,
+        size: int,
+        path: bytes = b"",
+    ) -> bool:
+        """Ask MAVLink FTP to list a folder of logs, to open, read or close one."""
+        head = FILE_HEADER.pack(sequence, session, request, size, 0, 0, offset)
+        payload = (head + path).ljust(251, b"\0")
+        return self.send(mavlink.MAVLink_file_transfer_protocol_message(0, *target, payload))
