@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt
+from gcs_sysid.estimation.fit.priors import prior_of
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import minimize
@@ -95,3 +96,10 @@ def test_where_no_inertia_is_known_nothing_is_added():
     fit, moments = flown(1.0, 1.0)
     lost = with_covariance(fit, 1e6)
     assert not axis_damping_doubt(lost, moments, commands=True).any()
+
+
+def test_what_a_prior_knows_is_not_in_doubt():
+    fit, moments = flown(0.0, 0.2)
+    prior = prior_of({RATIO: (THETA[RATIO], 0.1 * fit.std[RATIO])})
+    alone, known = (axis_damping_doubt(fit, moments, p, commands=True) for p in (None, prior))
+    assert known[RATIO, RATIO] < 0.05 * alone[RATIO, RATIO]

@@ -7,19 +7,21 @@ taken for damping. Rows of one step have damping by axis among their
 unknowns (`deviations`). In the window's, with phi its difference from the common one and
 D = dQ/dphi x, as for what is given (`estimation.parameters.given_errors`),
 
-    H = sum G' W G,  C = sum G' W D,  S = H^-1 C
-    I = sum D' W D - C' S,   g = sum D' W r - S' sum G' W r
+    H = sum G' W G,  C = sum G' W D,  S = (H + L)^-1 C
+    I = sum D' W D - C' S,   g = sum D' W r - S' (sum G' W r + L (mean - theta))
     P = (I / f + 1 / sigma^2)^-1,   phi = P g / f
 
-with f the factor by which colored residuals widen the covariance of theta. The fit leaves phi out,
-so it errs by -S phi, with the expected square S (P + phi phi') S'. With commands sigma is the
-usual one; with speeds that of most evidence (`deviations`), and none where evidence is against any.
+with L the prior's information, and f the factor by which colored residuals widen the covariance of
+theta. The fit leaves phi out, so it errs by -S phi, with the expected square S (P + phi phi') S'.
+With commands sigma is the usual one; with speeds that of most evidence (`deviations`), and none
+where evidence is against any.
 """
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES, evidence_for
+from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import scales
@@ -34,12 +36,15 @@ for _axis, _rate in enumerate("pqr"):
     _OF_AXES[_axis, _axis, rb.SIGNALS.index(_rate)] = -1.0
 
 
-def axis_damping_doubt(fit: RotationFit, rows: Array, *, commands: bool) -> Array:
+def axis_damping_doubt(
+    fit: RotationFit, rows: Array, prior: Prior | None = None, *, commands: bool
+) -> Array:
     """(N_THETA, N_THETA) covariance of the error that one damping for three axes makes.
 
     Args:
         fit: of rows of the window.
         rows: (WIDTH, WIDTH) moments of rows [x, y] at its coordinates, without known noise.
+        prior: of the fit.
         commands: whether they are the input: damping then always may differ, as in
             `DeviationChoice`; with speeds only as much as the flight shows.
     """
@@ -52,12 +57,15 @@ def axis_damping_doubt(fit: RotationFit, rows: Array, *, commands: bool) -> Arra
     weighted = W @ G @ inputs
     H = np.einsum("kaz,laz->kl", weighted, G)
     C = np.einsum("kaz,saz->ks", weighted, D)
-    d = scales(H)
-    inverse = symmetric_roots(H / np.outer(d, d))[1]
-    inverse = inverse @ inverse / np.outer(d, d)
+    inverse = _inverse(H)
+    pull = np.einsum("kax,ax->k", G, left)
     S = inverse @ C
+    if prior is not None:
+        n = rb.N_THETA
+        S = _inverse(H + prior.information[:n, :n]) @ C
+        pull = pull + prior.pull(fit.unknowns)[:n]
     own = np.einsum("saz,taz->st", W @ D @ inputs, D) - C.T @ S
-    g = np.einsum("sax,ax->s", D, left) - S.T @ np.einsum("kax,ax->k", G, left)
+    g = np.einsum("sax,ax->s", D, left) - S.T @ pull
     moments = np.abs(theta[rb.MOMENTS])
     white = np.sqrt(np.diag(inverse))
     known = np.zeros(rb.N_THETA, dtype=bool)
@@ -79,3 +87,10 @@ def axis_damping_doubt(fit: RotationFit, rows: Array, *, commands: bool) -> Arra
     phi = P @ g / f
     doubt: Array = S @ (P + np.outer(phi, phi)) @ S.T
     return doubt
+
+
+def _inverse(information: Array) -> Array:
+    d = scales(information)
+    root = symmetric_roots(information / np.outer(d, d))[1]
+    inverse: Array = root @ root / np.outer(d, d)
+    return inverse

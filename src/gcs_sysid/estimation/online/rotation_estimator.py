@@ -73,7 +73,7 @@ class RotationEstimator:
             The fit; None while the data cannot even start one.
         """
         fit = self._fitted(start, prior)
-        return None if fit is None else self._completed(fit)
+        return None if fit is None else self._completed(fit, prior)
 
     def follow(
         self, instants: Sequence[Instant], start: RotationFit, prior: Prior | None
@@ -99,7 +99,10 @@ class RotationEstimator:
                 replace(fit.widened(doubt), lag_place=place, lag_doubt=doubt)
                 for fit, doubt in zip(fits, doubts, strict=True)
             ]
-        return [self._completed(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
+        return [
+            self._completed(fit, prior, instant)
+            for fit, instant in zip(fits, instants, strict=True)
+        ]
 
     def instant(self, fit: RotationFit, left_out: LeftOut | None) -> Instant:
         """The moments of now.
@@ -133,7 +136,7 @@ class RotationEstimator:
     def without_products(self, prior: Prior | None) -> RotationFit | None:
         """The fit of a body without gyroscopic torque."""
         fit = self._fitted_without_products(prior)
-        return None if fit is None else self._completed(fit)
+        return None if fit is None else self._completed(fit, prior)
 
     @property
     def can_test_rigid_body(self) -> bool:
@@ -258,7 +261,9 @@ class RotationEstimator:
             return fit
         return replace(fit, lag_place=self._basis.lag_place)
 
-    def _completed(self, fit: RotationFit, instant: Instant | None = None) -> RotationFit:
+    def _completed(
+        self, fit: RotationFit, prior: Prior | None, instant: Instant | None = None
+    ) -> RotationFit:
         """A fit with what its rows leave out; at an instant, or now.
 
         Speeds miss what happens between readings. The window has one damping for three axes.
@@ -274,7 +279,7 @@ class RotationEstimator:
             fit = with_sparse_readings(fit, self._speed_interval, found.window)
         if by_window:
             commands = self._basis.motors
-            fit = fit.widened(axis_damping_doubt(fit, found.rows[0], commands=commands))
+            fit = fit.widened(axis_damping_doubt(fit, found.rows[0], prior, commands=commands))
         return fit
 
     def _noise(self) -> Array:
