@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gcs_sysid.exports import gazebo_sdf, urdf
 from gcs_sysid.exports.exported_vehicle import assemble
+from gcs_sysid.exports.formats import FORMATS
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, without
 
@@ -23,7 +23,7 @@ logging.getLogger("drake").setLevel(logging.ERROR)
 TRUTH = Equations()
 CG = TURN @ TRUTH.cg
 J = TURN @ TRUTH.J @ TURN
-WRITERS = {"urdf": urdf.FORMAT.write, "sdf": gazebo_sdf.FORMAT.write}
+WRITERS = {"urdf": FORMATS["urdf"].write, "sdf": FORMATS["gazebo-sdf"].write}
 
 
 def load(text, kind):
@@ -60,7 +60,7 @@ def test_rotors_are_where_they_were(vehicle, kind, first):
 @pytest.mark.parametrize("thrusts", [(4.0, 4.0, 4.0, 4.0), (4.5, 3.5, 3.5, 4.5), (5, 5, 3, 3)])
 def test_gazebos_motor_model_makes_the_identified_acceleration(vehicle, thrusts):
     """Forces as `MulticopterMotorModel` applies them, by the settings in the file."""
-    text = gazebo_sdf.FORMAT.write(vehicle)
+    text = FORMATS["gazebo-sdf"].write(vehicle)
     plant, context = load(text, "sdf")
     forces, base = [], plant.GetBodyByName("base_link")
     for i, motor in enumerate(motors(text)):
@@ -105,7 +105,7 @@ def motors(text):
 def test_motors_are_as_identified(vehicle, by):
     if by == "command":
         vehicle = assemble(command_result(), given={"rotor_speed_max": FULL_SPEED})
-    for motor, spin in zip(motors(gazebo_sdf.FORMAT.write(vehicle)), TRUTH.spins, strict=True):
+    for motor, spin in zip(motors(FORMATS["gazebo-sdf"].write(vehicle)), TRUTH.spins, strict=True):
         assert motor["motorConstant"] == pytest.approx(VALUES["k_T"])
         assert motor["momentConstant"] == pytest.approx(VALUES["moment_ratio"])
         assert motor["maxRotVelocity"] == pytest.approx(FULL_SPEED)
@@ -116,13 +116,13 @@ def test_motors_are_as_identified(vehicle, by):
 
 def test_without_a_lag_gazebos_own_is_left_and_said(result):
     vehicle = assemble(result, given={"rotor_speed_max": FULL_SPEED})
-    assert "timeConstantUp" not in motors(gazebo_sdf.FORMAT.write(vehicle))[0]
-    assert any("motor_lag is not known" in note for note in gazebo_sdf.FORMAT.notes(vehicle))
+    assert "timeConstantUp" not in motors(FORMATS["gazebo-sdf"].write(vehicle))[0]
+    assert any("motor_lag is not known" in note for note in FORMATS["gazebo-sdf"].notes(vehicle))
 
 
 def test_a_rotors_inertia_that_is_not_known_is_next_to_nothing(result):
     vehicle = assemble(without(result, "rotor_inertia"), given={"rotor_speed_max": FULL_SPEED})
-    plant, context = load(gazebo_sdf.FORMAT.write(vehicle), "sdf")
+    plant, context = load(FORMATS["gazebo-sdf"].write(vehicle), "sdf")
     rotor = plant.GetBodyByName("rotor_0").CalcSpatialInertiaInBodyFrame(context)
     assert rotor.CalcRotationalInertia().get_moments()[2] == pytest.approx(1e-4 * VALUES["Izz"])
     bodies = plant.GetBodyIndices(plant.GetModelInstanceByName(vehicle.name))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gcs_sysid
-from gcs_sysid.exports import mjcf
 from gcs_sysid.exports.exported_vehicle import assemble
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from testbed.ensemble_spread import SECONDS, STEP, spread_of
 
@@ -23,7 +23,7 @@ J = TURN @ TRUTH.J @ TURN
 
 
 def load(vehicle):
-    model = mujoco.MjModel.from_xml_string(mjcf.FORMAT.write(vehicle))
+    model = mujoco.MjModel.from_xml_string(FORMATS["mjcf"].write(vehicle))
     return model, mujoco.MjData(model)
 
 
@@ -134,7 +134,7 @@ def test_what_is_not_known_is_left_out(result):
     assert not model.dof_damping.any()
     assert not model.actuator_ctrllimited.any()
     assert not model.na
-    notes = "\n".join(mjcf.FORMAT.notes(vehicle))
+    notes = "\n".join(FORMATS["mjcf"].notes(vehicle))
     for name in ("linear_drag", "rotational_damping", "T_max", "motor_lag"):
         assert f"without {name}" in notes
 

@@ -17,14 +17,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gcs_sysid.exports import (
-    ardupilot_sitl,
-    crazyflow,
-    gazebo_sdf,
-    indi_effectiveness,
-    l2f,
-)
 from gcs_sysid.exports.exported_vehicle import assemble
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -48,7 +42,7 @@ def without_comments(text):
 
 def test_a_sitl_frame_is_read_as_sitl_reads_it_and_turns_as_identified():
     vehicle = assemble(command_result())
-    model = json.loads(without_comments(ardupilot_sitl.FORMAT.write(vehicle)))
+    model = json.loads(without_comments(FORMATS["ardupilot-sitl"].write(vehicle)))
     assert model["num_motors"] == 4
     assert model["mass"] == VALUES["mass"]
     # Frame::init and Motor::calc_thrust, and the yaw torque's slope about hover.
@@ -80,7 +74,7 @@ def test_a_sitl_frame_is_read_as_sitl_reads_it_and_turns_as_identified():
 
 
 def test_crazyflow_turns_as_identified(vehicle):
-    text = crazyflow.FORMAT.write(vehicle)
+    text = FORMATS["crazyflow"].write(vehicle)
     p = tomllib.loads(text)[vehicle.name]
     rpm = np.sqrt(U) * FULL_SPEED * 60.0 / (2.0 * np.pi)
     thrusts = np.array(p["rpm2thrust"][2]) * rpm**2
@@ -111,7 +105,7 @@ print(json.dumps([out[2].tolist(), out[3].tolist()]))
 
 @pytest.mark.skipif(find_spec("drone_models") is None, reason="drone-models is not installed")
 def test_drone_models_flies_the_file(vehicle, tmp_path):
-    (tmp_path / "params.toml").write_text(crazyflow.FORMAT.write(vehicle))
+    (tmp_path / "params.toml").write_text(FORMATS["crazyflow"].write(vehicle))
     rpm = np.sqrt(U) * FULL_SPEED * 60.0 / (2.0 * np.pi)
     # It wants SciPy imported its own way: a process of its own.
     done = subprocess.run(
@@ -130,7 +124,7 @@ def test_drone_models_flies_the_file(vehicle, tmp_path):
 @pytest.mark.parametrize("by", ["speed", "command"])
 def test_l2f_turns_as_identified(vehicle, by):
     vehicle = vehicle if by == "speed" else assemble(command_result())
-    p = json.loads(l2f.FORMAT.write(vehicle))["dynamics"]
+    p = json.loads(FORMATS["l2f"].write(vehicle))["dynamics"]
     x = np.sqrt(U)
     torque = np.zeros(3)
     for i in range(4):
@@ -155,7 +149,7 @@ def test_l2f_itself_turns_as_identified(vehicle, by):
     l2f_itself.initialize_environment(device, flown)
     l2f_itself.initial_parameters(device, flown, parameters)
     theirs = json.loads(l2f_itself.parameters_to_json(device, flown, parameters))
-    theirs["dynamics"] = json.loads(l2f.FORMAT.write(vehicle))["dynamics"]
+    theirs["dynamics"] = json.loads(FORMATS["l2f"].write(vehicle))["dynamics"]
     l2f_itself.parameters_from_json(device, flown, json.dumps(theirs), parameters)
     l2f_itself.initial_state(device, flown, parameters, state)
     state.orientation = np.array([1.0, 0.0, 0.0, 0.0])
@@ -174,7 +168,7 @@ def numbers_of(text, name):
 
 
 def test_indiflight_has_the_identified_effectiveness(vehicle):
-    text = indi_effectiveness.INDIFLIGHT_FORMAT.write(vehicle)
+    text = FORMATS["indiflight"].write(vehicle)
     found = np.array([0.1 * numbers_of(text, f"indi_act_g1_{a}") for a in ("roll", "pitch", "yaw")])
     assert found @ U == pytest.approx(acceleration(U * FULL), abs=0.1 * 2)
     assert 0.01 * numbers_of(text, "indi_act_g1_fz") == pytest.approx(
@@ -187,7 +181,7 @@ def test_indiflight_has_the_identified_effectiveness(vehicle):
 
 
 def test_paparazzi_has_the_slopes_about_hover(vehicle):
-    section = ElementTree.fromstring(indi_effectiveness.PAPARAZZI_FORMAT.write(vehicle))
+    section = ElementTree.fromstring(FORMATS["paparazzi"].write(vehicle))
     values = {
         d.get("name"): np.array([float(v) for v in d.get("value").split(",")]) for d in section
     }
@@ -213,10 +207,10 @@ def test_gazebo_has_each_rotors_own_coefficients(result):
     vehicle = assemble(
         replace(result, rotors=rotors), given={"rotor_speed_max": FULL_SPEED, "motor_lag": 0.04}
     )
-    text = gazebo_sdf.FORMAT.write(vehicle)
+    text = FORMATS["gazebo-sdf"].write(vehicle)
     constants = [float(v) for v in re.findall("<motorConstant>(.*)</motorConstant>", text)]
     assert constants == pytest.approx([s * VALUES["k_T"] for s in shares])
-    assert "each rotor has its own" in " ".join(gazebo_sdf.FORMAT.notes(vehicle))
+    assert "each rotor has its own" in " ".join(FORMATS["gazebo-sdf"].notes(vehicle))
 
 
 @pytest.mark.slow

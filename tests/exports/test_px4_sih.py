@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports import px4_sih
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 
@@ -56,7 +56,7 @@ def sih(p, u, w):
     "outputs", [(0.4, 0.3, 0.3, 0.4), (0.5, 0.5, 0.3, 0.3), (0.5, 0.3, 0.5, 0.3)]
 )
 def test_torque_becomes_the_identified_acceleration(vehicle, outputs, rates):
-    found = sih(parameters(px4_sih.FORMAT.write(vehicle)), outputs, np.array(rates))
+    found = sih(parameters(FORMATS["px4-sih"].write(vehicle)), outputs, np.array(rates))
     thrusts = VALUES["k_T"] * FULL_SPEED**2 * np.array(outputs)
     # SIH has no place for a CG that is off.
     expected = Equations().acceleration(
@@ -68,7 +68,7 @@ def test_torque_becomes_the_identified_acceleration(vehicle, outputs, rates):
 @pytest.mark.parametrize("by", ["speed", "command"])
 def test_values_units_and_signs(vehicle, by):
     flown = vehicle if by == "speed" else assemble(command_result())
-    found = parameters(px4_sih.FORMAT.write(flown))
+    found = parameters(FORMATS["px4-sih"].write(flown))
     full = VALUES["k_T"] * FULL_SPEED**2
     at = 0.3 / math.sqrt(2.0)
     expected = {
@@ -86,8 +86,8 @@ def test_values_units_and_signs(vehicle, by):
 
 
 def test_what_has_no_place_is_said(vehicle):
-    text = px4_sih.FORMAT.write(vehicle)
-    note = next(n for n in px4_sih.FORMAT.notes(vehicle) if "no place" in n)
+    text = FORMATS["px4-sih"].write(vehicle)
+    note = next(n for n in FORMATS["px4-sih"].notes(vehicle) if "no place" in n)
     assert "cg_x (0.06 m)" in note
     assert "cg_y (-0.025 m)" in note
     assert f"# Note: {note}\n" in text
@@ -95,21 +95,22 @@ def test_what_has_no_place_is_said(vehicle):
 
 def test_what_is_not_known_keeps_its_value(result):
     vehicle = assemble(without(result, "linear_drag"), given={"T_max": 9.0})
-    found = parameters(px4_sih.FORMAT.write(vehicle))
+    found = parameters(FORMATS["px4-sih"].write(vehicle))
     assert found["SIH_T_MAX"] == 9.0
     assert not {"SIH_KDV", "SIH_T_TAU"} & found.keys()
-    assert any("SIH_KDV (linear_drag), SIH_T_TAU" in note for note in px4_sih.FORMAT.notes(vehicle))
+    notes = FORMATS["px4-sih"].notes(vehicle)
+    assert any("SIH_KDV (linear_drag), SIH_T_TAU" in note for note in notes)
 
 
 def test_full_thrust_is_asked_for(result):
     with pytest.raises(MissingError, match=r"needs T_max.*--set rotor_speed_max=RAD_S"):
-        px4_sih.FORMAT.write(assemble(result))
+        FORMATS["px4-sih"].write(assemble(result))
 
 
 def test_hexacopters_have_their_type():
     airframe = load_airframe("px4-hexa-x").with_arm(0.4).as_json()
     vehicle = assemble(speed_result(airframe=airframe), given={"T_max": 9.0})
-    found = parameters(px4_sih.FORMAT.write(vehicle))
+    found = parameters(FORMATS["px4-sih"].write(vehicle))
     assert found["SIH_VEHICLE_TYPE"] == 4
     assert found["SIH_L_ROLL"] == pytest.approx(0.4)
     assert found["SIH_L_PITCH"] == pytest.approx(0.4)
@@ -128,17 +129,17 @@ def test_layouts(result, change):
     changed = speed_result(airframe={"name": "mine", "rotors": rotors})
     vehicle = assemble(changed, given={"T_max": 9.0})
     if change == "order":  # SIH has its own
-        assert parameters(px4_sih.FORMAT.write(vehicle))["SIH_VEHICLE_TYPE"] == 0
+        assert parameters(FORMATS["px4-sih"].write(vehicle))["SIH_VEHICLE_TYPE"] == 0
     else:
         with pytest.raises(InputError, match="px4-sih"):
-            px4_sih.FORMAT.write(vehicle)
+            FORMATS["px4-sih"].write(vehicle)
 
 
 @pytest.mark.thorough
 def test_the_parameters_sih_flew_with_are_found_in_the_export_of_its_flight(shared_logs):
     airframe = load_airframe("px4-sih").with_anchor("mass", 1.0)
     result = analyze_log(shared_logs / "px4-sih-default.ulg", airframe)
-    found = parameters(px4_sih.FORMAT.write(assemble(result)))
+    found = parameters(FORMATS["px4-sih"].write(assemble(result)))
     truth = json.loads((shared_logs / "px4-sih-default.truth.json").read_text())
     exported = {
         "ixx": "Ixx", "iyy": "Iyy", "izz": "Izz", "t_max": "T_max", "kdw": "rotational_damping",

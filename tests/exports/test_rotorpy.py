@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports import rotorpy
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
+from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, speed_result
@@ -21,7 +21,7 @@ TORQUES = -TRUTH.spins * VALUES["moment_ratio"]
 
 def parameters(vehicle):
     module = {}
-    exec(compile(rotorpy.FORMAT.write(vehicle), "quad_params.py", "exec"), module)
+    exec(compile(FORMATS["rotorpy"].write(vehicle), "quad_params.py", "exec"), module)
     return module["quad_params"]
 
 
@@ -125,7 +125,7 @@ def test_commands_make_the_same_vehicle(vehicle):
 
 def test_what_no_flight_with_speeds_tells_is_asked_for(result):
     with pytest.raises(MissingError) as refused:
-        rotorpy.FORMAT.write(assemble(result))
+        FORMATS["rotorpy"].write(assemble(result))
     told = str(refused.value)
     assert "rotorpy needs motor_lag, rotor_speed_max" in told
     assert "--set motor_lag=VALUE" in told
@@ -135,4 +135,4 @@ def test_what_no_flight_with_speeds_tells_is_asked_for(result):
 def test_other_than_four_rotors_are_refused():
     airframe = load_airframe("px4-hexa-x").with_arm(0.3).as_json()
     with pytest.raises(InputError, match="6"):
-        rotorpy.FORMAT.write(assemble(speed_result(airframe=airframe)))
+        FORMATS["rotorpy"].write(assemble(speed_result(airframe=airframe)))

@@ -189,6 +189,12 @@ class ExportedVehicle:
         """(n, 3) rotors from the geometric center, m, forward, left, up."""
         return np.array([[r.x, -r.y, 0.0] for r in self.rotors])
 
+    @property
+    def rotors_flu_from_cg(self) -> Array:
+        """The same from the CG."""
+        places: Array = self.rotors_flu - self.cg_flu
+        return places
+
 
 def assemble(
     result: Result,

@@ -1,29 +1,14 @@
 """The formats by name."""
 
-from gcs_sysid.exports import (
-    ardupilot_sitl,
-    crazyflow,
-    gazebo_sdf,
-    indi_effectiveness,
-    l2f,
-    mjcf,
-    px4_sih,
-    rotorpy,
-    urdf,
-)
+from gcs_sysid.exports.autopilot_simulators import ARDUPILOT_SITL, PX4_SIH
+from gcs_sysid.exports.indi_effectiveness import INDIFLIGHT_FORMAT, PAPARAZZI_FORMAT
+from gcs_sysid.exports.python_simulators import CRAZYFLOW, L2F, ROTORPY
+from gcs_sysid.exports.xml_bodies import GAZEBO_SDF, MJCF, URDF
 
 FORMATS = {
     each.name: each
     for each in (
-        px4_sih.FORMAT,
-        gazebo_sdf.FORMAT,
-        urdf.FORMAT,
-        mjcf.FORMAT,
-        rotorpy.FORMAT,
-        ardupilot_sitl.FORMAT,
-        crazyflow.FORMAT,
-        l2f.FORMAT,
-        indi_effectiveness.INDIFLIGHT_FORMAT,
-        indi_effectiveness.PAPARAZZI_FORMAT,
+        PX4_SIH, GAZEBO_SDF, URDF, MJCF, ROTORPY, ARDUPILOT_SITL, CRAZYFLOW, L2F,
+        INDIFLIGHT_FORMAT, PAPARAZZI_FORMAT,
     )
-}
+}  # fmt: skip
