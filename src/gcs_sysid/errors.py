@@ -17,7 +17,16 @@ class GcsSysidError(Exception):
 
 
 class InputError(GcsSysidError):
-    """A file, option or value that cannot be used (exit status 2)."""
+    """A file, option or value that cannot be used (exit status 2).
+
+    Args:
+        reason: what is wrong and where, or all of the message.
+        how: what to do; it follows the reason in the message.
+    """
+
+    def __init__(self, reason: str, how: str = "") -> None:
+        super().__init__(f"{reason}: {how}" if how else reason)
+        self.reason, self.how = reason, how
 
 
 class LinkError(GcsSysidError):

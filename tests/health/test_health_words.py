@@ -7,6 +7,7 @@ import pytest
 
 from gcs_sysid.cli.health_table import health_text
 from gcs_sysid.health.advice import advised
+from gcs_sysid.health.assessment import beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
@@ -14,6 +15,7 @@ from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.results.result import Result
 from gcs_sysid.screen.panels import health_lines
 from tests.screen.fake import health as health_document
 
@@ -26,24 +28,32 @@ HEALTH = Health(
 
 def test_advice_on_the_cg_is_written_like_every_other_number():
     assert any(
-        text.startswith("shift the CG 100.0 ± 6.7 mm forward. ")
-        for text in advised(HEALTH, None).advice
+        text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advised(HEALTH).advice
     )
 
 
 def test_battery_travel_is_computed_with_both_masses():
-    told = advised(HEALTH, HEALTH.known_mass / 2.0).advice
-    assert "move the battery 200 ± 13 mm forward" in told
+    health = replace(HEALTH, battery_mass=HEALTH.known_mass / 2.0)
+    assert "move the battery 200 ± 13 mm forward" in advised(health).advice
+
+
+def test_battery_travel_is_that_of_the_better_cg_of_an_analysis():
+    by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))
+    health = replace(HEALTH, cg=by_hover, battery_mass=HEALTH.known_mass / 2.0)
+    better = {"cg_x": AFT, "cg_y": CENTERED}
+    result = Result("identified", (), "", {}, None, "speed", better)
+    assert "move the battery 200 ± 13 mm forward" not in advised(health).advice
+    assert "move the battery 200 ± 13 mm forward" in beside_analysis(health, result).advice
 
 
 @pytest.mark.parametrize(("share", "more"), [(-0.098, "clockwise"), (0.15, "counter-clockwise")])
 def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
     health = replace(HEALTH, yaw_imbalance=Estimate(share, 0.002, "1"))
-    told = advised(health, None).advice
+    told = advised(health).advice
     assert any(f"the {more} rotors carry {100.0 * abs(share):.0f} %" in text for text in told)
     for small, std in ((0.035, 0.002), (0.1, 0.03)):
         health = replace(HEALTH, yaw_imbalance=Estimate(small, std, "1"))
-        told = advised(health, None).advice
+        told = advised(health).advice
         assert not any("hold the heading" in text for text in told)
 
 

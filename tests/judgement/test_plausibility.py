@@ -85,7 +85,7 @@ def objections(known: Evidence) -> tuple[Objection, ...]:
 
 def reasons(airframe: Airframe = QUAD, reread: bool = False, **changes: float) -> str:
     found = objections(evidence(values(**changes), airframe, reread=reread))
-    return "\n".join(objection.reason for objection in found)
+    return "\n".join(objection.words for objection in found)
 
 
 def test_a_sound_vehicle_raises_no_objection():
@@ -266,7 +266,7 @@ def test_swapped_coaxial_rotors_are_not_identified():
     assert objections(evidence(values(moment_ratio=0.018), x8)) == ()
     twice = evidence(values(moment_ratio=0.036, k_M=4.5e-7), x8)
     (found,) = objections(twice)
-    assert "check upper and lower rotors, motor order" in found.reason
+    assert "check upper and lower rotors, motor order" in found.words
     weak = {name for name, e in judged(twice).items() if e.status == "weak"}
     assert weak == {"k_M", "moment_ratio", "rotor_inertia"}
 

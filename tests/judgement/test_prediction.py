@@ -54,7 +54,7 @@ def found(validation, *, running=False, rotor_input=RotorInput.SPEED, dt=0.004, 
 def reasons(evidence):
     """What is said of the fit itself."""
     own = ("prediction", "whiteness", "motion", "swap")
-    return [o.reason for o in judge(evidence).objections if o.by in own]
+    return [o.words for o in judge(evidence).objections if o.by in own]
 
 
 def status(evidence, name):

@@ -37,7 +37,7 @@ def explaining(share, *, still=False):
 
 
 def by(evidence, producer):
-    return [o.reason for o in judge(evidence).objections if o.by == producer]
+    return [o.words for o in judge(evidence).objections if o.by == producer]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2])

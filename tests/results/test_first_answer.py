@@ -2,6 +2,7 @@
 
 import pytest
 
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.health_view import first_answer, health_fact, short_facts
 from tests.screen.fake import health
 
@@ -27,20 +28,25 @@ def test_what_is_found_first_is_to_be_looked_at_and_the_rest_counted():
 
 
 @pytest.mark.parametrize(
-    ("reason", "line", "action"),
+    ("objection", "line", "action"),
     [
-        ("hardly hovers: 2 s; hover for 10 s", "CANNOT TELL: hardly hovers: 2 s", "hover for 10 s"),
-        ("no IMU data", "CANNOT TELL: no IMU data", "gcs-sysid inspect shows"),
+        (
+            Objection("hardly hovers: 2 s; not calm: give up", how="hover for 10 s"),
+            "CANNOT TELL: hardly hovers: 2 s; not calm: give up",
+            "hover for 10 s",
+        ),
+        (Objection("no IMU data"), "CANNOT TELL: no IMU data", "gcs-sysid inspect shows"),
     ],
 )
-def test_a_flight_without_hover_says_why_and_what_to_do(reason, line, action):
-    answer = first_answer(document(verdict="refused", reasons=[reason]))
+def test_a_flight_without_hover_says_why_and_what_to_do(objection, line, action):
+    answer = first_answer(document(verdict="refused", objections=[objection.as_json()]))
     assert answer.line == line
     assert answer.action.startswith(action)
 
 
 def test_a_wrong_motor_order_is_looked_at():
-    told = document(verdict="refused", reasons=["no: give --airframe"], order_contradicted=True)
+    wrong = Objection("no", how="give --airframe").as_json()
+    told = document(verdict="refused", objections=[wrong], order_contradicted=True)
     assert first_answer(told).line == "LOOK AT the motor order: no"
     assert first_answer(told).action == "give --airframe"
 

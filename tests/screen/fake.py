@@ -215,6 +215,7 @@ def health() -> dict[str, object]:
     return {
         "verdict": "available",
         "reasons": [],
+        "objections": [],
         "seconds_of_hover": 41.5,
         "rotor_input": "speed",
         "cg": {"x": _quantity(-0.0242, 0.0041, 0.004), "y": _quantity(-0.0013, 0.0037, 0.0036)},

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.judgement.gyro import gyro_reason, misread_axes
+from gcs_sysid.judgement.gyro import gyro_fault, misread_axes
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.gyro_check import GyroCheck
 
@@ -43,7 +43,7 @@ def test_a_sound_gyro_reads_what_the_attitude_turns():
     np.testing.assert_allclose(found.gain, np.eye(3), atol=0.02)
     np.testing.assert_allclose(found.bias, [0.02, -0.01, 0.0], atol=0.004)
     assert not misread_axes(found).any()
-    assert gyro_reason(found) == ""
+    assert gyro_fault(found) is None
 
 
 @pytest.mark.parametrize(
@@ -58,12 +58,14 @@ def test_a_sound_gyro_reads_what_the_attitude_turns():
     ],
 )
 def test_a_wrong_scale_is_named(scale, words):
-    assert words in gyro_reason(checked(RATES * scale))
+    assert words in gyro_fault(checked(RATES * scale))[0]
 
 
 def test_a_turned_board_is_named():
     turned = RATES[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
-    assert "the board is turned" in gyro_reason(checked(turned))
+    reason, how = gyro_fault(checked(turned))
+    assert "the board is turned" in reason
+    assert how.startswith("check its orientation")
 
 
 def test_noise_of_the_attitude_is_no_scale():
@@ -74,7 +76,7 @@ def test_noise_of_the_attitude_is_no_scale():
 
 def test_a_vehicle_that_hardly_turns_says_nothing():
     still = np.tile(Q[:1], (len(T), 1))
-    assert gyro_reason(checked(0.0 * RATES, still)) == ""
+    assert gyro_fault(checked(0.0 * RATES, still)) is None
 
 
 def test_gaps_are_no_turns():
@@ -95,10 +97,9 @@ def test_too_little_flight_is_no_finding():
     check = GyroCheck()
     check.update(T[:200], RATES[:200], Q[:200])
     assert check.result() is None
-    assert gyro_reason(None) == ""
 
 
 def test_noise_of_an_attitude_that_hardly_turns_is_no_dead_gyro():
     noisy = np.tile(Q[:1], (len(T), 1)) + 0.02 * np.random.default_rng(3).normal(size=Q.shape)
     found = checked(0.01 * RATES, noisy / np.linalg.norm(noisy, axis=1, keepdims=True))
-    assert gyro_reason(found) == ""
+    assert gyro_fault(found) is None

@@ -11,7 +11,7 @@ from gcs_sysid.cli import health_command, output
 from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.health_table import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
-from gcs_sysid.health.assessment import beside_analysis, health_of_log
+from gcs_sysid.health.assessment import ReadLog, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Health, against_first
 from gcs_sysid.health.whole_analysis import WholeAnalysis
@@ -21,6 +21,7 @@ from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.results.result_view import verdict_sentence
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.telemetry.logs import Log
 
 _NAME = 16
 """Columns of the names at the left."""
@@ -37,9 +38,10 @@ def run(options: argparse.Namespace) -> int:
     one_by_one, deliveries = OneByOne(options.logs), output.Deliveries()
     for log in options.logs:
         with one_by_one.attempt(log):
-            health = health_of_log(Path(log), given, options.vehicle)
+            read = ReadLog(Path(log), options.vehicle)
+            health = read.health(given)
             given = against_first(given, health)
-            document, lines = _found(log, health, options)
+            document, lines = _found(log, health, read.again(), options)
             documents.append(document)
             words.append(document["summary"]["word"])
             text = "\n".join([*([""] if len(documents) > 1 else []), *lines])
@@ -53,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _found(
-    log: str, health: Health, options: argparse.Namespace
+    log: str, health: Health, opened: Log, options: argparse.Namespace
 ) -> tuple[dict[str, Any], list[str]]:
     """The content of a file, and the text for a screen."""
     width = min(output.terminal_width() or output.TEXT_WIDTH, output.TEXT_WIDTH)
@@ -61,7 +63,7 @@ def _found(
     sized = airframe is not None and health.arm_known and airframe.anchor() is not None
     if airframe is not None and sized and not health.contradicted:
         chain = ChainOptions(history_interval=None)
-        result = analyze_log(Path(log), airframe, options.vehicle, chain, progress)
+        result = analyze_log(Path(log), airframe, options.vehicle, chain, progress, opened=opened)
         whole = WholeAnalysis(result, beside_analysis(health, result))
         document, health = whole.as_json(), whole.health
         known = verdict_sentence(result)
@@ -70,7 +72,7 @@ def _found(
         more = [*_entry("identified", known, width), *_next(f"gcs-sysid analyze {log}")]
     else:
         document = document_of(health)
-        inspection = inspect_log(Path(log), options.vehicle, progress)
+        inspection = inspect_log(Path(log), options.vehicle, progress, opened=opened, health=health)
         more = _entry("can be had", obtainable(inspection), width)
         against = [one for one in inspection.objections if level_of(one) != "note"]
         more += objection_lines(against[:_MOST], width)

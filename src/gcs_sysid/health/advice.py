@@ -15,18 +15,13 @@ _BY_BATTERY = (
 )
 
 
-def advised(health: Health, battery: float | None) -> Health:
-    """The health with what is found in it and all that is worth doing, the most important first.
-
-    Args:
-        health: of a flight.
-        battery: kg, of the battery, which may be moved; None: not known.
-    """
+def advised(health: Health) -> Health:
+    """The health with what is found in it and all that is worth doing, the most important first."""
     unlike, at_full = _unlike_motors(health), _at_full_command(health)
     findings = (
         *(Finding(f"the {name}", why, f"{name} {why}") for name, why in health.misread.items()),
         *_weak(health),
-        *(unlike or [*_cg(health, battery), *_yaw(health)]),
+        *(unlike or [*_cg(health), *_yaw(health)]),
         *_margins(health),
         *_pinned(health, at_full),
         *_shaking(health),
@@ -80,11 +75,11 @@ def _weak(health: Health) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _cg(health: Health, battery: float | None) -> Iterator[Finding]:
+def _cg(health: Health) -> Iterator[Finding]:
     if health.cg is None or health.airframe is None:
         return
     off, moves = [], []
-    mass = health.known_mass
+    mass, battery = health.known_mass, health.battery_mass
     scale = 1.0 if battery is None or mass is None else mass / battery
     for place, ways in zip(health.cg, _AXES, strict=True):
         value, half = place.value, place.half

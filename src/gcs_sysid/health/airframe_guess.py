@@ -44,6 +44,7 @@ _UNKNOWN_ARM = 0.5
 """Relative standard deviation of an arm that was not given."""
 _REAL = (0.02, 5.0)
 """m: rotors of CA_ROTORn_P* in meters lie between; stock simulators have 1 for all."""
+_GIVE = "give --airframe FILE.toml (gcs-sysid airframe new writes one)"
 _CORNERS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 _KINDS = {6: "hexa", 8: "octo"}
 _COUNTS = (8, 6)
@@ -149,17 +150,14 @@ def _by_type(
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "
-            f"{parameters['FRAME_TYPE']:.0f} are not a known frame: give --airframe FILE.toml "
-            "(gcs-sysid airframe new writes one)"
+            f"{parameters['FRAME_TYPE']:.0f} are not a known frame",
+            _GIVE,
         )
     if shape is None:
-        raise InputError(
-            "where are the rotors? The log does not hold the frame: give --airframe FILE.toml "
-            "(gcs-sysid airframe new writes one)"
-        )
+        raise InputError("where are the rotors? The log does not hold the frame", _GIVE)
     if vehicle.key not in ("px4", "ardupilot"):
         if shape != "quad":
-            raise InputError("where are the rotors? Give --airframe FILE.toml")
+            raise InputError("where are the rotors? The order of the motors is not known", _GIVE)
         airframe = _bare(load_airframe("betaflight-quad-x"))
         origin = f"quad X in Betaflight's order {ASSUMED}"
     else:

@@ -1,9 +1,10 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,15 +35,15 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
+from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _ORDER = (
-    "the vehicle does not rotate as these rotors would make it ({}): give --airframe with the "
-    "rotors in the autopilot's motor order"
+    "the vehicle does not rotate as these rotors would make it ({})",
+    "give --airframe with the rotors in the autopilot's motor order",
 )
 _AS_FLOWN = (
-    "the motion does not match this motor order ({}); as flown, {}: give --airframe with the "
-    "rotors in that order"
+    "the motion does not match this motor order ({}); as flown, {}",
+    "give --airframe with the rotors in that order",
 )
 _WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, and {}"
 
@@ -64,12 +65,7 @@ def health_of_log(
     Raises:
         InputError: the file cannot be read as a log, or the airframe is not known.
     """
-    keeper = HoverRecords()
-    log = open_log(path, wanted)
-    keeper.begin(log)
-    for block in log.blocks():
-        keeper.add_records(block)
-    return keeper.health(str(path), given, span)
+    return ReadLog(path, wanted).health(given, span)
 
 
 class HoverRecords:
@@ -157,6 +153,56 @@ class HoverRecords:
         )
 
 
+class ReadLog:
+    """A recording that was read once, for what hover shows and for who takes its records after.
+
+    Args:
+        path: of a log.
+        wanted: system and perhaps component; None: the first autopilot in it.
+
+    Raises:
+        InputError: the file cannot be read as a log.
+    """
+
+    def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
+        self._path, self._wanted = path, wanted
+        self._keeper, self._log = HoverRecords(), open_log(path, wanted)
+        self._blocks: list[RecordBlock] = []
+        self._keeper.begin(self._log)
+        for block in self._log.blocks():
+            self._keeper.add_records(block)
+            self._blocks.append(block)
+            if self._keeper.full:
+                self._blocks.clear()
+
+    def health(self, given: HealthOptions, span: tuple[float, float] = (0.0, math.inf)) -> Health:
+        """What hover shows, as of `HoverRecords`."""
+        return self._keeper.health(str(self._path), given, span)
+
+    def again(self) -> Log:
+        """The log, to be read once more: from memory, where all of it fits there."""
+        if self._keeper.full:
+            return open_log(self._path, self._wanted)
+        return cast(Log, _LogAgain(self._log, self._blocks))
+
+
+class _LogAgain:
+    """A log that was read, whose blocks come once more."""
+
+    def __init__(self, log: Log, blocks: list[RecordBlock]) -> None:
+        self._log, self._blocks = log, blocks
+        self.share_read = 0.0
+
+    def blocks(self) -> Iterator[RecordBlock]:
+        """As `Log` says."""
+        for number, block in enumerate(self._blocks, 1):
+            self.share_read = number / len(self._blocks)
+            yield block
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._log, name)
+
+
 def health_of(
     streams: Streams,
     guess: GuessedAirframe,
@@ -175,7 +221,8 @@ def health_of(
     """
     airframe = guess.airframe
     if guess.as_flown:
-        return _contradicted(airframe, _AS_FLOWN.format(guess.origin, guess.as_flown))
+        reason, how = _AS_FLOWN
+        return _contradicted(airframe, reason.format(guess.origin, guess.as_flown), how)
     problem = _missing(streams)
     windows = None if problem else windows_of(streams, len(airframe.rotors))
     if windows is None:
@@ -194,10 +241,12 @@ def health_of(
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
-        return _refused(_no_hover(windows), airframe=airframe)
+        reason, how = _no_hover(windows)
+        return _refused(reason, how=how, airframe=airframe)
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
-        return _contradicted(airframe, _ORDER.format(guess.origin))
+        reason, how = _ORDER
+        return _contradicted(airframe, reason.format(guess.origin), how)
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
     health = _balances(streams, hover, thrust, curve if rotor_input.motors else None, guess)
@@ -220,7 +269,7 @@ def health_of(
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
-    return advised(replace(health, misread=misread), given.battery_mass)
+    return advised(replace(health, misread=misread, battery_mass=given.battery_mass))
 
 
 def beside_analysis(health: Health, result: Result) -> Health:
@@ -233,13 +282,13 @@ def beside_analysis(health: Health, result: Result) -> Health:
         result: of the analysis.
     """
     health = _as_identified(health, result)
-    blamed = (objection.reason for objection in result.objections if objection.by == ROTORS)
-    refused = result.verdict == "refused" and next(blamed, None)
-    if not refused or health.contradicted or not health.available:
+    blamed = (objection for objection in result.objections if objection.by == ROTORS)
+    refused = next(blamed, None) if result.verdict == "refused" else None
+    if refused is None or health.contradicted or not health.available:
         return health
     assert health.airframe is not None
     return replace(
-        _contradicted(health.airframe, _WITHHELD.format(refused)),
+        _contradicted(health.airframe, _WITHHELD.format(refused.reason), refused.how),
         source=health.source,
         vehicle=health.vehicle,
         autopilot=health.autopilot,
@@ -255,7 +304,7 @@ def _as_identified(health: Health, result: Result) -> Health:
         return health
     x, y = _better(result, "cg_x", health.cg[0]), _better(result, "cg_y", health.cg[1])
     if x is not None and y is not None:
-        health = advised(replace(health, cg=(x, y), cg_of_hover=health.cg), None)
+        health = advised(replace(health, cg=(x, y), cg_of_hover=health.cg))
     if health.scale is not None:
         name, of_hover = health.scale
         scale = _better(result, name, of_hover)
@@ -284,16 +333,20 @@ def _rotor_stream(streams: Streams, airframe: Airframe) -> tuple[RotorInput, Rot
     raise ValueError("no rotor stream")
 
 
-def _contradicted(airframe: Airframe, reason: str) -> Health:
+def _contradicted(airframe: Airframe, reason: str, how: str) -> Health:
     """Nothing but why: CG, shares and positions all depend on the motor order."""
-    return _refused(reason, airframe=airframe, by=ROTORS)
+    return _refused(reason, how=how, airframe=airframe, by=ROTORS)
 
 
 def _refused(
-    *reasons: str, source: str = "", airframe: Airframe | None = None, by: str = "hover"
+    *reasons: str,
+    how: str = "",
+    source: str = "",
+    airframe: Airframe | None = None,
+    by: str = "hover",
 ) -> Health:
     """No answer, for these reasons."""
-    objections = tuple(Objection(reason, verdict="refused", by=by) for reason in reasons)
+    objections = tuple(Objection(why, verdict="refused", how=how, by=by) for why in reasons)
     return Health(source, airframe=airframe, objections=objections)
 
 
@@ -306,16 +359,15 @@ def _missing(streams: Streams) -> tuple[str, ...]:
     return ()
 
 
-def _no_hover(windows: Windows) -> str:
+def _no_hover(windows: Windows) -> tuple[str, str]:
+    """Why there is no hover to judge by, and what to do."""
     if not len(windows.t):
-        return "never seen in the air with IMU and rotor data together"
+        return "never seen in the air with IMU and rotor data together", ""
     if windows.idle.all():
-        return "the rotors only idle, at no command above their least: never in the air"
+        return "the rotors only idle, at no command above their least: never in the air", ""
     flown = len(windows.t) * windows.half
-    return (
-        f"hardly hovers: {windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough; "
-        "hover for 10 s"
-    )
+    calm = f"{windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough"
+    return f"hardly hovers: {calm}", "hover for 10 s"
 
 
 def _own_curve(parameters: Mapping[str, float]) -> tuple[float | None, str]:

@@ -78,7 +78,7 @@ def _px4(health: Health) -> Iterator[Suggestion]:
         yield from _make(health, "MPC_THR_HOVER", health.hover_thrust, "with THR_MDL_FAC as here")
     assert health.airframe is not None
     assert health.cg is not None
-    if health.sized:
+    if health.arm_known:
         ratio = health.airframe.priors.get("moment_ratio")
         for i, rotor in enumerate(health.airframe.rotors):
             for axis, place, offset in zip("XY", (rotor.x, rotor.y), health.cg, strict=True):
@@ -112,7 +112,7 @@ def _ardupilot(health: Health) -> Iterator[Suggestion]:
                 yield from _make(
                     health, f"MOT_BAT_VOLT_{name}", Estimate(cells * volt, 0.0, "V"), note
                 )
-    if health.sized:
+    if health.arm_known:
         yield from _imu(health, "INS_POS1_")
 
 

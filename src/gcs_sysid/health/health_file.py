@@ -31,6 +31,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "vehicle": dict(health.vehicle),
         "verdict": hover_verdict(health.objections, hovers=health.available),
         "reasons": list(health.reasons),
+        "objections": [objection.as_json() for objection in health.objections],
         "seconds_of_hover": health.seconds,
         "rotor_input": health.rotor_input,
         "rotor_source": health.rotor_source or None,

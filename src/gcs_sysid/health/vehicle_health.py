@@ -130,6 +130,7 @@ class Health:
         idle: least output at which all rotors were measured turning; None where not seen.
         arm_known: whether the size of the airframe is.
         battery: V, highest, lowest and median; None where not logged.
+        battery_mass: kg, of the battery, which may be moved; None: not given.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
         condition: of the rotors against a baseline; None without one.
         apart: why it was not compared with the first of several logs; empty where it was.
@@ -178,15 +179,11 @@ class Health:
     idle: float | None = None
     arm_known: bool = True
     battery: tuple[float, float, float] | None = None
+    battery_mass: float | None = None
     assumptions: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     advice: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def sized(self) -> bool:
-        """Whether the arm is known, not assumed."""
-        return self.arm_known
 
     @property
     def known_mass(self) -> float | None:
@@ -203,7 +200,7 @@ class Health:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why there is no answer, in words."""
-        return tuple(objection.reason for objection in self.objections)
+        return tuple(objection.words for objection in self.objections)
 
     @property
     def contradicted(self) -> bool:

@@ -1,5 +1,6 @@
 """From the records of a log or link to the facts about it."""
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -10,7 +11,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import HoverRecords
-from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.inspection.derived_facts import (
     USUAL,
     FlightWatch,
@@ -50,7 +51,7 @@ from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
-from gcs_sysid.telemetry.logs import Telemetry, open_log
+from gcs_sysid.telemetry.logs import Log, Telemetry, open_log
 from gcs_sysid.telemetry.message_table import MESSAGES, Message, OnboardMessage
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.ulog import TOPICS
@@ -206,7 +207,7 @@ class Inspector:
         self._count_wraps()
         telemetry = self._telemetry
         doubt = clock_doubt(telemetry.drift.bounds, telemetry.parameters)
-        doubts = () if doubt is None else (doubt.reason,)
+        doubts = () if doubt is None else (f"{doubt.reason}; {doubt.how}",)
         counts = telemetry.as_dict()
         rotors = self._known_rotors
         messages = {name: entry["count"] for name, entry in counts.get("messages", {}).items()}
@@ -305,6 +306,8 @@ def inspect_log(
     wanted: tuple[int, int | None] | None = None,
     progress: Callable[[float], None] | None = None,
     airframe: Airframe | None = None,
+    opened: Log | None = None,
+    health: Health | None = None,
 ) -> Inspection:
     """See what is in a recording.
 
@@ -314,25 +317,25 @@ def inspect_log(
         progress: called with the share of the log done, 0 to 1, now and then.
         airframe: of the vehicle; its rotors and its anchor, if any, count. None: the vehicle's type
             gives the number of rotors.
+        opened: the log, opened by the caller.
+        health: of it, where that is known already.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
-    log = open_log(path, wanted)
+    log = opened or open_log(path, wanted)
     inspector = Inspector(log, airframe)
     keeper = HoverRecords()
     keeper.begin(log)
     for block in log.blocks():
         inspector.add_records(block)
-        keeper.add_records(block)
+        if health is None:
+            keeper.add_records(block)
         if progress:
             progress(log.share_read)
     found = inspector.finish(str(path), log.kind)
-    try:
-        health = keeper.health(str(path), HealthOptions(airframe))
-    except InputError:  # the rotors' positions are unknown
-        pass
-    else:
+    with contextlib.suppress(InputError):  # the rotors' positions are unknown
+        health = health or keeper.health(str(path), HealthOptions(airframe))
         found = replace(
             found,
             hover=health.seconds,

@@ -71,4 +71,5 @@ def wrong_clock(evidence: Evidence) -> Iterator[Objection]:
         verdict="partial",
         widening=widening,
         evidence={"share": doubt.share},
+        how=doubt.how,
     )

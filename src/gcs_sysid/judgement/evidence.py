@@ -49,6 +49,11 @@ class ClockDoubt:
 
     share: float
 
+    how = (
+        "fly again with another computer to find the wrong one (a simulator is recognized by its "
+        "SIM_ or SIH_ parameters)"
+    )
+
     @property
     def reason(self) -> str:
         """In a pilot's words."""
@@ -57,10 +62,7 @@ class ClockDoubt:
         return (
             f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
             f"computer's, more than good clocks do, and either may be wrong{link}: inertia "
-            f"and k_M "
-            "may be off by as much, and their intervals are wider by it; fly again with another "
-            "computer to find the wrong one (a simulator is recognized by its SIM_ or SIH_ "
-            "parameters)"
+            "and k_M may be off by as much, and their intervals are wider by it"
         )
 
 

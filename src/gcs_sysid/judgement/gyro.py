@@ -38,10 +38,10 @@ def _alike(scales: Array) -> bool:
     return float(np.ptp(scales)) < _ALIKE * abs(float(scales.mean()))
 
 
-def gyro_reason(check: GyroAgainstAttitude | None) -> str:
-    """What the gyro does wrong and what to do, in one line; empty where nothing is certain."""
-    if check is None or not (wrong := misread_axes(check)).any():
-        return ""
+def gyro_fault(check: GyroAgainstAttitude) -> tuple[str, str] | None:
+    """What the gyro does wrong and what to do; None where nothing is certain."""
+    if not (wrong := misread_axes(check)).any():
+        return None
     gain = check.gain
     scale = np.diag(gain)
     mean = float(scale[wrong].mean())
@@ -49,24 +49,26 @@ def gyro_reason(check: GyroAgainstAttitude | None) -> str:
         if abs(math.radians(mean) - 1.0) < _ALIKE:
             return (
                 f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not "
-                "rad/s; give its unit"
+                "rad/s",
+                "give its unit",
             )
         return (
             f"the gyro reads {mean:.2f} of what the attitude turns, and inertia would be off by "
-            "as much: check its scale and range"
+            "as much",
+            "check its scale and range",
         )
     turned = [(AXES[row], AXES[int(np.abs(gain[row]).argmax())]) for row in np.flatnonzero(wrong)]
     if all(a != b for a, b in turned) and np.abs(gain @ gain.T - np.eye(3)).max() < 3.0 * _ALIKE:
         words = " and ".join(f"{a} what turns in {b}" for a, b in turned)
         return (
-            f"the gyro reads in {words}: the board is turned against the attitude's axes; check "
-            "its orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)"
+            f"the gyro reads in {words}: the board is turned against the attitude's axes",
+            "check its orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)",
         )
     words = " and ".join(
         f"{AXES[i]} axis reads {'nothing' if abs(scale[i]) < _DEAD else f'{scale[i]:.2f}'}"
         for i in np.flatnonzero(wrong)
     )
-    return f"the gyro's {words} of what the attitude turns: check the IMU"
+    return f"the gyro's {words} of what the attitude turns", "check the IMU"
 
 
 def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
@@ -74,8 +76,9 @@ def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
 
     Drag too: the attitude that it is found with is filtered with the gyro.
     """
-    if not (reason := gyro_reason(evidence.gyro)) or evidence.gyro is None:
+    if evidence.gyro is None or (fault := gyro_fault(evidence.gyro)) is None:
         return
+    reason, how = fault
     axes = misread_axes(evidence.gyro)
     yield Objection(
         reason,
@@ -88,4 +91,5 @@ def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
         cap="weak",
         verdict="partial",
         evidence=dict(zip(AXES, np.diag(evidence.gyro.gain).tolist(), strict=True)),
+        how=how,
     )

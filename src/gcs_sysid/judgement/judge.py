@@ -132,7 +132,7 @@ def judge(evidence: Evidence) -> Judgement:
     if verdict == "refused":
         shown = {name: _capped(estimate, "weak") for name, estimate in shown.items()}
     stated = [o for o in raised if verdict != "identified" or o.verdict == "identified"]
-    return Judgement(shown, verdict, tuple(o.reason for o in stated), tuple(stated))
+    return Judgement(shown, verdict, tuple(o.words for o in stated), tuple(stated))
 
 
 def judged(evidence: Evidence, upto: Stage = Stage.BELIEF) -> dict[str, Estimate]:
@@ -158,7 +158,7 @@ def object_to(result: R, objections: Sequence[Objection]) -> R:
     changed: R = replace(
         whole,
         verdict=verdict,
-        reasons=(*whole.reasons, *(o.reason for o in stated)),
+        reasons=(*whole.reasons, *(o.words for o in stated)),
         objections=(*whole.objections, *stated),
     )
     return changed

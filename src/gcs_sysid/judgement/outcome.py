@@ -31,10 +31,10 @@ def limited_by_given(evidence: Evidence) -> Iterator[Objection]:
     ]
     if limited:
         yield Objection(
-            f"given values limit {', '.join(limited)}, not the flight: measure rotors, mass and "
-            "IMU better and state it in [uncertainty]",
+            f"given values limit {', '.join(limited)}, not the flight",
             frozenset(limited),
             cap="weak",
+            how="measure rotors, mass and IMU better and state it in [uncertainty]",
         )
 
 
@@ -58,10 +58,10 @@ def one_scale(evidence: Evidence) -> Iterator[Objection]:
     torque = evidence.rotor_input.torque
     if all(evidence.estimates[n].status in ("weak", "unobservable") for n in ("Izz", torque)):
         yield Objection(
-            f"Izz and {torque} share one scale: fly several axes at once, such as roll and yaw, "
-            "to separate them",
+            f"Izz and {torque} share one scale",
             frozenset({"Izz", torque}),
             verdict="partial",
+            how="fly several axes at once, such as roll and yaw, to separate them",
         )
 
 
@@ -73,7 +73,8 @@ def negative_torque(evidence: Evidence) -> Iterator[Objection]:
     if ratio.value < RULES.impossible_below * ratio.std:
         torque = evidence.rotor_input.torque
         yield Objection(
-            f"{torque} is negative: check spin in the airframe file",
+            f"{torque} is negative",
             frozenset({torque, "moment_ratio"}),
             verdict="partial",
+            how="check spin in the airframe file",
         )

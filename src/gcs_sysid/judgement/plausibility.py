@@ -65,10 +65,11 @@ def placeholder_arm(evidence: Evidence) -> Iterator[Objection]:
     if not airframe.arm_known and _BY_ARM & known.keys():
         yield Objection(
             f"the {airframe.arm:g} m arm is a placeholder of the built-in layout "
-            f"{airframe.name}, and inertia is proportional to it: give --arm M",
+            f"{airframe.name}, and inertia is proportional to it",
             _BY_ARM,
             cap="weak",
             verdict="partial",
+            how="give --arm M",
         )
 
 
@@ -76,11 +77,11 @@ def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
     """Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
     if evidence.reread:
         yield Objection(
-            "rotor speeds were read as rad/s, because as rpm they could not carry this mass: "
-            "check --mass (kg) and --arm (m), or the unit that the ESCs send",
+            "rotor speeds were read as rad/s, because as rpm they could not carry this mass",
             _BY_SCALE,
             cap="weak",
             verdict="partial",
+            how="check --mass (kg) and --arm (m), or the unit that the ESCs send",
         )
 
 
@@ -99,14 +100,12 @@ def implausible(evidence: Evidence) -> Iterator[Objection]:
     """Numbers that no multirotor has, however well the model fits."""
     found, airframe, everything = _known(evidence), evidence.airframe, frozenset(evidence.estimates)
     sizes = tuple(_sizes(found, airframe, evidence.rotor_input))
-    for reason in sizes:
-        yield Objection(reason, everything, cap="weak", verdict="partial")
-    if sizes:
-        return  # where mass and arm do not fit each other, inertia cannot fit both
-    for reason in _inertia(found, airframe.arm):
-        yield Objection(reason, frozenset(INERTIA), cap="weak", verdict="partial")
-    for reason in _spins(found, airframe, evidence.rotor_input):
-        yield Objection(reason, _BY_SPIN, cap="weak", verdict="partial")
+    found_wrong = [(each, everything) for each in sizes]
+    if not sizes:  # where mass and arm do not fit each other, inertia cannot fit both
+        found_wrong += [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
+        found_wrong += [(each, _BY_SPIN) for each in _spins(found, airframe, evidence.rotor_input)]
+    for (reason, how), names in found_wrong:
+        yield Objection(reason, names, cap="weak", verdict="partial", how=how)
 
 
 def _known(evidence: Evidence) -> dict[str, float]:
@@ -125,19 +124,19 @@ def mass_misfit(mass: float, arm: float) -> str:
         return ""
     return (
         f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of "
-        f"this size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
+        f"this size weigh {_short(low)} to {_short(high)} kg)"
     )
 
 
 def _sizes(
     found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
-) -> Iterable[str]:
-    """Mass, thrust and arm against each other."""
+) -> Iterable[tuple[str, str]]:
+    """Mass, thrust and arm against each other: what is wrong, and what to do."""
     mass, arm, rotors = found.get("mass"), airframe.arm, len(airframe.rotors)
     if mass is None:
         return
     if misfit := mass_misfit(mass, arm):
-        yield misfit
+        yield misfit, "mass is in kg, arm in m"
         return
     name = rotor_input.thrust
     thrust = found.get(name)
@@ -149,18 +148,19 @@ def _sizes(
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield (
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
-            f"{arm:.3g} m: check mass (kg), arm (m) and the unit of the rotor speeds"
+            f"{arm:.3g} m",
+            "check mass (kg), arm (m) and the unit of the rotor speeds",
         )
     ratio = rotors * thrust / (mass * GRAVITY)
     if rotor_input.motors and not _within(ratio, RANGES.thrust_to_weight):
         yield (
             f"full thrust is {ratio:.2g} times the weight, expected "
-            f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}: check mass (kg), "
-            "T_max (N a rotor) and the range of the commands"
+            f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}",
+            "check mass (kg), T_max (N a rotor) and the range of the commands",
         )
 
 
-def _inertia(found: Mapping[str, float], arm: float) -> Iterable[str]:
+def _inertia(found: Mapping[str, float], arm: float) -> Iterable[tuple[str, str]]:
     """Inertia against mass and arm, and its principal moments against each other."""
     mass = found.get("mass")
     if mass is not None:
@@ -174,20 +174,22 @@ def _inertia(found: Mapping[str, float], arm: float) -> Iterable[str]:
             if value is not None and not _within(value / unit, range_):
                 yield (
                     f"{name} is {value / unit:.2g} of mass x arm^2, expected {range_[0]:g} to "
-                    f"{range_[1]:g}: check mass (kg), arm (m) and rotor positions"
+                    f"{range_[1]:g}",
+                    "check mass (kg), arm (m) and rotor positions",
                 )
     if all(name in found for name in INERTIA):
         moments = np.linalg.eigvalsh(inertia_matrix(np.array([found[name] for name in INERTIA])))
         if moments[0] <= 0.0 or moments[2] > _TRIANGLE * (moments[0] + moments[1]):
             yield (
                 "no rigid body has these moments of inertia (the largest principal moment exceeds "
-                "the sum of the others): check motor order and rotor positions"
+                "the sum of the others)",
+                "check motor order and rotor positions",
             )
 
 
 def _spins(
     found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
-) -> Iterable[str]:
+) -> Iterable[tuple[str, str]]:
     """Torque over thrust against the propeller's diameter.
 
     Rotors that share an arm always get nearly the same command: no flight shows which of them is
@@ -208,8 +210,8 @@ def _spins(
     least = f"{low * diameter:.2g} to" if low else "at most"
     yield (
         f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
-        f"{high * diameter:.2g} m of propellers of {diameter:.2g} m: check {what}motor order, spin "
-        "and tilt of the rotors in the airframe file"
+        f"{high * diameter:.2g} m of propellers of {diameter:.2g} m",
+        f"check {what}motor order, spin and tilt of the rotors in the airframe file",
     )
 
 

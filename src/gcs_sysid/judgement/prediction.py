@@ -112,8 +112,9 @@ def wrong_sign(evidence: Evidence) -> Iterator[Objection]:
         if REGISTRY[name].sign == "positive" and e.value is not None and e.value <= 0.0
     )
     if negative and evidence.fit.rotation is not None:
-        reason = "not positive, as it must be: check spin in the airframe file"
-        yield Objection(reason, negative, cap="weak", stated=False)
+        how = "check spin in the airframe file"
+        reason = "not positive, as it must be"
+        yield Objection(reason, negative, cap="weak", stated=False, how=how)
 
 
 def rigid_body(evidence: Evidence) -> Iterator[Objection]:
@@ -147,11 +148,12 @@ def swapped(evidence: Evidence) -> Iterator[Objection]:
     if many and not still_axes(evidence.fit)[2] and shares[:2].min() > high and shares[2] < low:
         yield Objection(
             f"the rotors explain roll and pitch but only {_percent(shares[2])} of yaw: two rotors "
-            "of opposite spin look swapped; check motor order and spin in the airframe file",
+            "of opposite spin look swapped",
             _on(evidence, np.ones(3, dtype=bool)),
             cap="weak",
             verdict="partial",
             evidence=_by_axis(shares),
+            how="check motor order and spin in the airframe file",
         )
 
 
@@ -228,11 +230,12 @@ def flown(evidence: Evidence) -> Iterator[Objection]:
     there = ", ".join(f"{rate:.2g}" for rate in rates[still])
     names = _on(evidence, still, lambda p: not p.mean_torque) | _motors(evidence, still)
     yield Objection(
-        f"hardly any rotation in {_named(still)} ({there} rad/s rms): fly doublets there",
+        f"hardly any rotation in {_named(still)} ({there} rad/s rms)",
         frozenset() if fit.validation is None else names,
         cap="weak",
         verdict="partial",
         evidence=_by_axis(rates),
+        how="fly doublets there",
     )
 
 

@@ -69,11 +69,13 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     for by, reasons in (
         ("data", _missing(received, evidence.anchor)),
         (ROTORS, _contradicted(fit)),
-        ("data", (received.input_lost or _TOO_LITTLE,) if fit.rotation is None else ()),
+        ("data", ((received.input_lost or _TOO_LITTLE, ""),) if fit.rotation is None else ()),
         ("data", _unexplained(fit, cut=bool(evidence.saturated), still=is_hover(evidence))),
     ):
         if reasons:
-            yield from (Objection(reason, verdict=verdict, by=by) for reason in reasons)
+            yield from (
+                Objection(reason, verdict=verdict, by=by, how=how) for reason, how in reasons
+            )
             return
 
 
@@ -100,45 +102,47 @@ def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
     return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)
 
 
-def _missing(received: Received, anchor: ScaleKind) -> tuple[str, ...]:
+_Reasons = tuple[tuple[str, str], ...]
+"""What is wrong, and what to do."""
+
+
+def _missing(received: Received, anchor: ScaleKind) -> _Reasons:
     """Why there are no samples, by what came."""
     seen = received.seen
     if not seen:
         if received.recorded is None:
-            return ("no usable telemetry",)
-        return (f"nothing between --start and --end: the record lasts {received.recorded:.1f} s",)
+            return (("no usable telemetry", ""),)
+        lasts = f"the record lasts {received.recorded:.1f} s"
+        return ((f"nothing between --start and --end: {lasts}", ""),)
     if Stream.IMU not in seen:
-        return ("no IMU data (HIGHRES_IMU): request it from the autopilot",)
+        return (("no IMU data (HIGHRES_IMU)", "request it from the autopilot"),)
     if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
-        return (
+        none = (
             "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
-            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): request them from the autopilot",
+            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW)"
         )
+        return ((none, "request them from the autopilot"),)
     if received.searched and not received.has_rotors:
         return _no_input(received.refused, anchor)
     if received.outdated:
-        return (
-            "the autopilot's parameters came too late to set filters and ranges: "
-            "analyze the recording",
-        )
+        late = "the autopilot's parameters came too late to set filters and ranges"
+        return ((late, "analyze the recording"),)
     if Stream.ATTITUDE not in seen:
-        return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
+        return (("no attitude (ATTITUDE or ATTITUDE_QUATERNION)", ""),)
     return ()
 
 
-def _contradicted(fit: Fit) -> tuple[str, ...]:
+def _contradicted(fit: Fit) -> _Reasons:
     """Why the motion cannot be that of the airframe's rotors."""
     if fit.other_layout is not None:
-        return (f"{fit.other_layout}: corrected, it would explain the motion far better",)
+        return ((f"{fit.other_layout}: corrected, it would explain the motion far better", ""),)
     if fit.rotation is None and fit.seconds > _ENOUGH_TO_ANSWER:
-        return (
-            "the motion does not match these rotors: check motor order and rotor positions in the "
-            "airframe file, and fly roll and pitch",
-        )
+        check = "check motor order and rotor positions in the airframe file, and fly roll and pitch"
+        return (("the motion does not match these rotors", check),)
     return ()
 
 
-def _unexplained(fit: Fit, *, cut: bool, still: bool) -> tuple[str, ...]:
+def _unexplained(fit: Fit, *, cut: bool, still: bool) -> _Reasons:
     """Why the motion shows too little of the rotors."""
     rotation = fit.rotation
     if rotation is None or still:
@@ -149,16 +153,17 @@ def _unexplained(fit: Fit, *, cut: bool, still: bool) -> tuple[str, ...]:
     what = f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis"
     # Harder inputs would be cut off the more.
     harder = "fly in less wind" if cut else "fly harder inputs or in less wind"
-    return (f"{what}: {harder}, and check the motor order",)
+    return ((what, f"{harder}, and check the motor order"),)
 
 
-def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> tuple[str, ...]:
+def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> _Reasons:
     """Why no rotor stream can be used."""
     if not refused:
-        return ("no rotor speeds and no commands in flight",)
-    reasons = tuple(f"{name} {why}" for name, why in refused.items())
+        return (("no rotor speeds and no commands in flight", ""),)
+    reasons = tuple((f"{name} {why}", "") for name, why in refused.items())
     if anchor == "k_T":
-        return (*reasons, "without rotor speeds k_T cannot set the scale: give --mass or --t-max")
+        scale = "without rotor speeds k_T cannot set the scale"
+        return (*reasons, (scale, "give --mass or --t-max"))
     if anchor == "T_max":
-        return (*reasons, "without commands T_max cannot set the scale: give --mass or --k-t")
+        return (*reasons, ("without commands T_max cannot set the scale", "give --mass or --k-t"))
     return reasons

@@ -11,13 +11,13 @@ from gcs_sysid.signals.saturation import Saturated
 
 
 def saturation_reason(found: Saturated) -> str:
-    """What stood at which limit, and what to do, in one line."""
+    """What stood at which limit, in one line."""
     limit = f"{found.limit:.1f} m/s^2 ({found.limit / GRAVITY:.1f} g)"
     if found.sensor == "gyro":
         limit = f"{found.limit:.2f} rad/s ({math.degrees(found.limit):.0f} deg/s)"
     return (
         f"the {found.sensor} stands at its limit of {limit} in {100.0 * found.share:.2g} % of its "
-        "samples: give it a larger range, damp its mount, or fly gentler"
+        "samples"
     )
 
 
@@ -42,4 +42,5 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
                 cap="weak",
                 verdict="partial",
                 evidence={"limit": found.limit, "share": found.share},
+                how="give it a larger range, damp its mount, or fly gentler",
             )

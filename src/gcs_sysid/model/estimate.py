@@ -21,7 +21,7 @@ class Objection:
     """What some evidence holds against estimates, or against all of a result.
 
     Attributes:
-        reason: what is wrong, and where `how` is empty what to do, in a pilot's words.
+        reason: what is wrong, in a pilot's words.
         parameters: those that it concerns.
         cap: the best status left to these; None: any.
         verdict: the best verdict left to the result; "identified" makes it a note, which is
@@ -31,7 +31,7 @@ class Objection:
         void: whether the values mean nothing at all and are not shown.
         stated: whether the reason stands among those of the verdict; False where others imply it.
         evidence: name -> number that it rests on.
-        how: what to do about it.
+        how: what to do about it; empty where nothing is known to help.
         by: its producer.
     """
 
@@ -47,13 +47,22 @@ class Objection:
     how: str = ""
     by: str = ""
 
+    @property
+    def words(self) -> str:
+        """What is wrong and what to do."""
+        return f"{self.reason}; {self.how}" if self.how else self.reason
+
     def as_json(self) -> dict[str, Any]:
         """Of a result: the cap is that of the verdict."""
-        return {"reason": self.reason, "cap": self.verdict or "identified", "by": self.by}
+        return self._with_cap(self.verdict or "identified")
 
     def of_parameter(self) -> dict[str, Any]:
         """Of one parameter: the cap is that of its status; None where only its interval grew."""
-        return {"reason": self.reason, "cap": self.cap, "by": self.by}
+        return self._with_cap(self.cap)
+
+    def _with_cap(self, cap: str | None) -> dict[str, Any]:
+        how = {"how": self.how} if self.how else {}
+        return {"reason": self.reason, **how, "cap": cap, "by": self.by}
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
     """
     for objection in () if result is None else result.objections:
         if at := _OF_THE_DATA.get(objection.by):
-            return FirstAnswer("LOOK AT", f"{at}: {_reason(objection)}", _remedy(objection))
+            return FirstAnswer("LOOK AT", f"{at}: {objection.reason}", _remedy(objection))
     if health is None or health["verdict"] == "refused":
         return _unseen(health, result)
     findings = health["findings"]
@@ -199,34 +199,24 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
 
 def no_answer(objection: Objection) -> FirstAnswer:
     """That the vehicle cannot be judged, why, and what would help."""
-    return FirstAnswer("CANNOT TELL", _reason(objection), _remedy(objection))
+    return FirstAnswer("CANNOT TELL", objection.reason, _remedy(objection))
 
 
 def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAnswer:
     """Of a flight without a hover that can be judged."""
-    objections = [Objection(reason) for reason in (health or {}).get("reasons", ())]
+    objections = [
+        Objection(each["reason"], how=each.get("how", ""))
+        for each in (health["objections"] if health else ())
+    ]
     if not objections and result is not None:
         objections = list(result.objections)
     if not objections:
         return FirstAnswer("CANNOT TELL", "no hover to judge by", "hover for 30 s")
     first = objections[0]
     if health is not None and health["order_contradicted"]:
-        return FirstAnswer("LOOK AT", f"{_ROTORS}: {_reason(first)}", _remedy(first))
+        return FirstAnswer("LOOK AT", f"{_ROTORS}: {first.reason}", _remedy(first))
     return no_answer(first)
 
 
-def _reason(objection: Objection) -> str:
-    return _split(objection.reason)[0]
-
-
 def _remedy(objection: Objection) -> str:
-    return objection.how or _split(objection.reason)[1] or _LOOK_INSIDE
-
-
-def _split(reason: str) -> tuple[str, str]:
-    """A reason without what to do, and that: it stands after the last semicolon, or before give."""
-    said, semicolon, rest = reason.rpartition("; ")
-    if semicolon:
-        return said, rest
-    said, give, rest = reason.partition(": give ")
-    return said, f"give {rest}" if give else ""
+    return objection.how or _LOOK_INSIDE

@@ -186,7 +186,7 @@ def _objections(table: _Table, limits: Literal["cap", "verdict"]) -> tuple[Objec
     out = []
     for entries in table.list("objections"):
         entry = _Table(entries if isinstance(entries, dict) else {}, table.where)
-        found = Objection(entry.text("reason"), by=entry.text("by"))
+        found = Objection(entry.text("reason"), how=entry.text("how"), by=entry.text("by"))
         if entry.entries.get("cap") is not None:
             found = replace(found, **{limits: entry.one_of("cap", known)})  # type: ignore[arg-type]
         out.append(found)

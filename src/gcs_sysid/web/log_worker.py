@@ -50,7 +50,7 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
     try:
         health = document_of(keeper.health(str(log), HealthOptions()))
     except InputError as error:
-        answer = no_answer(Objection(str(error))).as_json()
+        answer = no_answer(Objection(error.reason, how=error.how)).as_json()
     else:
         answer, facts = health["summary"], short_facts(health) if health["cg"] else []
     return {
