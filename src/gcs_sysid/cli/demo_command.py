@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.cli import airframe_choice, output
-from gcs_sysid.cli.followed_session import baseline_of, coach_options, follow, refit_interval
+from gcs_sysid.cli.followed_session import (
+    baseline_of,
+    coach_options,
+    follow,
+    load_screen,
+    refit_interval,
+)
 from gcs_sysid.cli.output import JsonLines
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live.live_estimate import LiveOptions
@@ -26,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
     airframe = airframe_choice.airframe_of(options)
     baseline = baseline_of(options)
     record_to = Path(options.record) if options.record else None
+    load_screen(options)
     # At full speed TCP holds the emulator back, as far as the session does not read ahead.
     source: ReceiverProcess | TcpLink
     if options.speed == "max":

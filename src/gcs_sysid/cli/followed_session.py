@@ -56,6 +56,12 @@ def is_watched(options: argparse.Namespace) -> bool:
     return terminal or options.web is not None
 
 
+def load_screen(options: argparse.Namespace) -> None:
+    """Load what a session is shown with, before its data come: they would wait for that."""
+    if is_watched(options):
+        import gcs_sysid.cli.screens  # noqa: F401 - lines need no screen
+
+
 def follow(
     session: Session,
     writer: JsonLines,

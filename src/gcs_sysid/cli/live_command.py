@@ -10,6 +10,7 @@ from gcs_sysid.cli.followed_session import (
     coach_options,
     follow,
     is_watched,
+    load_screen,
     refit_interval,
 )
 from gcs_sysid.cli.output import JsonLines
@@ -32,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--record and --no-record exclude each other")
     signing_key = Path(options.signing_key) if options.signing_key else None
     record_to = recording_path(options)
+    load_screen(options)
     receiver = ReceiverProcess(
         parse_url(options.url, options.baud),
         listen_only=options.listen_only,

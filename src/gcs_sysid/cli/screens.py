@@ -1,4 +1,7 @@
-"""The screen of a session, on a terminal or in browsers: shown, and what can be done on it."""
+"""The screen of a session, on a terminal or in browsers: shown, and what can be done on it.
+
+What only a page, a report or an export needs is loaded for that: the first frame does not wait.
+"""
 
 import argparse
 import threading
@@ -8,12 +11,10 @@ from pathlib import Path
 from gcs_sysid.argument_types import given_words
 from gcs_sysid.cli import output
 from gcs_sysid.cli.airframe_choice import given_scale
+from gcs_sysid.cli.commands import EXPORT_TARGETS
 from gcs_sysid.cli.headless import Session, say_until_end
 from gcs_sysid.cli.output import on_signals, say_addresses
-from gcs_sysid.cli.reporting import ReportJob, have_written
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.files import write_whole
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.replay_session import ReplaySession
@@ -24,8 +25,6 @@ from gcs_sysid.screen.app import Scene
 from gcs_sysid.screen.bars import Transport
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.telemetry.tlog_writer import unused_path
-from gcs_sysid.web.session_page import SessionPage
-from gcs_sysid.web.site import Site
 
 
 def show(
@@ -77,7 +76,7 @@ def replay_actions(
     """What can be done with a recorded flight: nothing that would change its numbers."""
     return Actions(
         export=export_result,
-        export_targets=tuple(FORMATS),
+        export_targets=EXPORT_TARGETS,
         report=lambda: report_session(session, truth, options),
         absent="in a replay",
     )
@@ -87,12 +86,15 @@ def export_result(target: str, result: Result) -> str:
     """Write a result for a simulator, into a file of the present folder that was not there.
 
     Args:
-        target: one of `FORMATS`.
+        target: one of `EXPORT_TARGETS`.
         result: as it is at this moment.
 
     Raises:
         GcsSysidError: it lacks what the format needs, or the file cannot be written.
     """
+    from gcs_sysid.exports.exported_vehicle import assemble
+    from gcs_sysid.exports.formats import FORMATS
+
     vehicle = assemble(result)
     text = FORMATS[target].write(vehicle)
     path = unused_path(Path(f"{vehicle.name}{FORMATS[target].suffix}"))
@@ -111,6 +113,8 @@ def report_session(
     Raises:
         InputError: there is no recording, or no result from it yet.
     """
+    from gcs_sysid.cli.reporting import ReportJob, have_written
+
     recording = session.flushed_recording()
     if recording is None:
         raise InputError("no recording to report on: o starts one")
@@ -157,7 +161,7 @@ def live_actions(
         set_anchor=session.set_anchor,
         choose_vehicle=session.choose_vehicle,
         export=export_result,
-        export_targets=tuple(FORMATS),
+        export_targets=EXPORT_TARGETS,
         report=lambda: report_session(session, truth, options),
     )
 
@@ -201,6 +205,9 @@ def _serve(session: Session, scene: Scene, address: tuple[str, int]) -> None:
     Raises:
         InputError: there is no serving there.
     """
+    from gcs_sysid.web.session_page import SessionPage
+    from gcs_sysid.web.site import Site
+
     host, port = address
     stopped = threading.Event()
 

@@ -41,7 +41,7 @@ from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.transceiver import Transceiver
 
 _LOADED_AHEAD = ("scipy.optimize",)
-"""What else a flight loads where it first needs it: data would wait 0.1 s and more."""
+"""What else a flight loads where it first needs it, in the air: data would wait 0.1 s and more."""
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 1.0
@@ -151,7 +151,7 @@ class LiveSession:
         self._toggling = self._postponed = False
         self._choice: FoundVehicle | None = None
         self._stop = threading.Event()
-        self._all_taken = False
+        self._all_taken = self._loaded = False
         self._latest: Snapshot | None = None
         self._result_reported_at = 0.0
         self._asked = self._published = -float("inf")
@@ -269,8 +269,6 @@ class LiveSession:
     # -- the session's thread
 
     def _run(self) -> None:
-        for name in _LOADED_AHEAD:
-            self._guarded(partial(import_module, name))
         began = time.monotonic()
         self._guarded(lambda: self._loop(began))
         self._guarded(self._station.leave)
@@ -293,6 +291,8 @@ class LiveSession:
     def _loop(self, began: float) -> None:
         while not self._stop.is_set():
             items = self._source.next_items(_POLL)
+            if items and not self._loaded:
+                self._load_ahead()
             now = time.monotonic()
             self._turn(items, now)
             if not items and self._ended(now, began):
@@ -300,6 +300,12 @@ class LiveSession:
             duration = self._options.duration
             if duration is not None and now - began >= duration:
                 return
+
+    def _load_ahead(self) -> None:
+        """Load at the first data: a screen that waits for them is there sooner."""
+        self._loaded = True
+        for name in _LOADED_AHEAD:
+            self._guarded(partial(import_module, name))
 
     def _turn(self, items: Sequence[Item], now: float) -> None:
         """Learn from what came, answer the vehicle, do what users ask, show how things stand.
