@@ -6,7 +6,7 @@ import os
 import pytest
 
 from gcs_sysid.live import receiver_main, receiver_wire
-from gcs_sysid.live.backlog import Backlog
+from gcs_sysid.live.live_view import Backlog
 from gcs_sysid.live.receiver_main import Outbox, RequestsDone
 from gcs_sysid.live.receiver_process import RelayedRequests
 from gcs_sysid.live.reception import (

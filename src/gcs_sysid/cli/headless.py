@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from gcs_sysid.cli import output
+from gcs_sysid.live.live_view import Session
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
-from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import figures
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
@@ -14,31 +14,6 @@ from gcs_sysid.results.words import WAITING, WRONG_AIRFRAME
 
 if TYPE_CHECKING:
     from gcs_sysid.screen.call_outs import Announcer
-
-
-class Session(Protocol):
-    """What is shown: a live session or a replay."""
-
-    final: Result | None
-    problem: Exception | None
-
-    def start(self) -> None:
-        """Begin."""
-
-    def latest(self) -> Snapshot | None:
-        """The newest snapshot."""
-
-    def request_stop(self) -> None:
-        """End soon; returns at once."""
-
-    def stop(self) -> None:
-        """End, and wait until it has."""
-
-    def join(self, timeout: float | None = None) -> bool:
-        """Wait for the end; whether it has come."""
-
-    def recordings(self) -> list[str]:
-        """A line for each recording made."""
 
 
 def say_until_end(session: Session, announcer: "Announcer | None" = None) -> None:

@@ -12,11 +12,12 @@ from gcs_sysid.argument_types import given_words
 from gcs_sysid.cli import output
 from gcs_sysid.cli.airframe_choice import given_scale
 from gcs_sysid.cli.commands import EXPORT_TARGETS
-from gcs_sysid.cli.headless import Session, say_until_end
+from gcs_sysid.cli.headless import say_until_end
 from gcs_sysid.cli.output import on_signals, say_addresses
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
 from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.live_view import Session
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
@@ -104,7 +105,7 @@ def export_result(target: str, result: Result) -> str:
 
 
 def report_session(
-    session: LiveSession | ReplaySession,
+    session: Session,
     truth: Mapping[str, float] | None,
     options: argparse.Namespace,
 ) -> str:
@@ -215,7 +216,6 @@ def _serve(session: Session, scene: Scene, address: tuple[str, int]) -> None:
         stopped.set()
         session.request_stop()
 
-    assert isinstance(session, LiveSession | ReplaySession)
     page = SessionPage(session, scene, session.flushed_recording, lambda: session.airframe)
     site = Site(host, port, page)
     try:

@@ -223,11 +223,7 @@ class LivePrediction:
             rows.predicted[:, 0] + rows.measured[:, 0]
         )
         if new.any():
-            self._rows.append(
-                PredictionRows(
-                    rows.t[new], rows.rates[new], rows.measured[new], rows.predicted[new]
-                )
-            )
+            self._rows.append(rows.part(new))
         while self._rows and self._rows[0].t[-1] < last.t[-1] - KEPT:
             self._rows.popleft()
 

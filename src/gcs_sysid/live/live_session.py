@@ -7,7 +7,6 @@ What is received is recorded before it comes here (`reception`), in a process of
 """
 
 import queue
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,9 +15,8 @@ from importlib import import_module
 from pathlib import Path
 
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
-from gcs_sysid.live.live_view import RESULT_EVERY, link_status, with_link
+from gcs_sysid.live.live_view import RESULT_EVERY, Backlog, Session, link_status, with_link
 from gcs_sysid.live.reception import (
     Ended,
     Failure,
@@ -92,7 +90,7 @@ class CommandQueue:
         return first
 
 
-class LiveSession:
+class LiveSession(Session):
     """Identifies and publishes, in a thread of its own.
 
     A defect in what identifies costs the estimate, which stays what it was; a defect in what
@@ -123,10 +121,7 @@ class LiveSession:
         sender_gone: Callable[[], bool] | None = None,
         on_result: Callable[[Result], None] | None = None,
     ) -> None:
-        self.final: Result | None = None
-        """The last result, once the session has ended."""
-        self.problem: Exception | None = None
-        """The first defect, or what ended the session against its will."""
+        super().__init__("session")
         if isinstance(source, Link):
             transceiver = Transceiver(
                 source, listen_only=options.listen_only, signing_key=options.signing_key
@@ -150,12 +145,9 @@ class LiveSession:
         self._commands = CommandQueue()
         self._toggling = self._postponed = False
         self._choice: FoundVehicle | None = None
-        self._stop = threading.Event()
         self._all_taken = self._loaded = False
-        self._latest: Snapshot | None = None
         self._result_reported_at = 0.0
         self._asked = self._published = -float("inf")
-        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
     def _new_estimate(self, wanted: tuple[int, int | None] | None) -> LiveEstimate:
         url, options = str(self._source.url), self._options
@@ -168,28 +160,9 @@ class LiveSession:
     # -- what the user does, in threads of their own
 
     def start(self) -> None:
-        """Begin."""
+        """Publish a first snapshot, and begin."""
         self._publish(LinkState.WAITING)
         self._thread.start()
-
-    def latest(self) -> Snapshot | None:
-        """The newest snapshot."""
-        return self._latest
-
-    def request_stop(self) -> None:
-        """End the session soon; returns at once."""
-        self._stop.set()
-
-    def stop(self) -> None:
-        """End the session and wait until everything is written."""
-        self._stop.set()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join()
-
-    def join(self, timeout: float | None = None) -> bool:
-        """Wait for the end; whether it has come."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""

@@ -7,22 +7,21 @@ numbers by rounding alone; where the log ends, those of the analysis are shown.
 
 import math
 import queue
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
-from gcs_sysid.live.live_view import RESULT_EVERY, picture
+from gcs_sysid.live.live_view import RESULT_EVERY, Session, picture
 from gcs_sysid.live.log_playback import LogPlayback, LogSegments, Recorded
+from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     FoundVehicle,
     LinkState,
     LinkStatus,
     Playback,
-    Snapshot,
     speed_text,
 )
 from gcs_sysid.session.chain import Chain
@@ -38,7 +37,7 @@ _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 
 
-class ReplaySession:
+class ReplaySession(Session):
     """Plays a log, in a thread of its own.
 
     Args:
@@ -65,11 +64,7 @@ class ReplaySession:
         clock: Callable[[], float] = time.monotonic,
         on_result: Callable[[Result], None] | None = None,
     ) -> None:
-        self.final: Result | None = None
-        """The last result, once the session has ended."""
-        self.problem: Exception | None = None
-        """What ended the session against its will."""
-        self.airframe = recorded.airframe
+        super().__init__("replay")
         self._recorded = recorded
         self._target = target
         self._stay = stay
@@ -83,40 +78,22 @@ class ReplaySession:
         self._asked_goal: float | None = None
         self._playback = LogPlayback(recorded, history_interval)
         self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._wake, self._stop = threading.Event(), threading.Event()
-        self._latest: Snapshot | None = None
         self._published = -math.inf
         self._changed = False
-        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
         self._begin()
 
     # -- the session, as the screen and the command line see it
 
     def start(self) -> None:
-        """Begin."""
+        """Publish a first snapshot, and begin."""
         self._set_pace(self._speed, self._paused)
         self._publish()
         self._thread.start()
 
-    def latest(self) -> Snapshot | None:
-        """The newest snapshot."""
-        return self._latest
-
-    def request_stop(self) -> None:
-        """End the session soon; returns at once."""
-        self._stop.set()
-        self._wake.set()
-
-    def stop(self) -> None:
-        """End the session and wait until it has."""
-        self.request_stop()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join()
-
-    def join(self, timeout: float | None = None) -> bool:
-        """Wait for the end; whether it has come."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+    @property
+    def airframe(self) -> Airframe:
+        """That the log was analyzed with."""
+        return self._recorded.airframe
 
     def recordings(self) -> list[str]:
         """None: what is played is recorded already."""
