@@ -12,7 +12,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.strict_json import json_text, parse_json
 
 SOURCES = Path(gcs_sysid.__file__).parent
-BETWEEN_PROCESSES = {"live/receiver_process.py", "live/receiver_wire.py", "web/worker_process.py"}
+BETWEEN_PROCESSES = {"web/worker_process.py"}
 """What one part of the program tells another."""
 NO_NUMBERS = {
     "fleet/jobs.py", "report/signal_table.py", "setup_help/airframe_file.py", "web/workbench.py",

@@ -46,16 +46,13 @@ def test_items_and_figures_arrive_as_they_were(frames):
         ),
         RecordingReport(active=True, path="a.tlog", lines=("recorded to b.tlog",)), 6, ("told",),
     )  # fmt: skip
-    pipe = io.BytesIO(b"".join(map(receiver_wire.item_message, said)))
-    assert [receiver_wire.read_item(*receiver_wire.read_message(pipe)) for _ in said] == said
+    pipe = io.BytesIO(b"".join(map(receiver_wire.packed, (*said, report))))
+    assert [receiver_wire.read_message(pipe).content for _ in (*said, report)] == [*said, report]
     assert receiver_wire.read_message(pipe) is None
-    kind, body = receiver_wire.read_message(io.BytesIO(receiver_wire.report_message(report)))
-    assert kind == receiver_wire.REPORT
-    assert receiver_wire.read_report(body) == report
 
 
 def test_a_message_that_is_cut_short_is_the_end():
-    whole = receiver_wire.item_message(Toggled("text"))
+    whole = receiver_wire.packed(Toggled("text"))
     assert receiver_wire.read_message(io.BytesIO(whole[:-1])) is None
 
 
@@ -139,12 +136,12 @@ def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(
     size = sum(len(frame.raw) for frame in frames)
     monkeypatch.setattr(receiver_main, "MOST_WAITING", 200_000)
     some = 400_000 // size
-    outbox.put_items([ReceivedFrames(n, frames) for n in range(some)])
+    outbox.put_items([ReceivedFrames(n, frames) for n in range(1, some + 1)])
     assert 0 < outbox.withheld < some * len(frames)
     outbox.put_items([RecordingCut(), Ended()])
     got = []
     while not got or not isinstance(got[-1], Ended):
-        got.append(receiver_wire.read_item(*receiver_wire.read_message(pipe)))
+        got.append(receiver_wire.read_message(pipe).content)
     outbox.close()
     handed = sum(len(item.frames) for item in got if isinstance(item, ReceivedFrames))
     assert handed + outbox.withheld == some * len(frames)

@@ -10,7 +10,6 @@ closes a whole recording. Signals that end the session are not for it: a termina
 all processes that it knows.
 """
 
-import json
 import os
 import queue
 import signal
@@ -36,6 +35,8 @@ POLL = 0.05
 GATHER, FEW = 0.004, 64
 """s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
 costs most."""
+_OF_RECEPTION = ("follow", "mark_reset", "start_recording", "stop_recording", "cut_recording")
+"""Orders that are its methods."""
 MOST_WAITING = 64 * 2**20
 """Bytes that wait for a session that does not take them, ten minutes at 1 kHz; what comes beyond is
 recorded, and not handed over."""
@@ -69,7 +70,7 @@ class Outbox:
     def put_items(self, items: Sequence[Item]) -> None:
         """Hand over items; frames only if there is room."""
         for item in items:
-            data = wire.item_message(item)
+            data = wire.packed(item)
             if isinstance(item, ReceivedFrames) and self._size + len(data) > MOST_WAITING:
                 self.withheld += len(item.frames)
             else:
@@ -113,12 +114,8 @@ class RequestsDone:
         # (vehicle, message) -> version of MAVLink, and the interval to put back.
         self._changed: dict[tuple[tuple[int, int], int], tuple[int, int]] = {}
         self._may: dict[str, Callable[..., bool]] = {
-            "heartbeat": gate.heartbeat,
+            **{name: getattr(gate, name) for name in wire.REQUESTS},
             "set_message_interval": self._set_message_interval,
-            "get_message_interval": gate.get_message_interval,
-            "request_message_interval": gate.request_message_interval,
-            "request_group": gate.request_group,
-            "read_parameter": gate.read_parameter,
         }
 
     def ask(self, name: str, version: int, *arguments: object) -> None:
@@ -129,7 +126,7 @@ class RequestsDone:
             KeyError: no request has that name.
         """
         self._gate.version = 1 if version == 1 else 2
-        self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))
+        self._may[name](*arguments)
 
     def _set_message_interval(
         self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
@@ -164,7 +161,7 @@ class ReceiverMain:
         reception: Reception,
         requests: RequestsDone,
         outbox: Outbox,
-        orders: "queue.SimpleQueue[list[Any] | None]",
+        orders: "queue.SimpleQueue[Sequence[Any] | None]",
     ) -> None:
         self._reception = reception
         self._requests = requests
@@ -205,31 +202,21 @@ class ReceiverMain:
                 self._outbox.put_items([Failure(f"{type(defect).__name__}: {defect}")])
 
     def _do(self, name: str, *arguments: Any) -> None:
-        reception = self._reception
         match name:
             case "ask":
                 self._requests.ask(*arguments)
-            case "follow":
-                reception.follow((int(arguments[0]), int(arguments[1])))
-            case "mark_reset":
-                reception.mark_reset()
-            case "start_recording":
-                reception.start_recording(Path(arguments[0]))
-            case "stop_recording":
-                reception.stop_recording()
-            case "cut_recording":
-                reception.cut_recording(Path(arguments[0]))
             case "flush":
                 # A disk that does not respond blocks only the caller.
                 threading.Thread(target=self._flush, args=arguments, daemon=True).start()
             case "finish":
                 self._finish()
+            case _ if name in _OF_RECEPTION:
+                getattr(self._reception, name)(*arguments)
         self._reported = -float("inf")
 
     def _flush(self, number: int) -> None:
-        path = self._reception.flushed_recording()
-        answer = [number, None if path is None else str(path)]
-        self._outbox.put(wire.json_message(wire.FLUSHED, answer))
+        answer = wire.Flushed(number, self._reception.flushed_recording())
+        self._outbox.put(wire.packed(answer))
 
     def _finish(self) -> None:
         """Take what has come so far, and end."""
@@ -253,16 +240,16 @@ class ReceiverMain:
         )
         if report != self._report:
             self._report = report
-            self._outbox.put(wire.report_message(report))
+            self._outbox.put(wire.packed(report))
 
 
-def _read_orders(source: BinaryIO, orders: "queue.SimpleQueue[list[Any] | None]") -> None:
-    for line in source:
-        orders.put(json.loads(line))
+def _read_orders(source: BinaryIO, orders: "queue.SimpleQueue[Sequence[Any] | None]") -> None:
+    while (order := wire.read_message(source)) is not None:
+        orders.put(order.content)
     orders.put(None)
 
 
-def _watch_parent(orders: "queue.SimpleQueue[list[Any] | None]") -> None:
+def _watch_parent(orders: "queue.SimpleQueue[Sequence[Any] | None]") -> None:
     """End when the session's process has: another child of it may hold the pipe open."""
     parent = os.getppid()
     while os.getppid() == parent:
@@ -270,19 +257,18 @@ def _watch_parent(orders: "queue.SimpleQueue[list[Any] | None]") -> None:
     orders.put(None)
 
 
-def open_reception(settings: dict[str, Any]) -> tuple[Reception, RequestsDone]:
-    """What the settings say.
+def open_reception(
+    url: LinkUrl, listen_only: bool, signing_key: Path | None, record_to: Path | None
+) -> tuple[Reception, RequestsDone]:
+    """What drives it; arguments as of `ReceiverProcess`.
 
     Raises:
         GcsSysidError: it cannot be.
     """
-    key, record_to = settings["signing_key"], settings["record_to"]
-    link = PersistentLink(open_link(LinkUrl(**settings["url"])))
+    link = PersistentLink(open_link(url))
     try:
-        transceiver = Transceiver(
-            link, listen_only=settings["listen_only"], signing_key=Path(key) if key else None
-        )
-        recording = SessionRecording(Path(record_to) if record_to else None)
+        transceiver = Transceiver(link, listen_only=listen_only, signing_key=signing_key)
+        recording = SessionRecording(record_to)
     except GcsSysidError:
         link.close()
         raise
@@ -296,16 +282,16 @@ def main() -> int:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     outbox = Outbox(sys.stdout.buffer)
     try:
-        settings = json.loads(sys.stdin.buffer.readline())
-        reception, requests = open_reception(settings)
-    except (GcsSysidError, ValueError) as error:
-        refusal = [type(error).__name__, str(error)]
-        outbox.put(wire.json_message(wire.REFUSED, refusal))
+        settings = wire.read_message(sys.stdin.buffer)
+        if settings is None:
+            return 2
+        reception, requests = open_reception(*settings.content)
+    except GcsSysidError as error:
+        outbox.put(wire.packed(error))
         outbox.close()
         return 2
-    url = reception.url
-    outbox.put(wire.json_message(wire.OPENED, [url.text, url.port]))
-    orders: queue.SimpleQueue[list[Any] | None] = queue.SimpleQueue()
+    outbox.put(wire.packed(reception.url))
+    orders: queue.SimpleQueue[Sequence[Any] | None] = queue.SimpleQueue()
     threading.Thread(target=_read_orders, args=(sys.stdin.buffer, orders), daemon=True).start()
     threading.Thread(target=_watch_parent, args=(orders,), daemon=True).start()
     ReceiverMain(reception, requests, outbox, orders).run()

@@ -1,17 +1,17 @@
 """The session's end of a receiver in a process of its own."""
 
 import contextlib
-import json
 import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from gcs_sysid.errors import GcsSysidError, InputError, LinkError
+from gcs_sysid.errors import LinkError
 from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Item, RecordingReport
 from gcs_sysid.processes import apart
@@ -24,7 +24,6 @@ AT_ONCE = 32
 MOST_WAITING = 64 * 2**20
 """Bytes that wait here; what comes beyond waits in the receiver."""
 _MOST_EVENTS = 100
-_ERRORS: dict[str, type[GcsSysidError]] = {"InputError": InputError, "LinkError": LinkError}
 
 
 class RelayedRequests:
@@ -44,31 +43,10 @@ class RelayedRequests:
         self.listen_only = listen_only
         self.signing = signing
 
-    def heartbeat(self) -> bool:
-        """As of `Gate`."""
-        return self._ask("heartbeat")
-
-    def set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
-    ) -> bool:
-        """As of `Gate`."""
-        return self._ask("set_message_interval", target, message_id, interval_us, own_us)
-
-    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
-        """As of `Gate`."""
-        return self._ask("get_message_interval", target, message_id)
-
-    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
-        """As of `Gate`."""
-        return self._ask("request_message_interval", target, message_id)
-
-    def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
-        """As of `Gate`."""
-        return self._ask("request_group", target, group, hertz)
-
-    def read_parameter(self, target: tuple[int, int], name: str) -> bool:
-        """As of `Gate`."""
-        return self._ask("read_parameter", target, name)
+    def __getattr__(self, name: str) -> Callable[..., bool]:
+        if name not in wire.REQUESTS:
+            raise AttributeError(name)
+        return partial(self._ask, name)
 
     def _ask(self, name: str, *arguments: object) -> bool:
         if not self.listen_only:
@@ -99,7 +77,7 @@ class ReceiverProcess:
         record_to: Path | None = None,
     ) -> None:
         self._wake = threading.Condition()
-        self._messages: deque[tuple[bytes, bytes]] = deque()
+        self._messages: deque[wire.Message] = deque()
         self._size = 0
         self._newest = self._taken = 0  # us since 1970
         self._over = False
@@ -107,7 +85,7 @@ class ReceiverProcess:
         self._report = wire.Report()
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._flushes = 0
-        self._flushed: tuple[int, str | None] = (0, None)
+        self._flushed = wire.Flushed(0, None)
         self._ordering = threading.Lock()
         self._reader: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
@@ -119,31 +97,24 @@ class ReceiverProcess:
         )
         self._orders = cast(BinaryIO, self._process.stdin)
         self._answers = cast(BinaryIO, self._process.stdout)
-        self._send(
-            {
-                "url": asdict(url),
-                "listen_only": listen_only,
-                "signing_key": str(signing_key) if signing_key else None,
-                "record_to": str(record_to) if record_to else None,
-            }
-        )
+        self._send((url, listen_only, signing_key, record_to))
         self.url = self._opened(url)
         settings = {"listen_only": listen_only, "signing": signing_key is not None}
-        self._gate = RelayedRequests(lambda *what: self._order("ask", *what), **settings)
+        relayed = RelayedRequests(lambda *what: self._order("ask", *what), **settings)
+        self._gate = cast(Requests, relayed)
         self._reader = threading.Thread(target=self._read, name="receiver", daemon=True)
         self._reader.start()
 
     def _opened(self, url: LinkUrl) -> LinkUrl:
         """The URL that was opened; the error if none was."""
         first = wire.read_message(self._answers)
-        if first is not None and first[0] == wire.OPENED:
-            text, port = json.loads(first[1])
-            return replace(url, text=text, port=port)
+        opened = LinkError(f"{url}: the receiver process did not start")
+        if first is not None:
+            opened = first.content
+        if isinstance(opened, LinkUrl):
+            return opened
         self.close()
-        if first is None:
-            raise LinkError(f"{url}: the receiver process did not start")
-        kind, text = json.loads(first[1])
-        raise _ERRORS.get(kind, GcsSysidError)(text)
+        raise opened
 
     @property
     def gate(self) -> Requests:
@@ -185,14 +156,12 @@ class ReceiverProcess:
             self._wake.wait_for(lambda: self._messages or self._over, timeout)
             count = min(len(self._messages), AT_ONCE)
             some = [self._messages.popleft() for _ in range(count)]
-            self._size -= sum(len(body) for _, body in some)
+            self._size -= sum(len(message.body) for message in some)
             self._wake.notify_all()
         if not some and self._over:
             raise LinkError(f"{self.url}: the receiver died; its recording is complete")
-        for kind, body in some:
-            if kind == wire.FRAMES:
-                self._taken = max(self._taken, *wire.TIME.unpack_from(body))
-        return [wire.read_item(kind, body) for kind, body in some]
+        self._taken = max(self._taken, *(message.time_us for message in some), 0)
+        return [message.content for message in some]
 
     def put_back(self, items: Sequence[Item]) -> None:
         """Have the next `next_items` give these, which were taken before."""
@@ -207,7 +176,7 @@ class ReceiverProcess:
 
     def follow(self, vehicle: tuple[int, int]) -> None:
         """Answer to this vehicle from now on."""
-        self._order("follow", *vehicle)
+        self._order("follow", vehicle)
 
     def mark_reset(self) -> None:
         """Have a `ResetMark` recorded and handed over."""
@@ -215,7 +184,7 @@ class ReceiverProcess:
 
     def start_recording(self, path: Path) -> None:
         """Record into another file from now on."""
-        self._order("start_recording", str(path))
+        self._order("start_recording", path)
 
     def stop_recording(self) -> None:
         """End the recording."""
@@ -223,7 +192,7 @@ class ReceiverProcess:
 
     def cut_recording(self, path: Path) -> None:
         """Go on in another file, if it is recorded at all."""
-        self._order("cut_recording", str(path))
+        self._order("cut_recording", path)
 
     def flushed_recording(self) -> Path | None:
         """The latest recording, all that was written so far in the file; None without one."""
@@ -232,9 +201,8 @@ class ReceiverProcess:
             number = self._flushes
         self._order("flush", number)
         with self._wake:
-            self._wake.wait_for(lambda: self._flushed[0] >= number or self._over, 15.0)
-            path = self._flushed[1]
-        return None if path is None else Path(path)
+            self._wake.wait_for(lambda: self._flushed.number >= number or self._over, 15.0)
+            return self._flushed.path
 
     def finish(self) -> None:
         """End: what is left is handed over, and `Ended`."""
@@ -260,40 +228,40 @@ class ReceiverProcess:
             self._reader.join()
 
     def _order(self, name: str, *arguments: object) -> None:
-        self._send([name, *arguments])
+        self._send((name, *arguments))
 
     def _send(self, content: Any) -> None:
         with (
             self._ordering,
             contextlib.suppress(OSError, ValueError),
         ):  # it has died: `take` reports that
-            self._orders.write(json.dumps(content).encode() + b"\n")
+            self._orders.write(wire.packed(content))
             self._orders.flush()
 
     def _read(self) -> None:
         """Take down all that the receiver says; in a thread of its own."""
         with contextlib.suppress(OSError, ValueError):
             while (message := wire.read_message(self._answers)) is not None:
-                self._note(*message)
+                self._note(message)
         with self._wake:
             self._over = True
             self._wake.notify_all()
         self._answers.close()
 
-    def _note(self, kind: bytes, body: bytes) -> None:
-        if kind == wire.REPORT:
-            self._report = report = wire.read_report(body)
-            self._events.extend(report.events)
+    def _note(self, message: wire.Message) -> None:
+        content = None if message.time_us else message.content
+        if isinstance(content, wire.Report):
+            self._report = content
+            self._events.extend(content.events)
             return
         with self._wake:
-            if kind == wire.FLUSHED:
-                number, path = json.loads(body)
-                self._flushed = (number, path)
+            if isinstance(content, wire.Flushed):
+                self._flushed = content
             else:
                 self._wake.wait_for(lambda: self._size < MOST_WAITING)
-                if kind == wire.FRAMES:
-                    self._newest = max(self._newest, *wire.TIME.unpack_from(body))
+                if message.time_us:
+                    self._newest = max(self._newest, message.time_us)
                     self._taken = self._taken or self._newest
-                self._messages.append((kind, body))
-                self._size += len(body)
+                self._messages.append(message)
+                self._size += len(message.body)
             self._wake.notify_all()
