@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.changes.tracking import TRACKING
 from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
@@ -59,22 +60,15 @@ def test_agrees_with_the_validation(fly, flight):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("log", "layout", "arm", "mass"),
-    [
-        ("ardupilot-sitl.tlog", "ardupilot-quad-x", 0.24, 1.6),
-        pytest.param(
-            *("px4-sih-default.tlog", "px4-quad-x", 0.25 * 2**0.5, 1.0),
-            marks=pytest.mark.thorough,
-        ),
-    ],
-    ids=["behind a gyro filter", "commands"],
-)
-def test_agrees_on_recorded_flights(shared_logs, log, layout, arm, mass):
-    airframe = load_airframe(layout).with_arm(arm).with_anchor("mass", mass)
-    data = analyzed(shared_logs / log, airframe)
+def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
+    airframe = load_airframe("ardupilot-quad-x").with_arm(0.24).with_anchor("mass", 1.6)
+    data = analyzed(shared_logs / "ardupilot-sitl.tlog", airframe)
     told = data.result.validation["r_squared"]
-    assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=5e-4)
+    # The fit leaves out how the flight ended.
+    t = data.prediction.t
+    aloft = t < t[data.prediction.held_out].max() - TRACKING.touchdown
+    found = replace(data.prediction, held_out=data.prediction.held_out & aloft)
+    assert agreement(found)[0] == pytest.approx(list(told.values()), abs=5e-4)
 
 
 @pytest.mark.slow

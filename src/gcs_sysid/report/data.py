@@ -16,7 +16,6 @@ import scipy
 
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.changes.tracking import TRACKING
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.files import log_file
 from gcs_sysid.live.acceleration_prediction import Model, RotationSamples
@@ -49,8 +48,6 @@ class Recorder:
         # More samples go to a temporary file.
         self._file = tempfile.SpooledTemporaryFile(max_size=64 << 20)  # noqa: SIM115
         self._input: object = None
-        self._flew = False
-        self._landings: list[float] = []
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
@@ -73,9 +70,6 @@ class Recorder:
         rows["t"][gap:] = block.t
         rows["x"][gap:] = np.column_stack([s.gyro, s.rates, s.speeds])
         self._file.write(rows.tobytes())
-        flew = np.append(self._flew, block.flying[:-1])
-        self._flew = bool(block.flying[-1])
-        self._landings += block.t[flew & ~block.flying].tolist()
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
@@ -83,13 +77,11 @@ class Recorder:
         self.notes = chain.events
 
     def samples(self, at_once: int = 8192) -> Iterator[RotationSamples]:
-        """What was taken, in pieces; a gap, or how a flight ended, is samples that are missing."""
+        """What was taken, in pieces; a gap is a sample that is missing."""
         self._file.seek(0)
         while data := self._file.read(at_once * self._row.itemsize):
             rows = np.frombuffer(data, self._row)
             x = rows["x"].astype(float)
-            for landed in self._landings:
-                x[(rows["t"] > landed - TRACKING.touchdown) & (rows["t"] <= landed)] = np.nan
             yield RotationSamples(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])
 
     def close(self) -> None:
@@ -100,7 +92,6 @@ class Recorder:
         self._file.seek(0)
         self._file.truncate()
         self.dt, self._input = dt, rotors
-        self._flew, self._landings = False, []
 
 
 @dataclass(frozen=True)
