@@ -5,7 +5,7 @@
 The emulator flies, for each pack, some minutes of the article's mission without noise: the ground,
 the climb, three turns of 60 s, the landing, the ground again; packs differ by a few grams. Two of
 the turns are repeated until the pack's share of the hours is full, with stamps that go on, fresh
-white noise on gyro, accelerometer and attitude each time, and new numbers and checksums. What is
+white noise on gyro, accelerometer and attitude each time, and new numbers. What is
 repeated is thus the motion, not the noise. The rates are low (20 Hz), so that a day takes minutes.
 
 The vehicle's clock begins two hours before its 32-bit milliseconds wrap. It goes on while packs
@@ -21,30 +21,29 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.reliability.watched import resident
+from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.origin import Origin
-from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
-from gcs_sysid.telemetry.frames import Frame, read_frame
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.tlog import read_tlog
+from sim_bridge.autopilot import BOOT_US
 from sim_bridge.missions import MISSIONS, Mission, Reference
 from sim_bridge.simulation import mass_step
-from sim_bridge.wire import FrameWriter
 from testbed.ground_cycles import emulate
+from testbed.repeated import add_to, frames_of, later
 from testbed.study import arguments
 
 RATE = 20.0
@@ -70,23 +69,17 @@ REBOOTS = (2, 4)
 """Packs, counted from 0, before which the autopilot was switched off."""
 TO_WRAP = 7200.0
 """s from the day's start to the wrap of 32-bit milliseconds."""
-NOISE = {"gyro": 0.01, "force": 0.1, "attitude": 0.003}
-"""rad/s, m/s^2, rad: standard deviations of white noise."""
+NOISE = (
+    (MESSAGE_IDS["HIGHRES_IMU"], 8, [0.1] * 3 + [0.01] * 3),
+    (MESSAGE_IDS["ATTITUDE"], 4, [0.003] * 3),
+)
+"""Message, offset of its floats, standard deviations of their white noise: m/s^2, rad/s, rad."""
 SHOWN = ("Ixx", "Iyy", "Izz", "k_T", "k_M", "cg_x", "cg_y")
 BAR = 2.0
 """% of error at the end of each flight."""
 GROWN_MB = 5.0
 _TOGETHER = 0.2
 """s of frames taken at a time."""
-_US64, _US32, _MS32 = (
-    {MESSAGE_IDS[name] for name in names}
-    for names in (
-        ("HIGHRES_IMU", "ESC_STATUS"),
-        ("SERVO_OUTPUT_RAW",),
-        ("ATTITUDE", "LOCAL_POSITION_NED"),
-    )
-)
-_IMU, _ATTITUDE = MESSAGE_IDS["HIGHRES_IMU"], MESSAGE_IDS["ATTITUDE"]
 
 
 @dataclass(frozen=True)
@@ -108,32 +101,8 @@ class Turns:
         return whole.reference(t)
 
 
-@dataclass(frozen=True)
-class Message:
-    """One of the emulated flight's, without what changes when it is sent again."""
-
-    t: float
-    """s since the flight's start."""
-    message_id: int
-    crc_extra: int
-    payload: bytes
-    """Of full length."""
-
-
-def messages_of(recording: Path) -> list[Message]:
-    """A recording's, in order."""
-    out, first = [], None
-    for time_us, frame in read_tlog(recording):
-        first = time_us if first is None else first
-        kind = mavlink.mavlink_map[frame.message_id]
-        payload = frame.payload.ljust(kind.unpacker.size, b"\0")
-        t = 1e-6 * (time_us - first)
-        out.append(Message(t, frame.message_id, kind.crc_extra, payload))
-    return out
-
-
 class Replayer:
-    """Sends messages again as the frames of one vehicle that flies on.
+    """Sends parts of recordings again as the frames of one vehicle that flies on.
 
     Args:
         seed: of the noise.
@@ -145,60 +114,41 @@ class Replayer:
         self.wraps = {"us": 0, "ms": 0}
         self.sent = 0
         self._random = np.random.default_rng(seed)
-        self._writer = FrameWriter(1, 1)
-        self._last = {"us": 0, "ms": 0}
 
     def reboot(self) -> None:
         """The clock restarts."""
         self.clock = 2.0
-        self._last = {"us": 0, "ms": 0}
 
-    def send(self, messages: list[Message], begin: float, end: float) -> Iterator[list[Frame]]:
+    def send(self, flight: FrameBlock, begin: float, end: float) -> Iterator[FrameBlock]:
         """The part [begin, end) s of a flight, some frames at a time; the clock goes on."""
-        part = [message for message in messages if begin <= message.t < end]
-        inertial = self._random.standard_normal((len(part), 6)) * (
-            [NOISE["force"]] * 3 + [NOISE["gyro"]] * 3
-        )
-        angles = NOISE["attitude"] * self._random.standard_normal((len(part), 3))
-        frames: list[Frame] = []
-        until = begin + _TOGETHER
-        for message, six, three in zip(part, inertial, angles, strict=True):
-            if message.t >= until:
-                yield frames
-                frames, until = [], until + _TOGETHER
-            us = round(1e6 * (self.clock + message.t - begin))
-            frames.append(self._frame(message, us, six, three))
-        yield frames
+        t = seconds_of(flight)
+        part = flight.part(*np.searchsorted(t, [begin, end]).tolist())
+        ms = round(1e3 * (self.clock - begin)) - round(1e-3 * BOOT_US)
+        part = self._noisy(later(part, 1000 * ms, self.sent))
+        cuts = np.searchsorted(seconds_of(part), np.arange(_TOGETHER, end - begin, _TOGETHER))
+        for first, last in pairwise([0, *cuts.tolist(), len(part)]):
+            yield part.part(first, last)
+        for unit, scale in (("us", 1e6), ("ms", 1e3)):
+            before, after = (int(scale * s) >> 32 for s in (self.clock, self.clock + end - begin))
+            self.wraps[unit] += after - before
         self.clock += end - begin
         self.sent += len(part)
 
-    def _frame(self, message: Message, us: int, six: Any, three: Any) -> Frame:
-        payload = bytearray(message.payload)
-        if message.message_id in _US64:
-            payload[:8] = us.to_bytes(8, "little")
-        elif message.message_id in _US32:
-            payload[:4] = self._wrapping("us", us)
-        elif message.message_id in _MS32:
-            payload[:4] = self._wrapping("ms", us // 1000)
-        if message.message_id == _IMU:
-            values = np.frombuffer(payload, "<f4", 6, 8)
-            values += six
-        elif message.message_id == _ATTITUDE:
-            values = np.frombuffer(payload, "<f4", 3, 4)
-            values += three
-        raw = self._writer.frame_of_payload(message.message_id, message.crc_extra, bytes(payload))
-        frame = read_frame(raw)
-        assert frame is not None
-        return frame
-
-    def _wrapping(self, unit: str, stamp: int) -> bytes:
-        stamp %= 1 << 32
-        self.wraps[unit] += stamp < self._last[unit]
-        self._last[unit] = stamp
-        return stamp.to_bytes(4, "little")
+    def _noisy(self, part: FrameBlock) -> FrameBlock:
+        for message_id, offset, std in NOISE:
+            rows = (part.message_id == message_id) & (part.payload_size >= offset + 4 * len(std))
+            noise = self._random.standard_normal((np.count_nonzero(rows), len(std))) * std
+            add_to(part.data, part.payload_at[rows] + offset, "<f4", noise)
+        return part
 
 
-def template(folder: Path, pack: int) -> tuple[list[Message], dict[str, float]]:
+def seconds_of(frames: FrameBlock) -> Array:
+    """(n,) s from the first on."""
+    t: Array = 1e-6 * (frames.time_us - frames.time_us[0]).astype(float)
+    return t
+
+
+def template(folder: Path, pack: int) -> tuple[FrameBlock, dict[str, float]]:
     """The emulated flight of a pack, and what is true of it."""
     path = folder / f"pack{pack}.tlog"
     factor = 1.0 + 1e-3 * GRAMS[pack % len(GRAMS)] / 1.5
@@ -212,26 +162,23 @@ def template(folder: Path, pack: int) -> tuple[list[Message], dict[str, float]]:
         seed=pack,
         changes=[mass_step(0.0, factor)],
     )
-    return messages_of(path), json.loads(path.with_suffix(".truth.json").read_text())
+    return frames_of(path), json.loads(path.with_suffix(".truth.json").read_text())
 
 
 def fly(
-    take: Callable[[Sequence[Frame]], None],
-    replayer: Replayer,
-    messages: list[Message],
-    seconds: float,
+    take: Callable[[FrameBlock], None], replayer: Replayer, flight: FrameBlock, seconds: float
 ) -> None:
     """Take off, fly turns for so long, land."""
     begin = GROUND + CLIMB + 2.0 + TURN
     end = begin + (TURNS - 1) * TURN
-    last = messages[-1].t + 1.0 / RATE
+    last = float(seconds_of(flight)[-1]) + 1.0 / RATE
     parts = [(0.0, begin)]
     left = seconds - begin - (last - end)
     while left > 0.0:
         parts.append((begin, min(end, begin + TURN * max(round(left / TURN), 1))))
         left -= parts[-1][1] - begin
     for part in (*parts, (end, last)):
-        for frames in replayer.send(messages, *part):
+        for frames in replayer.send(flight, *part):
             take(frames)
 
 
@@ -262,18 +209,18 @@ def main() -> int:
         origin=Origin(intake, "day"),
     )
 
-    def take(frames: Sequence[Frame]) -> None:
-        chain.take(intake.block(FrameBlock.of(frames)))
+    def take(frames: FrameBlock) -> None:
+        chain.take(intake.block(frames))
 
     replayer = Replayer(1, (1 << 32) * 1e-3 - TO_WRAP)
     print(f"{'flight':<8}{'flown':>8}{'clock':>12}{'MB':>8}  errors in % (+- half width of 95 %)")
     memory, spent, bad = [], time.process_time(), 0
     with tempfile.TemporaryDirectory() as folder:
         for pack in range(options.packs):
-            messages, truth = template(Path(folder), pack)
+            flight, truth = template(Path(folder), pack)
             if pack in REBOOTS:
                 replayer.reboot()
-            fly(take, replayer, messages, 3600.0 * options.hours / options.packs)
+            fly(take, replayer, flight, 3600.0 * options.hours / options.packs)
             result = chain.refit()
             memory.append(1e-6 * resident())
             found = errors(result, truth)

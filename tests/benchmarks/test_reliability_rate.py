@@ -11,9 +11,9 @@ from benchmarks.reliability.watched import Times
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed.ground_cycles import emulate
+from testbed.repeated import frames_of
 
 
 def test_garbage_holds_no_frame_and_repeats_with_its_seed():
@@ -79,49 +79,44 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture
-def messages(recording):
-    kinds = [MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "ATTITUDE", "SERVO_OUTPUT_RAW")]
-    some = [m for m in day.messages_of(recording) if m.message_id in kinds and m.t < 2.0]
-    # An autopilot must introduce itself.
-    beat = next(f for _, f in read_tlog(recording) if f.message_id == 0)
-    return [day.Message(0.0, 0, 50, beat.payload.ljust(9, b"\0")), *some]
+def flight(recording):
+    return frames_of(recording)
 
 
-def sent(replayer, messages, times):
-    return [
-        frame for _ in range(times) for part in replayer.send(messages, 0.0, 2.0) for frame in part
-    ]
+def sent(replayer, flight, times, intake):
+    blocks = [part for _ in range(times) for part in replayer.send(flight, 0.0, 2.0)]
+    return [record for part in blocks for _, record in intake.block(part).records()]
 
 
-def test_what_is_sent_again_goes_on_over_the_wraps(messages):
+def test_what_is_sent_again_goes_on_over_the_wraps(flight):
     replayer = day.Replayer(1, (1 << 32) * 1e-3 - 3.013)
     intake = Intake()
-    records = intake.frames(sent(replayer, messages, 4))
+    records = sent(replayer, flight, 4, intake)
     t = [record.t for record in records if record.stream == "imu"]
     assert np.allclose(np.diff(t), 0.05, atol=2e-6)
     assert replayer.wraps["ms"] == 1
     assert intake.monitor.lost == 0
     assert intake.decoder.clock.reboots == 0
-    assert intake.decoder.dropped_messages == 0
+    # Before the first stamp there is no time.
+    assert intake.as_dict()["dropped"].keys() <= {"no time"}
 
 
-def test_noise_is_fresh_each_time(messages):
-    records = Intake().frames(sent(day.Replayer(1, 10.0), messages, 2))
+def test_noise_is_fresh_each_time(flight):
+    records = sent(day.Replayer(1, 10.0), flight, 2, Intake())
     imu = np.array([record.values for record in records if record.stream == "imu"])
-    half = len(imu) // 2
-    apart = imu[half:] - imu[:half]
+    apart = imu[40:] - imu[:-40]  # 2 s later
     assert np.allclose(
         apart.std(axis=0) / np.sqrt(2.0),
-        [day.NOISE["gyro"]] * 3 + [day.NOISE["force"]] * 3,
+        [0.01] * 3 + [0.1] * 3,
         rtol=0.5,
     )
 
 
-def test_a_reboot_is_one(messages):
+def test_a_reboot_is_one(flight):
     replayer, intake = day.Replayer(1, 1000.0), Intake()
-    intake.frames(sent(replayer, messages, 1))
+    sent(replayer, flight, 1, intake)
     replayer.reboot()
-    intake.frames(sent(replayer, messages, 1))
+    sent(replayer, flight, 1, intake)
     assert intake.decoder.clock.reboots == 1
 
 
