@@ -20,7 +20,7 @@ from gcs_sysid.argument_types import count
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.doublets import ALL_MISSIONS
-from testbed.judge import judge
+from testbed.judge import claims, judge
 from testbed.study import WORKERS, arguments, flown, in_processes, markdown
 
 AIRFRAME = "px4-quad-x"
@@ -42,20 +42,19 @@ def fly(cell: Cell, seed: int) -> dict[str, Any]:
 
 def row(cell: Cell, outcomes: Sequence[dict[str, Any]]) -> tuple[list[str], float]:
     """A cell's row, and the share of its claims that hold; 1 where nothing is claimed."""
-    claims = [
-        (abs(found["z"]) / Z95, found["holds"], f"{name}, seed {seed}")
+    found = [
+        (abs(claim["z"]) / Z95, claim["holds"], f"{name}, seed {seed}")
         for seed, outcome in enumerate(outcomes, 1)
-        for name, found in outcome.get("parameters", {}).items()
-        if found["status"] == "identified"
+        for name, claim in claims(outcome)
     ]
-    held = sum(holds for _, holds, _ in claims)
-    off, _, which = max(claims, default=(0.0, True, ""))
+    held = sum(holds for _, holds, _ in found)
+    off, _, which = max(found, default=(0.0, True, ""))
     verdicts = Counter(outcome["verdict"] for outcome in outcomes)
-    share = held / len(claims) if claims else 1.0
+    share = held / len(found) if found else 1.0
     cells = [
         f"{cell[0]} Hz", cell[1], ", ".join(f"{n} {verdict}" for verdict, n in verdicts.items()),
-        f"{held} of {len(claims)}", f"{100.0 * share:.1f} %" if claims else "-",
-        f"{off:.2f} ({which})" if claims else "-",
+        f"{held} of {len(found)}", f"{100.0 * share:.1f} %" if found else "-",
+        f"{off:.2f} ({which})" if found else "-",
     ]  # fmt: skip
     return cells, share
 

@@ -60,6 +60,19 @@ def outcome(result: Result, truth: Truth) -> dict[str, Any]:
     }
 
 
+Claims = list[tuple[str, dict[str, Any]]]
+"""Name and judgment (see `against`, and its `status`) of each parameter that a result shows."""
+
+
+def claims(outcome: dict[str, Any], *, all_shown: bool = False) -> Claims:
+    """What an outcome claims: parameters that are `identified`, or `weak` ones too."""
+    return [
+        (name, found)
+        for name, found in outcome.get("parameters", {}).items()
+        if all_shown or found["status"] == "identified"
+    ]
+
+
 def against(value: float, std: float, truth: float | list[float]) -> dict[str, float | bool]:
     """An estimate against its true value, or the nearest within the range of several.
 

@@ -15,7 +15,7 @@ from testbed import command_flights as early
 from testbed import fleets as changes
 from testbed import independent
 from testbed.article_flights import fly, measure
-from testbed.judge import MOMENTS
+from testbed.judge import MOMENTS, claims
 from testbed.scenarios import SCENARIOS
 
 Outcomes = Sequence[dict[str, Any]]
@@ -39,28 +39,14 @@ def _truth(unit: tuple[str, int]) -> dict[str, Any]:
     return {**truth.fly(name, None, number), "scenario": name}
 
 
-def claims(
-    outcomes: Outcomes, *, all_shown: bool = False
-) -> list[list[tuple[str, dict[str, Any]]]]:
-    """What each flight claims: parameters that are `identified`, or `weak` ones too."""
-    return [
-        [
-            (name, found)
-            for name, found in o.get("parameters", {}).items()
-            if all_shown or found["status"] == "identified"
-        ]
-        for o in outcomes
-    ]
-
-
 def claim_figures(what: str, outcomes: Outcomes) -> list[Figure]:
     """Of flights held against their truth by `testbed.judge`."""
 
     def holds(*, all_shown: bool) -> list[list[bool]]:
-        return [[f["holds"] for _, f in c] for c in claims(outcomes, all_shown=all_shown)]
+        return [[f["holds"] for _, f in claims(o, all_shown=all_shown)] for o in outcomes]
 
     def moments(units: Outcomes) -> list[dict[str, Any]]:
-        return [f for flight in claims(units) for name, f in flight if name in MOMENTS]
+        return [f for o in units for name, f in claims(o) if name in MOMENTS]
 
     def errors(units: Outcomes) -> float:
         return _median([100.0 * abs(f["error"]) for f in moments(units)])
@@ -71,7 +57,7 @@ def claim_figures(what: str, outcomes: Outcomes) -> list[Figure]:
         return _median([100.0 * Z95 * std for std in stds])
 
     def far(units: Outcomes) -> float:
-        return sum(abs(f["z"]) > 4.0 for flight in claims(units) for _, f in flight)
+        return sum(abs(f["z"]) > 4.0 for o in units for _, f in claims(o))
 
     def events(units: Outcomes) -> float:
         return sum(len(o.get("events", ())) for o in units)
@@ -82,7 +68,7 @@ def claim_figures(what: str, outcomes: Outcomes) -> list[Figure]:
         figure(f"{what}: claims beyond 4 sigma", "never", outcomes, far),
         figure(
             f"{what}: `identified` a flight", "high", outcomes,
-            lambda units: float(np.mean([len(c) for c in claims(units)])),
+            lambda units: float(np.mean([len(claims(o)) for o in units])),
         ),
         figure(
             f"{what}: moments of inertia claimed, %", "high", outcomes,

@@ -10,10 +10,12 @@ import time
 from typing import Any
 
 from benchmarks.accuracy.cases import CASES, Case
+from benchmarks.accuracy.document import page
 from benchmarks.accuracy.tables_others import whole_path
 from testbed.study import PROJECT, WORKERS, Kept, arguments, in_processes, say
 
 KEPT = Kept(PROJECT / "build" / "accuracy", 3)
+PAGE = PROJECT / "docs" / "accuracy.md"
 
 
 def study(case: Case, count: int, workers: int) -> dict[str, Any]:
@@ -70,9 +72,8 @@ def main() -> None:
     if options.only == ["end-to-end"]:
         print("\n".join(whole_path(kept()).lines).rstrip())
         return
-    from benchmarks.accuracy import document  # draws, with the group `bench`
-
-    print(document.write(kept(), PROJECT / "docs"), file=sys.stderr)
+    PAGE.write_text(page(kept()), encoding="utf-8", newline="\n")
+    print(PAGE.relative_to(PROJECT), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -44,8 +44,6 @@ VIBRATION = 0.03
 DELAYS = (0.0, 0.010, 0.020, 0.030, 0.040)
 REFIT = 0.1
 """s between estimates of a running flight."""
-DRAW_EACH = 5
-"""Refits of which one is kept for the figure."""
 NOTHING_BEFORE = 3.0
 """s of flight before which the program claims nothing (`session.chain`)."""
 
@@ -162,15 +160,12 @@ def followed(t: Array, errors: Array, std: Array, identified: Mask) -> dict[str,
         identified: (n, 10) whether that was the status.
     """
     wrong = identified & (np.abs(errors) > Z95 * std)
-    drawn = slice(len(t) - 1, None, -DRAW_EACH)  # the last for sure
     return {
         "settled": settled(t, errors[None])[0].tolist(),
         "wrong at end": wrong[-1].tolist(),
         "wrong refits": wrong.sum(axis=0).tolist(),
         "identified refits": identified.sum(axis=0).tolist(),
         "any wrong at any refit": bool(wrong.any()),
-        "t": t[drawn][::-1].tolist(),
-        "error": [[float(f"{e:.3g}") for e in row] for row in errors[drawn][::-1]],
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.verdicts import number, table
-from testbed.judge import MOMENTS
+from testbed.judge import MOMENTS, Claims, claims
 
 TEMPLATE = Path(__file__).with_name("template.md")
 Outcome = dict[str, Any]
@@ -24,14 +24,9 @@ HEAD = [
 _SHORT = {"identified": "i", "partial": "p", "refused": "r", "error": "e"}
 
 
-def judged(outcomes: list[Outcome], claimed: bool = False) -> list[tuple[str, dict[str, Any]]]:
-    """Every interval of every flight, or those of status `identified`."""
-    return [
-        (name, found)
-        for outcome in outcomes
-        for name, found in outcome.get("parameters", {}).items()
-        if not claimed or found["status"] == "identified"
-    ]
+def judged(outcomes: list[Outcome], *, all_shown: bool = False) -> Claims:
+    """The claims of several flights together."""
+    return [claim for outcome in outcomes for claim in claims(outcome, all_shown=all_shown)]
 
 
 def share(part: float, whole: float) -> str:
@@ -39,7 +34,7 @@ def share(part: float, whole: float) -> str:
     return f"{100.0 * part / whole:.0f} % of {whole:.0f}" if whole else "–"
 
 
-def held(found: list[tuple[str, dict[str, Any]]]) -> str:
+def held(found: Claims) -> str:
     """How many of the intervals have a true value in them."""
     return share(sum(f["holds"] for _, f in found), len(found))
 
@@ -57,17 +52,17 @@ def verdicts(outcomes: list[Outcome]) -> str:
 
 def row(name: str, outcomes: list[Outcome]) -> list[str]:
     """A scenario's row."""
-    claims = judged(outcomes, claimed=True)
-    moments = [abs(f["error"]) for n, f in claims if n in MOMENTS]
-    sizes = [abs(f["z"]) for _, f in claims]
+    claimed = judged(outcomes)
+    moments = [abs(f["error"]) for n, f in claimed if n in MOMENTS]
+    sizes = [abs(f["z"]) for _, f in claimed]
     r_squared = [o["r_squared"] for o in outcomes if o.get("r_squared") is not None]
     white = [o["whiteness"] for o in outcomes if o.get("whiteness") is not None]
     return [
         name,
         str(len(outcomes)),
         verdicts(outcomes),
-        held(claims),
-        held(judged(outcomes)),
+        held(claimed),
+        held(judged(outcomes, all_shown=True)),
         share(len(moments), len(MOMENTS) * len(outcomes)),
         percent(moments, np.median),
         percent(moments, max),
@@ -80,15 +75,10 @@ def row(name: str, outcomes: list[Outcome]) -> list[str]:
 
 def worst(name: str, outcomes: list[Outcome]) -> list[str] | None:
     """The claim of a scenario that is furthest off, if any is by more than three sigma."""
-    claims = [
-        (abs(f["z"]), parameter, f, o)
-        for o in outcomes
-        for parameter, f in o.get("parameters", {}).items()
-        if f["status"] == "identified"
-    ]
-    if not claims:
+    found = [(abs(f["z"]), name, f, o) for o in outcomes for name, f in claims(o)]
+    if not found:
         return None
-    z, parameter, found, outcome = max(claims, key=lambda claim: claim[0])
+    z, parameter, claim, outcome = max(found, key=lambda each: each[0])
     if z <= 3.0:
         return None
     r_squared, white = outcome.get("r_squared"), outcome.get("whiteness")
@@ -96,7 +86,7 @@ def worst(name: str, outcomes: list[Outcome]) -> list[str] | None:
         name,
         outcome["vehicle"],
         parameter,
-        f"{number(100.0 * found['error'])} %",
+        f"{number(100.0 * claim['error'])} %",
         number(z),
         outcome["verdict"],
         "–" if r_squared is None else number(r_squared),
@@ -139,15 +129,13 @@ def page(rows: Rows) -> str:
 
 def total(flights: list[Outcome]) -> str:
     """All flights in a sentence."""
-    claims = judged(flights, claimed=True)
+    claimed = judged(flights)
     trusted = [o for o in flights if o["verdict"] == "identified"]
-    far = sum(
-        any(abs(f["z"]) > 3.0 for _, f in judged([outcome], claimed=True)) for outcome in trusted
-    )
-    hold = sum(f["holds"] for _, f in claims)
-    rate = 100.0 * hold / len(claims) if claims else math.nan
+    far = sum(any(abs(f["z"]) > 3.0 for _, f in claims(outcome)) for outcome in trusted)
+    hold = sum(f["holds"] for _, f in claimed)
+    rate = 100.0 * hold / len(claimed) if claimed else math.nan
     return (
-        f"{len(flights)} flights: {hold} of {len(claims)} `identified` intervals hold "
+        f"{len(flights)} flights: {hold} of {len(claimed)} `identified` intervals hold "
         f"({number(rate)} %); {far} of {len(trusted)} results with verdict `identified` contain a "
         "claim off by more than three of its own standard deviations."
     )

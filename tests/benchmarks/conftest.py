@@ -38,15 +38,12 @@ def both(random: Random, scale: float) -> dict[str, Any]:
 
 
 def history() -> dict[str, Any]:
-    t = [0.1 * k for k in range(20)]
     return {
         "settled": [1.0] * 10,
         "wrong at end": [False] * 10,
         "wrong refits": [0] * 10,
         "identified refits": [100] * 10,
         "any wrong at any refit": False,
-        "t": t,
-        "error": [[10.0 / (1.0 + s)] * 10 for s in t],
     }
 
 
