@@ -21,11 +21,11 @@ from gcs_sysid.screen.panels import (
 from gcs_sysid.screen.pilot_view import blocks
 from gcs_sysid.screen.plots import (
     nice_limit,
-    nice_ticks,
     overlay,
     reduced_history,
     shade,
     strip,
+    ticks_of,
 )
 from gcs_sysid.screen.snapshot_view import (
     MessageRate,
@@ -284,7 +284,7 @@ def test_a_gain_that_is_reached_is_ticked():
     ],
 )
 def test_ticks_are_round(low, high, wanted, written):
-    ticks, labels = nice_ticks(low, high, wanted)
+    ticks, labels = ticks_of(low, high, wanted)
     assert labels == written
     assert ticks == pytest.approx([float(label) for label in labels])
 

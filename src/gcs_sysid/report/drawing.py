@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.report.parts import Markup, element
-from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
+from gcs_sysid.results.number_format import PAGE, power_of_ten, round_numbers, times_power
 
 INK, SOFT, PALE, BLUE, RED = "#222222", "#666666", "#b8b8b8", "#1f6fb4", "#c2571a"
 
@@ -178,7 +178,7 @@ class FlightsChart:
         right, bottom = self.width - self._right, self.height - self._bottom
         title = ", ".join(filter(None, [self.title, unit]))
         parts = [text(0.0 if self.title else self._left, 11.0, title, size=12)]
-        values, decimals = _round_numbers(
+        values, decimals = round_numbers(
             low / 10.0**power, high / 10.0**power, (bottom - self._top) / 26.0
         )
         for value in values:
@@ -208,12 +208,3 @@ class FlightsChart:
             title = element("title", point.words) if point.words else None
             out.append(element("g", title, whisker, dot, class_=f"estimate {point.kind}".strip()))
         return out
-
-
-def _round_numbers(low: float, high: float, most: float) -> tuple[list[float], int]:
-    """Round values between, at most so many, and the decimals that show them."""
-    raw = (high - low) / most
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [k * step for k in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))

@@ -78,6 +78,20 @@ def power_of_ten(size: float) -> int:
     return 0 if 0.1 <= size < 1e4 else engineering_exponent(size)
 
 
+def round_numbers(low: float, high: float, wanted: float) -> tuple[list[float], int]:
+    """About so many round numbers within a range, at least two, and the decimals that show them."""
+    rough = (high - low) / max(1.0, wanted)
+    power = 10.0 ** math.floor(math.log10(rough))
+    steps = [m * power for m in (0.5, 1.0, 2.0, 5.0, 10.0)]
+    widest = next(i for i, step in enumerate(steps) if step >= 0.999 * rough)
+    for step in reversed(steps[: widest + 1]):
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        numbers = [n * step for n in range(first, last + 1)]
+        if len(numbers) > 1:
+            break
+    return numbers, max(0, -math.floor(math.log10(step) + 1e-9))
+
+
 def pretty_unit(unit: str) -> str:
     """A unit with real exponents: `kg m^2` becomes `kg m²`; the unit 1 is left blank."""
     if unit == "1":

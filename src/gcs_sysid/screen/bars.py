@@ -14,7 +14,7 @@ from gcs_sysid.results.number_format import clock, clock_tenths, pretty_unit
 from gcs_sysid.results.snapshot import Advice, LinkState, Playback, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.lines import Line
+from gcs_sysid.screen.lines import Line, Shown, WrappedLines
 from gcs_sysid.screen.snapshot_view import (
     LINK_SIGN,
     Level,
@@ -34,7 +34,7 @@ from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.view import View
 
 
-class StatusLine(Static):
+class StatusLine(Static, Shown):
     """One line that says at a glance how the session stands."""
 
     def __init__(self, title: str) -> None:
@@ -42,8 +42,8 @@ class StatusLine(Static):
         self.title_text = title
         self._parts: Line = []
 
-    def show(self, view: View) -> None:
-        """Bring the line up to date."""
+    def lay_out(self, view: View) -> None:
+        """Put the parts together."""
         parts = self._parts_of(view)
         if parts != self._parts:
             self._parts = parts
@@ -91,32 +91,24 @@ class StatusLine(Static):
         return Content(" ") + Content.assemble(*pieces)
 
 
-class Banner(Static):
+class Banner(WrappedLines, Shown):
     """What the user should know before reading on; hidden while all is well."""
 
     LEVELS = ("info", "warning", "error")
 
     def __init__(self) -> None:
         super().__init__(id="banner")
-        self._shown: tuple[str, str] | None = None
-        self._text = ""
         self.display = False
 
-    def show(self, view: View) -> None:
-        """Bring the banner up to date."""
+    def lay_out(self, view: View) -> None:
+        """Write the notice, if there is one."""
         notice = view.notice()
-        if notice == self._shown:
-            return
-        self._shown = notice
         self.display = notice is not None
         if notice is not None:
             text, level = notice
             for name in self.LEVELS:
                 self.set_class(name == level, f"-{name}")
-            before, self._text = self._text, text
-            width = self.size.width
-            grown = fmt.wrapped([before], width) != fmt.wrapped([text], width)
-            self.update(Content(text), layout=grown)
+            self.put([[(text, "")]], self.size.width)
 
 
 class AnswerLine(Static):
@@ -230,7 +222,7 @@ def _large(text: str, snapshot: Snapshot, standing: Standing, width: int) -> lis
     ]
 
 
-class VerdictPanel(Static):
+class VerdictPanel(WrappedLines, Shown):
     """One line on a small terminal, large letters with three lines beside them on others."""
 
     LEVELS: tuple[Level, ...] = ("identified", "partial", "refused", "waiting")
@@ -238,14 +230,10 @@ class VerdictPanel(Static):
     def __init__(self) -> None:
         super().__init__(id="verdict")
         self.large = False
-        self._view: View | None = None
-        self.lines: list[Line] = []
-        """What it shows."""
         self.display = False
 
-    def show(self, view: View) -> None:
-        """Bring the panel up to date."""
-        self._view = view
+    def lay_out(self, view: View) -> None:
+        """Write the verdict, and beside it what has changed since the baseline."""
         snapshot = view.snapshot
         self.display = snapshot is not None and snapshot.link.state is not LinkState.WAITING
         if snapshot is None or not self.display:
@@ -258,16 +246,7 @@ class VerdictPanel(Static):
             name = f"against {view.baseline}"
             sign, text = compared(view.comparison, width - len(name) - 4)
             lines.append([(f"{sign} ", "bold"), (f"{name}: ", ""), (text, "bold")])
-        if lines != self.lines:
-            grown = len(lines) != len(self.lines)
-            self.lines = lines
-            text_lines = [Content.assemble(*line) for line in lines]
-            self.update(Content("\n").join(text_lines), layout=grown)
-
-    def on_resize(self) -> None:
-        """Lay out the lines again."""
-        if self._view is not None:
-            self.show(self._view)
+        self.put(lines, width)
 
 
 def advice_lines(advice: Advice, width: int) -> list[Line]:
@@ -290,30 +269,20 @@ def advice_lines(advice: Advice, width: int) -> list[Line]:
     return [[("▶ FLY  ", "bold $text-primary"), (advice.text, "bold")], parts]
 
 
-class CoachPanel(Static):
+class CoachPanel(WrappedLines, Shown):
     """Draws the advice of the snapshot; hidden while there is none."""
 
     def __init__(self) -> None:
         super().__init__(id="coach")
-        self._shown: list[Line] = []
         self.display = False
 
-    def show(self, view: View) -> None:
-        """Bring the panel up to date."""
+    def lay_out(self, view: View) -> None:
+        """Write the advice, if there is any."""
         advice = None if view.snapshot is None else view.snapshot.advice
         self.display = advice is not None
-        if advice is None:
-            return
-        width = max(40, self.screen.size.width - 2)
-        lines = advice_lines(advice, width)
-        if lines != self._shown:
-            texts = [
-                ["".join(text for text, _ in line) for line in x] for x in (self._shown, lines)
-            ]
-            grown = fmt.wrapped(texts[0], width) != fmt.wrapped(texts[1], width)
-            self._shown = lines
-            content = Content("\n").join([Content.assemble(*line) for line in lines])
-            self.update(content, layout=grown)
+        if advice is not None:
+            width = max(40, self.screen.size.width - 2)
+            self.put(advice_lines(advice, width), width)
 
 
 KEYS = "space · ← → 10 s · [ ] speed"

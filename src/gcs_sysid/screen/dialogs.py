@@ -1,5 +1,6 @@
 """What opens over the main screen: a list to choose from, a line to enter, the help."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -10,6 +11,7 @@ from textual.containers import Vertical, VerticalScroll
 from textual.content import Content
 from textual.screen import ModalScreen
 from textual.suggester import SuggestFromList
+from textual.widget import Widget
 from textual.widgets import Input, OptionList, Static
 from textual.widgets.option_list import Option
 
@@ -18,8 +20,41 @@ from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.key_commands import COMMANDS, KeyCommand
 
 
-class Choose(ModalScreen[str | None]):
-    """One of a list: enter or a click takes it, escape gives None.
+class Dialog(ModalScreen[str | None]):
+    """A question in a box; escape gives None.
+
+    Args:
+        title: of the box.
+        keys: that answer it.
+        hint: a line below.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [("escape", "cancel", "Cancel")]
+
+    def __init__(self, title: str, keys: str, hint: str) -> None:
+        super().__init__()
+        self._title, self._keys, self._hint = title, keys, hint
+
+    @abstractmethod
+    def control(self) -> Widget:
+        """What is answered with."""
+
+    def compose(self) -> ComposeResult:
+        """One box in the middle."""
+        with Vertical(classes="dialog") as box:
+            box.border_title = self._title
+            box.border_subtitle = f"{self._keys} · esc cancels"
+            yield self.control()
+            if self._hint:
+                yield Static(Content(self._hint))
+
+    def action_cancel(self) -> None:
+        """Answer with nothing."""
+        self.dismiss(None)
+
+
+class Choose(Dialog):
+    """One of a list: enter or a click takes it.
 
     Args:
         title: of the box.
@@ -27,34 +62,24 @@ class Choose(ModalScreen[str | None]):
         hint: a line below.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [("escape,q", "cancel", "Cancel")]
+    BINDINGS: ClassVar[list[BindingType]] = [("q", "cancel", "Cancel")]
 
     def __init__(self, title: str, options: Sequence[tuple[str, str]], hint: str = "") -> None:
-        super().__init__()
-        self._title, self._hint = title, hint
+        super().__init__(title, "↑↓ enter", hint)
         self._options = options
 
-    def compose(self) -> ComposeResult:
-        """One box in the middle."""
-        with Vertical(classes="dialog") as box:
-            box.border_title = self._title
-            box.border_subtitle = "↑↓ enter · esc cancels"
-            yield OptionList(*(Option(Content(text), id=value) for value, text in self._options))
-            if self._hint:
-                yield Static(Content(self._hint))
+    def control(self) -> Widget:
+        """The list."""
+        return OptionList(*(Option(Content(text), id=value) for value, text in self._options))
 
     @on(OptionList.OptionSelected)
     def answer(self, event: OptionList.OptionSelected) -> None:
         """Answer with what was chosen."""
         self.dismiss(event.option.id)
 
-    def action_cancel(self) -> None:
-        """Answer with nothing."""
-        self.dismiss(None)
 
-
-class Enter(ModalScreen[str | None]):
-    """A line of text: enter takes it, escape gives None.
+class Enter(Dialog):
+    """A line of text: enter takes it.
 
     Args:
         title: of the box.
@@ -63,32 +88,21 @@ class Enter(ModalScreen[str | None]):
         suggestions: offered while one types; the right arrow takes one.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [("escape", "cancel", "Cancel")]
-
     def __init__(
         self, title: str, hint: str, value: str = "", suggestions: Sequence[str] = ()
     ) -> None:
-        super().__init__()
-        self._title, self._hint, self._value = title, hint, value
-        self._suggestions = suggestions
+        super().__init__(title, "enter", hint)
+        self._value, self._suggestions = value, suggestions
 
-    def compose(self) -> ComposeResult:
-        """One box in the middle."""
-        with Vertical(classes="dialog") as box:
-            box.border_title = self._title
-            box.border_subtitle = "enter · esc cancels"
-            suggester = SuggestFromList(self._suggestions) if self._suggestions else None
-            yield Input(self._value, suggester=suggester, compact=True)
-            yield Static(Content(self._hint))
+    def control(self) -> Widget:
+        """The line."""
+        suggester = SuggestFromList(self._suggestions) if self._suggestions else None
+        return Input(self._value, suggester=suggester, compact=True)
 
     @on(Input.Submitted)
     def answer(self, event: Input.Submitted) -> None:
         """Answer with what was written."""
         self.dismiss(event.value.strip())
-
-    def action_cancel(self) -> None:
-        """Answer with nothing."""
-        self.dismiss(None)
 
 
 def help_text(commands: Sequence[KeyCommand] = COMMANDS, *, ended: bool = False) -> Content:

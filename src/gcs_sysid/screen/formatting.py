@@ -127,8 +127,3 @@ def bar(fraction: float, width: int) -> str:
 def one_line(parts: Iterable[str]) -> str:
     """Several sentences on one line."""
     return " · ".join(p for p in parts if p)
-
-
-def wrapped(texts: Iterable[str], width: int) -> int:
-    """Lines that texts take, about: a layout of the screen is dear, and rarely needed."""
-    return sum(max(1, -(-len(text) // max(1, width))) for text in texts)

@@ -1,10 +1,9 @@
-"""A widget of styled lines, of which only those that have changed are drawn again.
+"""What panels are made of: lines of styled text, of which only those changed are drawn again.
 
 Textual's own widgets format all their text again for any change of it. On a large screen whose
 numbers change several times a second that was most of what the whole program cost.
 """
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from itertools import groupby, zip_longest
 
@@ -12,10 +11,12 @@ from rich.segment import Segment
 from rich.style import Style as SegmentStyle
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
+from textual.content import Content
 from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.style import Style
 from textual.widget import Widget
+from textual.widgets import Static
 
 from gcs_sysid.sanitize import printable
 from gcs_sysid.screen.view import View
@@ -76,28 +77,58 @@ class Lines(Widget):
         return found
 
 
-class ScrolledLines(VerticalScroll, can_focus=False):
-    """Lines that scroll, laid out again for another size."""
+class Shown(Widget):
+    """A panel that draws a view, and draws it again for another size.
+
+    Comes last among bases: Textual takes the styles of the first.
+    """
+
+    _view: View | None = None
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date."""
+        self._view = view
+        self.lay_out(view)
+
+    def lay_out(self, view: View) -> None:
+        """Draw a view for the present size; does nothing where nothing of it has changed."""
+        raise NotImplementedError
+
+    def on_resize(self) -> None:
+        """Lay out the panel again."""
+        if self._view is not None:
+            self.lay_out(self._view)
+
+
+class WrappedLines(Static):
+    """Lines that wrap. A layout of the screen is dear: only another number of rows asks for one."""
+
+    def __init__(self, id: str) -> None:
+        super().__init__(id=id)
+        self.lines: list[Line] = []
+        """What it shows."""
+
+    def put(self, lines: list[Line], width: int) -> None:
+        """Show other lines, in about so many columns."""
+        if lines == self.lines:
+            return
+        before, self.lines = _rows(self.lines, width), lines
+        content = Content("\n").join([Content.assemble(*line) for line in lines])
+        self.update(content, layout=_rows(lines, width) != before)
+
+
+def _rows(lines: list[Line], width: int) -> int:
+    lengths = [sum(len(text) for text, _ in line) for line in lines]
+    return sum(max(1, -(-length // max(1, width))) for length in lengths)
+
+
+class ScrolledLines(VerticalScroll, Shown, can_focus=False):
+    """Lines that scroll."""
 
     def __init__(self, id: str) -> None:
         super().__init__(id=id)
         self._text = Lines(classes="scrolled")
-        self._view: View | None = None
 
     def compose(self) -> ComposeResult:
         """One text for all lines."""
         yield self._text
-
-    def show(self, view: View) -> None:
-        """Bring the lines up to date."""
-        self._view = view
-        self.lay_out(view)
-
-    @abstractmethod
-    def lay_out(self, view: View) -> None:
-        """Write the lines of a view for the present size."""
-
-    def on_resize(self) -> None:
-        """Lay out the lines again."""
-        if self._view is not None:
-            self.lay_out(self._view)

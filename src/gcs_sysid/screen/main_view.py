@@ -15,10 +15,11 @@ from textual.widgets import Footer
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.bars import AnswerLine, Banner, CoachPanel, StatusLine, VerdictPanel
 from gcs_sysid.screen.key_commands import COMMANDS, PAGES, bindings_of
+from gcs_sysid.screen.lines import Shown
 from gcs_sysid.screen.panels import AttitudePanel, EventLog, HealthPanel, LinkPanel
 from gcs_sysid.screen.parameter_table import ParameterTable
 from gcs_sysid.screen.plots import AccelerationPanel, Convergence
-from gcs_sysid.screen.view import Panel, View
+from gcs_sysid.screen.view import View
 
 Hiding = Banner | VerdictPanel | CoachPanel
 """Panels that hide themselves while they have nothing to say."""
@@ -110,7 +111,7 @@ class MainScreen(Screen[None]):
         super().__init__(classes="page-parameters")
         self.page = "parameters"
         self._view: View | None = None
-        # In the order of drawing; a new panel is added here, in compose and in the style sheet.
+        # A new panel is added here, in compose and in the style sheet.
         self.ready = False
         self.answer = AnswerLine()
         self._pages = PageBar()
@@ -122,20 +123,6 @@ class MainScreen(Screen[None]):
         self._motion_aside = AccelerationPanel("motion-aside")
         self._health = HealthPanel()
         self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
-        self._panels: list[Panel] = [
-            self._status,
-            self._banner,
-            self._verdict,
-            self._coach,
-            self.table,
-            self._plot,
-            self._motion,
-            self._motion_aside,
-            self._health,
-            self._link,
-            self._attitude,
-            self.events,
-        ]
 
     def compose(self) -> ComposeResult:
         """The panels; where they stand is up to the style sheet."""
@@ -198,8 +185,8 @@ class MainScreen(Screen[None]):
     def show(self, view: View) -> None:
         """Bring everything that is visible up to date; hidden panels cost nothing."""
         self._view = view
-        for panel in self._panels:
-            if isinstance(panel, Hiding) or _displayed(panel):
+        for panel in self.walk_children():
+            if isinstance(panel, Shown) and (isinstance(panel, Hiding) or _displayed(panel)):
                 panel.show(view)
 
     def _show_again(self) -> None:
@@ -207,5 +194,5 @@ class MainScreen(Screen[None]):
             self.show(self._view)
 
 
-def _displayed(panel: Panel) -> bool:
-    return isinstance(panel, Widget) and all(node.display for node in panel.ancestors_with_self)
+def _displayed(panel: Widget) -> bool:
+    return all(node.display for node in panel.ancestors_with_self)

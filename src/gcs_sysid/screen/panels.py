@@ -11,7 +11,7 @@ from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
 from gcs_sysid.results.number_format import PLAIN, clock_tenths, data_rate, grouped
 from gcs_sysid.results.snapshot import Event, LinkStatus
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.lines import Line, Lines, ScrolledLines
+from gcs_sysid.screen.lines import Line, Lines, ScrolledLines, Shown
 from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates
 from gcs_sysid.screen.view import View
 
@@ -141,7 +141,7 @@ def deflection(value: float, limit: float, width: int) -> str:
     return f"{left:>{half}}│{right:<{half}}"
 
 
-class AttitudePanel(Lines):
+class AttitudePanel(Lines, Shown):
     """Attitude of the vehicle and its rotor signals."""
 
     BORDER_TITLE = "Attitude and rotors"
@@ -150,8 +150,8 @@ class AttitudePanel(Lines):
         super().__init__(id="attitude")
         self._top_speed = 1.0
 
-    def show(self, view: View) -> None:
-        """Bring the panel up to date."""
+    def lay_out(self, view: View) -> None:
+        """Write horizon, angles and rotors."""
         self.put(self._horizon_lines(view) + self._angle_lines(view) + self._rotor_lines(view))
 
     def _horizon_lines(self, view: View) -> list[Line]:
@@ -302,29 +302,18 @@ def _cell(
     return f"{text:>{width}}"
 
 
-class HealthPanel(Lines):
+class HealthPanel(Lines, Shown):
     """The vehicle's health by the hover of the last minutes, or of a whole log that is played."""
 
     BORDER_TITLE = "Health in hover"
 
     def __init__(self) -> None:
         super().__init__(id="health")
-        self._shown: tuple[Mapping[str, Any] | None, int] | None = None
-        self._view: View | None = None
 
-    def show(self, view: View) -> None:
-        """Bring the panel up to date; a look is the same object until there is another."""
-        self._view = view
+    def lay_out(self, view: View) -> None:
+        """Write the latest look."""
         health = None if view.snapshot is None else view.snapshot.health
-        width = self.content_size.width or 76
-        if self._shown is None or self._shown[0] is not health or self._shown[1] != width:
-            self._shown = health, width
-            self.put(health_lines(health, width))
-
-    def on_resize(self) -> None:
-        """Wrap the lines again."""
-        if self._view is not None:
-            self.show(self._view)
+        self.put(health_lines(health, self.content_size.width or 76))
 
 
 def event_lines(event: Event, width: int) -> list[Line]:

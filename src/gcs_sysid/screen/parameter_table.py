@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from textual import events
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
-from textual.content import Content
 from textual.geometry import Region
 from textual.message import Message
-from textual.widget import Widget
-from textual.widgets import Static
 
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.lines import Line, Lines
+from gcs_sysid.screen.lines import Line, Lines, Shown, WrappedLines
 from gcs_sysid.screen.snapshot_view import converged
 from gcs_sysid.screen.view import View
 
@@ -152,7 +149,7 @@ class ParameterRows(Lines):
         """From top to bottom."""
         self._pointed: Parameter | None = None
 
-    def show(self, view: View, columns: list[TableColumn]) -> None:
+    def write(self, view: View, columns: list[TableColumn]) -> None:
         """Write the cells again."""
         found = view.rows()
         self.parameters = [row.parameter for row in found]
@@ -179,7 +176,7 @@ class ParameterRows(Lines):
             self.tooltip = None if pointed is None else f"{pointed.symbol}: {pointed.meaning}"
 
 
-class ParameterTable(Widget):
+class ParameterTable(Shown):
     """All parameters of the result, and below them why a verdict is not better."""
 
     BORDER_TITLE = "Parameters"
@@ -188,11 +185,9 @@ class ParameterTable(Widget):
         super().__init__(id="parameters")
         self._head = Lines(id="parameters-head")
         self._holder = VerticalScroll(can_focus=False)
-        self._why = Static(id="reasons")
+        self._why = WrappedLines("reasons")
         self._rows = ParameterRows()
-        self._view: View | None = None
         self._columns: list[TableColumn] = []
-        self._reasons = ""
 
     def compose(self) -> ComposeResult:
         """Head, rows, reasons."""
@@ -201,29 +196,17 @@ class ParameterTable(Widget):
             yield self._rows
         yield self._why
 
-    def on_resize(self, event: events.Resize) -> None:
-        """Choose the columns again."""
-        if self._view is not None:
-            self.show(self._view)
-
-    def show(self, view: View) -> None:
-        """Bring the table up to date."""
-        self._view = view
-        columns = _columns(view, self.content_size.width)
+    def lay_out(self, view: View) -> None:
+        """Choose the columns, and write the rows and the reasons."""
+        width = self.content_size.width
+        columns = _columns(view, width)
         if columns != self._columns:
             self._columns = columns
             self._head.put([_line((NAME_HEAD, ""), [(c.head, "") for c in columns])])
-        self._rows.show(view, columns)
-        self._show_reasons(view)
-
-    def _show_reasons(self, view: View) -> None:
+        self._rows.write(view, columns)
         reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
-        if reasons != self._reasons:
-            width = self.content_size.width - 7
-            grown = fmt.wrapped([self._reasons], width) != fmt.wrapped([reasons], width)
-            self._reasons = reasons
-            self._why.display = bool(reasons)
-            self._why.update(Content.assemble(("why  ", "bold"), reasons), layout=grown)
+        self._why.display = bool(reasons)
+        self._why.put([[("why  ", "bold"), (reasons, "")]], width - 2)
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""

@@ -13,7 +13,7 @@ from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import contradicted
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.bars import AnswerLine
-from gcs_sysid.screen.lines import Line, Lines
+from gcs_sysid.screen.lines import Line, Lines, Shown
 from gcs_sysid.screen.snapshot_view import (
     Known,
     headline,
@@ -131,26 +131,19 @@ def _letters(texts: Sequence[str], width: int, largest: int) -> list[str]:
     return [texts[-1][:width]]
 
 
-class PilotView(Lines):
+class PilotView(Lines, Shown):
     """Draws the pilot view of the newest snapshot."""
 
     def __init__(self) -> None:
         super().__init__(id="pilot-view")
-        self._view: View | None = None
 
-    def show(self, view: View) -> None:
-        """Bring the picture up to date."""
-        self._view = view
+    def lay_out(self, view: View) -> None:
+        """Draw the picture in letters for the size."""
         lost = view.snapshot is not None and view.snapshot.link.state is LinkState.LOST
         self.set_class(lost, "-lost")
         size = self.content_size
         if size.width > 0:
             self.put(pilot_lines(view, size.width, size.height))
-
-    def on_resize(self) -> None:
-        """Choose the letters for the new size."""
-        if self._view is not None:
-            self.show(self._view)
 
 
 class PilotScreen(Screen[None]):

@@ -11,51 +11,52 @@ from numpy.typing import NDArray
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results import words
 from gcs_sysid.results.history import Acceleration, History, known_history, settled_range
-from gcs_sysid.results.number_format import scaled_unit
+from gcs_sysid.results.number_format import round_numbers, scaled_unit
 from gcs_sysid.results.result_view import exponent_key
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen import text_drawing
-from gcs_sysid.screen.lines import Line, Lines
+from gcs_sysid.screen.lines import Line, Lines, Shown
 from gcs_sysid.screen.view import View
 
 Floats = NDArray[np.float64]
 
 
-class RationedPlot(Lines):
-    """Draws itself on request, no more often than it can be read."""
+class RationedPlot(Lines, Shown):
+    """Draws other choices and sizes at once, new data no more often than they can be read."""
 
     def __init__(self, id: str, classes: str | None = None) -> None:
         super().__init__(id=id, classes=classes)
         self._drawn_at = -math.inf
         self._waiting = False
+        self._choices: tuple[object, ...] = ()
+        self._data: object = None
 
     @abstractmethod
     def drawing(self) -> list[Line]:
-        """The plot for the present size."""
+        """The plot of the view for the present size."""
+
+    @abstractmethod
+    def content_of(self, view: View) -> tuple[object, tuple[object, ...]]:
+        """The data that it shows, and the choices on how."""
+
+    def lay_out(self, view: View) -> None:
+        """Draw what is new, now or when the last drawing is old enough."""
+        data, choices = self.content_of(view)
+        choices = (self.content_size, *choices)
+        rest = self._drawn_at + 0.5 - time.monotonic()
+        if choices != self._choices or (data is not self._data and rest <= 0.0):
+            self._choices = choices
+            self.draw()
+        elif data is not self._data and not self._waiting:
+            self._waiting = True
+            self.set_timer(rest, self.draw)
 
     def draw(self) -> None:
         """Draw now."""
-        self._drawn_at = time.monotonic()
-        self.put(self.drawing())
-
-    def draw_later(self) -> None:
-        """Draw when the last drawing is old enough."""
-        if self._waiting:
-            return
-        rest = self._drawn_at + 0.5 - time.monotonic()
-        if rest <= 0.0:
-            self.draw()
-            return
-        self._waiting = True
-        self.set_timer(rest, self._draw_waiting)
-
-    def _draw_waiting(self) -> None:
-        self._waiting = False
-        self.draw()
-
-    def on_resize(self) -> None:
-        """Draw for the new size."""
-        self.draw()
+        if self._view is not None:
+            self._waiting, self._drawn_at = False, time.monotonic()
+            self._data = self.content_of(self._view)[0]
+            self.put(self.drawing())
 
 
 _NOTHING, _BAND, _TRUTH, _VALUE = range(4)
@@ -64,18 +65,9 @@ _STYLES = ("", "$primary 70%", "$text-warning", "bold")
 """What a cell of the picture shows, each over the one before."""
 
 
-def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
-    """About so many round numbers within a range, at least two, and how to write them."""
-    rough = (high - low) / max(1, wanted)
-    power = 10.0 ** math.floor(math.log10(rough))
-    steps = [m * power for m in (0.5, 1.0, 2.0, 5.0, 10.0)]
-    widest = next(i for i, step in enumerate(steps) if step >= rough)
-    for step in reversed(steps[: widest + 1]):
-        first, last = math.ceil(low / step), math.floor(high / step)
-        ticks = [n * step for n in range(first, last + 1)]
-        if len(ticks) > 1:
-            break
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+def ticks_of(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
+    """Round numbers within a range, and how to write them."""
+    ticks, decimals = round_numbers(low, high, wanted)
     return ticks, [f"{tick:.{decimals}f}" for tick in ticks]
 
 
@@ -147,25 +139,19 @@ class Convergence(RationedPlot):
 
     def __init__(self) -> None:
         super().__init__("convergence")
-        self.view: View | None = None
 
-    def show(self, view: View) -> None:
-        """Bring the plot up to date."""
-        old, self.view = self.view, view
-        if old is None or _choices(old) != _choices(view):
-            self.draw()
-        elif (old.snapshot and old.snapshot.history) is not (
-            view.snapshot and view.snapshot.history
-        ):
-            self.draw_later()
+    def content_of(self, view: View) -> tuple[object, tuple[object, ...]]:
+        """The history; the parameter and its power of ten."""
+        history = None if view.snapshot is None else view.snapshot.history
+        return history, (view.selected, view.exponents, view.ended)
 
     def headline(self) -> str:
         """The parameter's name and present value, as the plot's title writes it."""
-        found = None if self.view is None else self.view.estimate(self.view.selected)
-        if self.view is None or found is None:
+        found = None if self._view is None else self._view.estimate(self._view.selected)
+        if self._view is None or found is None:
             return ""
         parameter, estimate = found
-        exponent = self.view.exponents.get(exponent_key(parameter), 0)
+        exponent = self._view.exponents.get(exponent_key(parameter), 0)
         text = " ".join(fmt.value_with_half(estimate, exponent).split())
         unit = scaled_unit(parameter.unit, exponent) if estimate.shown else ""
         return f"{words.label(parameter.name)} = {text} {unit}".rstrip()
@@ -173,7 +159,7 @@ class Convergence(RationedPlot):
     def drawing(self) -> list[Line]:
         """The picture between its headline and its axis."""
         width, height = self.content_size.width, self.content_size.height
-        view = self.view
+        view = self._view
         if view is None or view.snapshot is None or width < 24 or height < 6:
             return []
         found = view.estimate(view.selected)
@@ -194,7 +180,7 @@ class Convergence(RationedPlot):
         )
         # Headline, time axis with its numbers, and legend take four lines.
         lines = height - 4
-        ticks = nice_ticks(*bounds, lines // 3)
+        ticks = ticks_of(*bounds, lines // 3)
         margin = max(map(len, ticks[1]), default=0) + 1
         columns = width - margin
         curve = (
@@ -247,7 +233,7 @@ class Convergence(RationedPlot):
         """The axis below the picture, and its numbers."""
         start, end = _span(curve)
         line, numbers = ["─"] * columns, [" "] * (columns + margin)
-        for tick, text in zip(*nice_ticks(start, end, columns // 12), strict=True):
+        for tick, text in zip(*ticks_of(start, end, columns // 12), strict=True):
             place = round((tick - start) / (end - start) * (columns - 1))
             left = min(max(0, margin + place - len(text) // 2), columns + margin - len(text))
             if 0 <= place < columns:
@@ -257,11 +243,6 @@ class Convergence(RationedPlot):
             [(" " * (margin - 1) + "└" + "".join(line), "")],
             [("".join(numbers).rstrip(), "")],
         ]
-
-
-def _choices(view: View) -> tuple[object, ...]:
-    """What the plot follows at once, besides the history."""
-    return view.selected, view.exponents, view.ended
 
 
 def _span(curve: PlottedHistory) -> tuple[float, float]:
@@ -330,18 +311,15 @@ class AccelerationPanel(RationedPlot):
 
     def __init__(self, name: str) -> None:
         super().__init__(name, classes="acceleration")
-        self._found: Acceleration | None = None
 
-    def show(self, view: View) -> None:
-        """Bring the panel up to date."""
-        found = None if view.snapshot is None else view.snapshot.acceleration
-        if found is not self._found:
-            self._found = found
-            self.draw_later()
+    def content_of(self, view: View) -> tuple[object, tuple[object, ...]]:
+        """The acceleration; there is no choice."""
+        return None if view.snapshot is None else view.snapshot.acceleration, ()
 
     def drawing(self) -> list[Line]:
         """Three strips, and what the signs mean."""
-        found, size = self._found, self.content_size
+        view, size = self._view, self.content_size
+        found = None if view is None or view.snapshot is None else view.snapshot.acceleration
         if found is None or len(found.t) < 2:
             return [[("no prediction yet", fmt.MUTED)]]
         if size.width < 20 or size.height < 4:

@@ -134,11 +134,3 @@ class View:
         if found is not None and self.ended:
             return f"{found[0]} q: quit", found[1]
         return found
-
-
-class Panel(Protocol):
-    """A part of the screen that draws a view."""
-
-    def show(self, view: View) -> None:
-        """Bring the panel up to date; does nothing where nothing it shows has changed."""
-        ...
