@@ -14,9 +14,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.data import Provenance, ReportData
+from gcs_sysid.report.data import Prediction, Provenance, ReportData, Spectrum
 from gcs_sysid.report.page import render
-from gcs_sysid.report.prediction_series import Prediction, Spectrum
 from gcs_sysid.results.history import History
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale

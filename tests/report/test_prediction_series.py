@@ -13,8 +13,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.data import Provenance, Recorder, gather
-from gcs_sysid.report.prediction_series import predict, residual_spectrum
+from gcs_sysid.report.data import Provenance, Recorder, gather, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain_options import ChainOptions
 

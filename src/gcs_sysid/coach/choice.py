@@ -43,7 +43,6 @@ class Choice:
         motion: of it.
         now: shares before.
         expected: shares after.
-        after: the fit expected then.
         added: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
     """
 
@@ -51,7 +50,6 @@ class Choice:
     motion: Motion
     now: Mapping[str, float | None]
     expected: Mapping[str, float | None]
-    after: Fit
     added: Array
 
     @property
@@ -117,8 +115,7 @@ def choose(
         if is_enough(judge(_after(prospect, added, tried)), _CLOSE * target):
             chosen = tried
             break
-    after = _after(prospect, added, chosen)
-    return Choice(chosen, motion, now, judge(after), after, added)
+    return Choice(chosen, motion, now, judge(_after(prospect, added, chosen)), added)
 
 
 def _starts(motion: Motion) -> bool:

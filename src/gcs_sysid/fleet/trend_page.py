@@ -1,7 +1,5 @@
 """The page of a fleet: every vehicle's parameters over its flights, and its changes."""
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from importlib import resources
 
@@ -18,6 +16,7 @@ from gcs_sysid.report.parts import (
     Markup,
     element,
     grid,
+    html_page,
     legend,
     note,
     section,
@@ -55,17 +54,6 @@ def render(title: str, vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) 
             ("gcs_sysid.fleet", "trend.css"),
         )
     )
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=policy),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("title", f"{title}: fleet (gcs-sysid)"),
-        element("style", Markup(style)),
-    )
     contents = element(
         "nav",
         *(
@@ -75,8 +63,9 @@ def render(title: str, vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) 
         element("a", "Logs without a result", href="#unused") if unused else None,
         aria_label="Contents",
     )
-    body = element(
-        "body",
+    return html_page(
+        f"{title}: fleet",
+        style,
         element(
             "header",
             element("p", "Fleet", class_="kind"),
@@ -91,7 +80,6 @@ def render(title: str, vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) 
         ),
         element("footer", f"gcs-sysid {__version__}"),
     )
-    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
 def _overview(vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> Markup:

@@ -18,7 +18,7 @@ from gcs_sysid.report.drawing import (
     text,
 )
 from gcs_sysid.report.parts import Markup, element, joined, note, section
-from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
+from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result_view import number_figures
 
@@ -128,8 +128,7 @@ def _facts(document: Mapping[str, Any]) -> Iterator[Markup]:
         ("" if i else "center of gravity", f"{size} {way}")
         for i, (_, size, way, _) in enumerate(cg_facts(document, PAGE))
     ]
-    sums = ("yaw_imbalance", "hover_throttle", "thrust_to_weight", "drift_per_minute")
-    lines += filter(None, (health_fact(document, key, PAGE) for key in sums))
+    lines += health_facts(document, PAGE)
     for key in ("k_T", "T_max", "thrust_curve"):
         entry = document.get(key)
         if entry is not None and entry["value"] is not None:

@@ -1,7 +1,5 @@
 """The page: head, sections, styles and script in one HTML text."""
 
-import base64
-import hashlib
 from importlib import resources
 
 from gcs_sysid.report import evidence_sections
@@ -9,7 +7,7 @@ from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.report.page_figures import ChartData
-from gcs_sysid.report.parts import Child, Column, Markup, element, facts, section, table
+from gcs_sysid.report.parts import Child, Column, Markup, element, facts, html_page, section, table
 from gcs_sysid.results.health_view import first_answer
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
@@ -50,27 +48,16 @@ def render(data: ReportData) -> str:
         "telemetry": evidence_sections.telemetry(data),
         "settings": _settings(data),
     }
-    style = asset("charts.css") + asset("report.css")
-    script = asset("charts.js") + asset("report.js")
     name = _file_name(data.result.source)
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=_policy(style, script)),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("meta", name="referrer", content="no-referrer"),
-        element("title", f"{name}: {VERDICT[data.result.verdict].meaning.lower()} (gcs-sysid)"),
-        element("style", Markup(style)),
-    )
     contents = element(
         "nav",
         *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections.get(key)),
         aria_label="Contents",
     )
     answer = first_answer(data.health or None, data.result)
-    body = element(
-        "body",
+    return html_page(
+        f"{name}: {VERDICT[data.result.verdict].meaning.lower()}",
+        asset("charts.css") + asset("report.css"),
         element("header", _heading(data, name), contents),
         element(
             "main",
@@ -79,14 +66,13 @@ def render(data: ReportData) -> str:
             sections.pop("health"),
             sections.pop("verdict"),
             element("p", _KEYS, id="keys", class_="note keys"),
-            element("noscript", element("p", "ChartData need scripts; tables do not.")),
+            element("noscript", element("p", "Figures need scripts; tables do not.")),
             *sections.values(),
         ),
         element("footer", f"gcs-sysid {data.provenance.versions.get('gcs-sysid', '')}"),
         element("script", _json(figures), type="application/json", id="data"),
-        element("script", Markup(script)),
+        script=asset("charts.js") + asset("report.js"),
     )
-    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
 def asset(name: str) -> str:
@@ -180,15 +166,3 @@ def _json(figures: ChartData) -> Markup:
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return Markup(text)
-
-
-def _policy(style: str, script: str) -> str:
-    """Nothing is loaded, and nothing but our own style and script is obeyed."""
-    hashes = [
-        "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-        for text in (style, script)
-    ]
-    return (
-        f"default-src 'none'; style-src '{hashes[0]}'; script-src '{hashes[1]}'; "
-        "base-uri 'none'; form-action 'none'"
-    )

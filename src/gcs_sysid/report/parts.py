@@ -3,6 +3,8 @@
 HTML is escaped by construction: text is text unless it was made here.
 """
 
+import base64
+import hashlib
 import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -61,6 +63,39 @@ def element(
 def joined(*children: Child) -> Markup:
     """Children one after the other."""
     return Markup("".join(escaped(child) for child in children if child is not None))
+
+
+def html_page(title: str, style: str, *body: Child, script: str = "") -> str:
+    """A page that loads nothing, and obeys nothing but its own style and script.
+
+    Args:
+        title: of the window.
+        style: of all of it.
+        body: header, main part, footer, data of the script.
+        script: runs at the end.
+    """
+    style_hash, script_hash = (
+        "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        for text in (style, script)
+    )
+    scripts = f"script-src '{script_hash}'; " if script else ""
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element(
+            "meta",
+            http_equiv="Content-Security-Policy",
+            content=f"default-src 'none'; style-src '{style_hash}'; {scripts}base-uri 'none'; "
+            "form-action 'none'",
+        ),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("meta", name="referrer", content="no-referrer"),
+        element("title", f"{title} (gcs-sysid)"),
+        element("style", Markup(style)),
+    )
+    end = element("script", Markup(script)) if script else None
+    return f"<!DOCTYPE html>\n{element('html', head, element('body', *body, end), lang='en')}\n"
 
 
 @dataclass(frozen=True)

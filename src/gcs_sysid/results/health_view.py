@@ -62,6 +62,11 @@ def health_fact(
     return name, text + besides * whole
 
 
+def health_facts(health: Mapping[str, Any], notation: Notation = PLAIN) -> list[tuple[str, str]]:
+    """All of them that say something, as `health_fact` gives each."""
+    return [fact for key in _WORDS if (fact := health_fact(health, key, notation))]
+
+
 def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The numbers that one looks at first, rounded, without those that say nothing.
 

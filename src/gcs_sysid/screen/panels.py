@@ -7,7 +7,7 @@ from typing import Any
 
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.health_view import cg_facts, half_of, health_fact
+from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
 from gcs_sysid.results.number_format import PLAIN, clock_tenths, data_rate, grouped
 from gcs_sysid.results.snapshot import Event, LinkStatus
 from gcs_sysid.screen import formatting as fmt
@@ -223,7 +223,6 @@ _NAME = 16
 _BAR = 12
 _BOLD_WARNING = "bold $text-warning"
 _NOT_YET = "No hover yet: hover for 10 s."
-_SUMS = ("yaw_imbalance", "hover_throttle", "thrust_to_weight", "drift_per_minute")
 _UNEQUAL = "± includes unequal rotors (3 %)"
 
 
@@ -238,7 +237,7 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
         why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
         return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
     lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
-    for name, text in filter(None, (health_fact(health, key) for key in _SUMS)):
+    for name, text in health_facts(health):
         lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
     for text in health["advice"]:
         lines += _wrapped(f"→ {text}", width, "")

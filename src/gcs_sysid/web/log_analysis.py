@@ -147,8 +147,8 @@ def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
         finally:
             path.unlink(missing_ok=True)
     else:
-        table = {"name": "drawn", "rotor": list(request.rotors)}
-        airframe = parse_airframe(table, "the picture")
+        assert request.drawn is not None
+        airframe = request.drawn
     if request.arm is not None:
         airframe = with_given(airframe, "arm", request.arm, "arm")
     if request.scale is not None:

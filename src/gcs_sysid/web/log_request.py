@@ -1,19 +1,17 @@
 """What a page asks for, checked before a process is started for it."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from gcs_sysid.argument_types import GivenName, Measured, parse_given
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, AnchorName, builtin_names
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, builtin_names, parse_airframe
 from gcs_sysid.sanitize import printable
 
 Kind = Literal["log", "builtin", "rotors", "file"]
 RESULT, REPORT, PICTURE = "result.json", "report.html", "health.svg"
 """Files that an analysis leaves in its folder."""
-_MOST_ROTORS = 32
 _MOST_NAME = 120
 """Characters of a file's name that are kept."""
 _MEANING: dict[GivenName, str] = {
@@ -32,7 +30,7 @@ class AnalysisRequest:
         kind: where the airframe comes from.
         name: of a built-in airframe, or of the file.
         text: of the file.
-        rotors: of the picture, as `[[rotor]]` tables.
+        drawn: the airframe of the picture.
         arm: m, mean distance of the rotors from the center; None: as the airframe has it.
         scale: what sets it, and its value in SI; None: the airframe's own.
     """
@@ -40,7 +38,7 @@ class AnalysisRequest:
     kind: Kind
     name: str = ""
     text: str = ""
-    rotors: tuple[Mapping[str, Any], ...] = ()
+    drawn: Airframe | None = None
     arm: Measured | None = None
     scale: tuple[AnchorName, Measured] | None = None
 
@@ -62,15 +60,16 @@ def parse_request(document: object) -> AnalysisRequest:
     name = _text(airframe.get("name", ""), "airframe: name", _MOST_NAME)
     if kind == "builtin" and name not in builtin_names():
         raise InputError(f"no built-in airframe {name!r}: choose one from the list")
-    rotors = airframe.get("rotors", [])
-    if not isinstance(rotors, list) or len(rotors) > _MOST_ROTORS:
-        raise InputError(f"airframe: rotors must be a list of at most {_MOST_ROTORS}")
+    drawn = None
+    if kind == "rotors":
+        picture = {"name": "drawn", "rotor": airframe.get("rotors")}
+        drawn = parse_airframe(picture, "the picture")
     arm = table.get("arm")
     return AnalysisRequest(
         kind,
         name or "airframe.toml",
         _text(airframe.get("text", ""), "airframe: text", 60_000),
-        tuple(_rotor(rotor, i) for i, rotor in enumerate(rotors, 1)),
+        drawn,
         None if arm in (None, "") else _number(arm, "arm"),
         _scale(table.get("scale")),
     )
@@ -112,20 +111,6 @@ def _text(value: object, what: str, most: int) -> str:
     if not isinstance(value, str) or len(value) > most:
         raise InputError(f"{what}: must be text of at most {most} characters")
     return value
-
-
-def _rotor(value: object, number: int) -> Mapping[str, Any]:
-    at = f"rotor {number}"
-    table = _table(value, at, {"x", "y", "spin"})
-    out: dict[str, Any] = {"spin": _text(table.get("spin"), f"{at}: spin", 3)}
-    for key in ("x", "y"):
-        place = table.get(key)
-        if isinstance(place, bool) or not isinstance(place, int | float):
-            raise InputError(f"{at}: {key} must be a number of meters")
-        if not (math.isfinite(place) and abs(place) <= MOST_ARM):
-            raise InputError(f"{at}: {key} must lie within {MOST_ARM:g} m")
-        out[key] = float(place)
-    return out
 
 
 def _number(value: object, name: GivenName) -> Measured:

@@ -7,7 +7,7 @@ import secrets
 import shutil
 import tempfile
 from collections.abc import AsyncIterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,7 +59,6 @@ class Item:
     size: int = 0
     results: Path | None = None
     busy: int = 0
-    about: dict[str, Any] = field(default_factory=dict)
 
     @property
     def upload(self) -> Path:
@@ -251,7 +250,6 @@ class Workbench:
                 async for one in said:
                     if "done" in one and job["do"] == "analyze":
                         item.set_results(Path(job["folder"]))
-                        item.about = one["done"]
                     await response.write(json.dumps(one).encode() + b"\n")
             await response.write_eof()
         finally:
