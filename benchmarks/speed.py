@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.study import PROJECT, arguments, children_seconds, run
+from testbed.study import PROJECT, arguments, run
 
 FOUR = ("HIGHRES_IMU", "ATTITUDE", "ESC_STATUS", "LOCAL_POSITION_NED")
 MEGABYTE = 1_000_000
@@ -31,8 +31,6 @@ class Measured(NamedTuple):
     """Bytes of memory at most, interpreter and libraries included."""
     messages: int | None
     """Messages of the four types; None where the reader does not report them."""
-    longest: float = 0.0
-    """Processor time of the process that takes most, where there are two; else 0."""
 
 
 def read_file(path: str) -> None:
@@ -198,11 +196,10 @@ def read_here(name: str, path: str) -> None:
     reader = READERS[name]
     for module in reader.needs:
         importlib.import_module(module)
-    began, others = time.process_time(), children_seconds()
+    began = time.process_time()
     messages = reader.read(path)
-    own, other = time.process_time() - began, children_seconds() - others
     # Some print; the last line is ours.
-    print(json.dumps([own + other, messages, max(own, other) if other else 0.0]))
+    print(json.dumps([time.process_time() - began, messages]))
 
 
 def measure(name: str, path: Path) -> Measured | str:
@@ -211,8 +208,8 @@ def measure(name: str, path: Path) -> Measured | str:
     if done.status:
         said = done.said.strip().splitlines()
         return said[-1] if said else f"exit status {done.status}"
-    seconds, messages, longest = json.loads(done.told.splitlines()[-1])
-    return Measured(seconds, done.peak, messages, longest)
+    seconds, messages = json.loads(done.told.splitlines()[-1])
+    return Measured(seconds, done.peak, messages)
 
 
 def compare(path: Path, names: list[str], repeats: int, *, long: bool) -> dict[str, Measured | str]:
@@ -269,9 +266,6 @@ def verdicts(path: Path, measured: dict[str, Measured | str]) -> list[str]:
         for (ours, other), bar in BARS.items()
         if ours in found and other in found
     ]
-    if "analyze" in found and found["analyze"].longest and "pymavlink" in found:
-        times = found["pymavlink"].seconds / found["analyze"].longest
-        rows.append(("analyze, its longer process, x pymavlink", times, "at least 10"))
     if "decoder" in found:
         most = 3.5 * path.stat().st_size / MEGABYTE + 120.0
         rows.append(("decoder, peak MB", found["decoder"].peak / MEGABYTE, f"at most {most:.0f}"))

@@ -29,9 +29,6 @@ ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 # Between processes of the program itself: the pipes to a child and from it.
 MAY_PICKLE = {
     "cli/reporting.py",
-    "health/reader_main.py",
-    "health/reader_process.py",
-    "telemetry/object_pipe.py",
 }
 
 

@@ -68,13 +68,3 @@ def test_the_bars_are_told_beside_what_was_measured(tmp_path):
     }
     lines = [line.split() for line in speed.verdicts(path, measured)]
     assert [(line[-4], line[-1]) for line in lines] == [("40.0", "15"), ("90", "127")]
-
-
-def test_two_processes_are_told_apart(tmp_path):
-    path = tmp_path / "some.tlog"
-    path.write_bytes(bytes(1000))
-    measured = {
-        "analyze": speed.Measured(9.0, 1e6, None, 5.0), "pymavlink": speed.Measured(50.0, 1e6, 4)
-    }  # fmt: skip
-    lines = speed.verdicts(path, measured)
-    assert [float(line.split()[-4]) for line in lines] == [5.6, 10.0]

@@ -62,7 +62,6 @@ def run(options: argparse.Namespace) -> int:
                     chain,
                     output.progress_bar(log),
                     observer,
-                    in_two_processes=True,
                 )
                 results.append(found.result)
                 documents.append(found.as_json())
