@@ -32,7 +32,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
 from sim_bridge.doublets import LEAD, PART, DoubletMission

@@ -21,7 +21,7 @@ from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.summary import values_of
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.telemetry.frames import FrameScanner
 from sim_bridge.ensemble import Flight as EmulatedFlight
 from sim_bridge.ensemble import fly_ensemble

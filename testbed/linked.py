@@ -1,8 +1,7 @@
 """A chain and the link that feeds it, as a live session joins them, without a session."""
 
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.telemetry.intake import FrameGathering, Intake
 

@@ -27,9 +27,7 @@ from sim_bridge.swings import read_plan
 TOOL = Path(gcs_sysid.__file__).parent
 ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 # Between processes of the program itself: the pipes to a child and from it.
-MAY_PICKLE = {
-    "cli/reporting.py",
-}
+MAY_PICKLE = {"cli/reporting.py", "live/receiver_wire.py"}
 
 
 @functools.cache

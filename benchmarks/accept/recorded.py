@@ -24,8 +24,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.history import History
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed import judge as truth_judge

@@ -17,7 +17,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from testbed.recordings import OPEN_LOOP, airframe_for
 from testbed.study import arguments
 

@@ -28,8 +28,7 @@ from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.session.chain import WINDOW, Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.twin.twin_flight import TwinFlight

@@ -14,8 +14,7 @@ from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle
 from testbed.rate_loop import fly as fly_cell
 from tests.feeding import feed

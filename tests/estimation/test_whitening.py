@@ -26,7 +26,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamic
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.signals.one_step import OneStep, step_for
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 

@@ -9,8 +9,7 @@ import pyarrow.parquet
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.limits import LogLimits, analyze_within
+from gcs_sysid.fleet.jobs import Job, LogLimits, Task, analyze_within
 from gcs_sysid.model.airframe import load_airframe
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
@@ -71,10 +70,10 @@ def test_other_errors_are_its_own(task):
 
 ENDLESS = """
 import re
-from gcs_sysid.fleet import limits
-limits._GRACE = 0.2
-within = limits.LogLimits(seconds=0.1)
-limits.analyze_within(within, TASK, lambda task: re.match("(a+)+b", "a" * 80))
+from gcs_sysid.fleet import jobs
+jobs._GRACE = 0.2
+within = jobs.LogLimits(seconds=0.1)
+jobs.analyze_within(within, TASK, lambda task: re.match("(a+)+b", "a" * 80))
 """
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pymavlink import mavparm
 
-from gcs_sysid.cli.health_table import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
 from gcs_sysid.health import assessment
 from gcs_sysid.health.assessment import health_of_log

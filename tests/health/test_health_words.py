@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.health_table import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.assessment import beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline

@@ -13,7 +13,7 @@ from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
-from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.columns import RecordBlock

@@ -7,7 +7,7 @@ import pytest
 from gcs_sysid.judgement.clock_doubt import clock_doubt, is_simulated
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog

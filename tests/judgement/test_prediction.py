@@ -15,7 +15,7 @@ from gcs_sysid.judgement.prediction import RULES, is_hover
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 
 ROTATION = RotationFit(
@@ -30,7 +30,6 @@ GOOD = Validation(
     theta=ROTATION.theta,
     coordinates=np.array([0.0, 0.0, 1.0]),
 )
-AXES = ("roll", "pitch", "yaw")
 CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}
 MEAN = {name for name, p in CLAIMS.items() if p.mean_torque}
 

@@ -8,8 +8,8 @@ import pytest
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.judgement.evidence import Evidence, Received
+from gcs_sysid.judgement.imu_faults import saturated_sensors
 from gcs_sysid.judgement.judge import judge
-from gcs_sysid.judgement.saturated import saturated_sensors
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate

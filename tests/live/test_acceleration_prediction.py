@@ -12,8 +12,7 @@ from gcs_sysid.live.acceleration_prediction import (
 )
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from tests.feeding import feed
 
 

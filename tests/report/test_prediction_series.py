@@ -15,7 +15,7 @@ from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.data import Provenance, Recorder, gather, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 
 
 def agreement(prediction):

@@ -6,8 +6,7 @@ from scipy.signal import butter, lfilter
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Stream
 from tests.feeding import feed
 

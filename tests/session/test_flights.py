@@ -9,8 +9,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from tests.feeding import feed
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.judgement.gyro import gyro_fault, misread_axes
+from gcs_sysid.judgement.imu_faults import gyro_fault, misread_axes
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.gyro_check import GyroCheck
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.inertial_stream import FaultCounts, InertialBuffer, at_cg
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.saturation import Saturation

@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.failures import OneByOne
-from gcs_sysid.cli.health_table import health_text
+from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -17,7 +17,7 @@ from gcs_sysid.health.whole_analysis import WholeAnalysis, analyze_whole
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_pair
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 
 
 def run(options: argparse.Namespace) -> int:

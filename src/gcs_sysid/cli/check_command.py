@@ -9,18 +9,18 @@ from typing import Any
 
 from gcs_sysid.cli import health_command, output
 from gcs_sysid.cli.failures import OneByOne
-from gcs_sysid.cli.health_table import answer_lines
+from gcs_sysid.cli.health_command import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
 from gcs_sysid.health.assessment import ReadLog, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Health, against_first
 from gcs_sysid.health.whole_analysis import WholeAnalysis
 from gcs_sysid.inspection.inspector import inspect_log
-from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.judgement.status import level_of
 from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.results.result_view import verdict_sentence
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.telemetry.logs import Log
 
 _NAME = 16

@@ -1,19 +1,25 @@
-"""`gcs-sysid health`: the vehicle's condition from any flight that hovers."""
+"""`gcs-sysid health`: the vehicle's condition from any flight that hovers, in lines of text."""
 
 import argparse
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.failures import OneByOne
-from gcs_sysid.cli.health_table import health_text
+from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
-from gcs_sysid.health.autopilot_parameters import format_of, parameter_file
-from gcs_sysid.health.health_file import document_of, read_baseline
+from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, suggested
+from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
+from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
+from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.results.health_view import cg_facts, health_fact, quantity_text
+from gcs_sysid.results.number_format import PLAIN
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,3 +92,136 @@ def _deliver(
         files.append((options.picture, lambda: health_picture(document_of(best), series)))
     # Files last: what cannot be written costs no number.
     output.deliver("\n\n".join(texts), *files, force=options.force)
+
+
+_NAME = 20
+
+
+def health_text(health: Health, *, answered: bool = False) -> str:
+    """All that hover shows of a vehicle, in lines.
+
+    Args:
+        health: of a flight that hovers.
+        answered: whether the first line was given before; else it is here.
+    """
+    document = document_of(health)
+    answer = [] if answered else [*answer_lines(document["summary"], TEXT_WIDTH), ""]
+    foot = _foot(health, document["summary"]["action"])
+    whole = [*_head(health, document), "", *_rotors(health), *_parameters(health), *foot]
+    return "\n".join([*answer, *whole])
+
+
+def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
+    """The first line and what to do first."""
+    return [
+        *textwrap.wrap(answer["line"], width, subsequent_indent="  ", break_on_hyphens=False),
+        *_wrapped(answer["action"], "-> ", width),
+    ]
+
+
+def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
+    yield health.source
+    assert health.rotor_input is not None
+    what = health.rotor_input.words
+    yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
+    yield ""
+    for name, size, way, alike in cg_facts(document):
+        yield _line(name, f"{size} {way} of the center ({alike})")
+    if health.cg_of_hover is None:
+        yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
+    if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
+        yield _line("  wind contribution", _as_flown(health.by_wind))
+    for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
+        yield from _fact(document, key)
+    if health.scale is not None:
+        name, quantity = health.scale
+        yield _line(name, quantity_text(quantity.as_json()))
+    if health.mass is not None:
+        yield _line("mass", quantity_text(health.mass.as_json()))
+    if health.curve is not None:
+        curve = health.curve
+        origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"
+        if curve.c.value is not None:
+            yield _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half or 0.0, origin))
+    yield from _fact(document, "drift_per_minute")
+    if health.motor_lag:
+        yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
+    if health.condition is not None:
+        yield _line("rotors", condition_text(health.condition))
+    if health.apart:
+        yield from _wrapped(health.apart, f"{'rotors':<{_NAME}}")
+    if health.weakened is not None:
+        weak_rotor = condition_text(health.weakened.condition)
+        yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
+
+
+def _as_flown(moved: tuple[float, float]) -> str:
+    x, y = (1e3 * value for value in moved)
+    along, across = "forward" if x >= 0.0 else "aft", "right" if y >= 0.0 else "left"
+    return f"perhaps {abs(x):.0f} mm {along}, {abs(y):.0f} mm {across}: fly in calm air to know"
+
+
+def _line(name: str, text: str) -> str:
+    return f"{name:<{_NAME}}{text}"
+
+
+def _fact(document: Mapping[str, Any], key: str) -> Iterator[str]:
+    found = health_fact(document, key, whole=True)
+    if found is not None:
+        yield _line(*found)
+
+
+def _rotors(health: Health) -> Iterator[str]:
+    columns = ["rotor", "thrust share", "motor gain", "throttle left", "at full", "vibration"]
+    yield "".join(f"{name:>14}" if i else f"{name:<6}" for i, name in enumerate(columns))
+    for number, rotor in enumerate(health.rotors, 1):
+        cells = [
+            _cell(rotor.thrust_share, 100.0, "%"),
+            _cell(rotor.motor_gain, 1.0, ""),
+            _cell(rotor.headroom, 100.0, "%"),
+            "-" if rotor.saturated is None else f"{100.0 * rotor.saturated:.1f} %",
+            _cell(rotor.vibration, 1.0, "m/s^2"),
+        ]
+        yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in cells)
+
+
+def _cell(quantity: Estimate | None, scale: float, unit: str) -> str:
+    if quantity is None or quantity.value is None:
+        return "-"
+    value = scale * quantity.value
+    return f"{value:.1f} {unit}" if unit == "%" else f"{value:.3f} {unit}".rstrip()
+
+
+def _parameters(health: Health) -> Iterator[str]:
+    found = suggested(health)
+    if not found:
+        return
+    yield ""
+    yield "Autopilot parameters that fit (nothing is sent; --params FILE writes them)"
+    for one in found:
+        assert one.quantity.value is not None
+        half = one.quantity.half or 0.0
+        now = "" if one.now is None else f"  now {one.now:.4g}"
+        interval = f" ± {half:.3f}" if half else ""
+        yield f"  {one.name:<{_NAME - 2}}{one.quantity.value:.3f}{interval}{now}"
+
+
+def _foot(health: Health, first: str) -> Iterator[str]:
+    others = [text for text in health.advice if text != first]
+    if others:
+        yield ""
+        for text in others:
+            yield from _wrapped(text, "-> ")
+    yield ""
+    for text in health.assumptions:
+        yield from _wrapped(f"assumed: {text}", "")
+
+
+def _wrapped(text: str, begin: str, width: int = TEXT_WIDTH) -> list[str]:
+    return textwrap.wrap(
+        text,
+        width,
+        initial_indent=begin,
+        subsequent_indent=" " * len(begin),
+        break_on_hyphens=False,
+    )

@@ -23,7 +23,7 @@ from gcs_sysid.inspection.facts import (
 )
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
 from gcs_sysid.inspection.thresholds import THRESHOLDS
-from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.signals.records import Stream

@@ -20,6 +20,7 @@ from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.number_format import PLAIN
@@ -28,7 +29,7 @@ from gcs_sysid.setup_help.checks import can_show
 from gcs_sysid.strict_json import json_text
 
 _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
-_AXES = ("roll", "pitch", "yaw", "climb")
+_AXES = (*AXES, "climb")
 _FOOT = (
     "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
     "250 Hz). In flight the coach uses the measured data."

@@ -28,8 +28,7 @@ from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder

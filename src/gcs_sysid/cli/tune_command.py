@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
 from gcs_sysid.control.loop_margins import frequencies, open_loops
-from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop
+from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
     BAND,
     TuningStudy,
@@ -34,6 +34,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
 from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.report.drawing import line, text
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.number_format import PLAIN
 
 RAMP = 1.0
@@ -75,11 +76,7 @@ class Manoeuvre:
     @property
     def can_be_seen(self) -> bool:
         """Whether no swing that belongs to it is too small to be flown by eye."""
-        return all(
-            getattr(self, axis) >= LEAST - 1e-9
-            for axis in ("roll", "pitch", "yaw")
-            if axis in self.name
-        )
+        return all(getattr(self, axis) >= LEAST - 1e-9 for axis in AXES if axis in self.name)
 
     def lasting(self, seconds: float) -> "Manoeuvre":
         """The same, longer or shorter."""

@@ -13,8 +13,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.control.hover_dynamics import HoverDynamics
 from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops
-from gcs_sysid.control.rate_loops import AXES, AxisGains, RateLoop
+from gcs_sysid.control.rate_loops import AxisGains, RateLoop
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.parameters import AXES
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from gcs_sysid.model.airframe import Rotor
 
 Autopilot = Literal["px4", "ardupilot"]
 AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot")
-AXES = ("roll", "pitch", "yaw")
 _AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
     "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
 }  # fmt: skip

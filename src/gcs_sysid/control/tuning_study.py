@@ -21,12 +21,13 @@ from gcs_sysid.control.loop_margins import (
     open_loops,
     step_response,
 )
-from gcs_sysid.control.rate_loops import AXES, Autopilot, RateLoop, read_loop
+from gcs_sysid.control.rate_loops import Autopilot, RateLoop, read_loop
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, complete
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameter_file import mission_planner_lines, qgroundcontrol_lines
+from gcs_sysid.model.parameters import AXES
 
 SCHEMA = "gcs-sysid-tune/1"
 ASSUMED_DELAY = (0.005, 0.0015)

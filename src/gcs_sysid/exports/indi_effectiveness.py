@@ -19,7 +19,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
 from gcs_sysid.exports.file_format import Format, commented, number, xml_comment
-from gcs_sysid.model.parameters import GRAVITY, INERTIA
+from gcs_sysid.model.parameters import AXES, GRAVITY, INERTIA
 
 _PPRZ, _SCALE, _RATE = 9600.0, 1000.0, 512.0
 """Largest command, INDI_G_SCALING and PERIODIC_FREQUENCY of Paparazzi."""
@@ -55,7 +55,7 @@ def _indiflight_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     """Lines for Indiflight's CLI."""
     n = len(vehicle.rotors)
     effect, reaction = _indiflight_g1(vehicle), g2(vehicle) * 1e5
-    names = ("fz", "roll", "pitch", "yaw")
+    names = ("fz", *AXES)
     rows = [f"set indi_act_num = {n}"]
     rows += [f"set indi_act_g1_{axis} = {_integers(np.zeros(n))}" for axis in ("fx", "fy")]
     rows += [

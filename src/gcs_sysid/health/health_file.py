@@ -9,7 +9,7 @@ from gcs_sysid.files import read_text
 from gcs_sysid.health.autopilot_parameters import suggested
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
-from gcs_sysid.judgement.short_verdicts import hover_verdict
+from gcs_sysid.judgement.status import hover_verdict
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.health_view import first_answer
 from gcs_sysid.results.number_format import PLAIN

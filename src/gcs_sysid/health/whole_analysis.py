@@ -12,7 +12,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.health_view import FirstAnswer, first_answer
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 
 
 @dataclass(frozen=True)

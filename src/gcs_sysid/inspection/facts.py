@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from gcs_sysid.judgement.short_verdicts import Readiness, level_of, readiness
+from gcs_sysid.judgement.status import Readiness, level_of, readiness
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.vehicles import RADIO, MavlinkSystem
 
 SCHEMA = "gcs-sysid-inspect/1"
-AXES = ("roll", "pitch", "yaw")
 ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 

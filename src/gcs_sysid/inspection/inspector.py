@@ -21,7 +21,6 @@ from gcs_sysid.inspection.derived_facts import (
     rotor_count,
 )
 from gcs_sysid.inspection.facts import (
-    AXES,
     ChosenSource,
     ClockFacts,
     Inspection,
@@ -41,6 +40,7 @@ from gcs_sysid.inspection.stream_watch import (
 )
 from gcs_sysid.judgement.clock_doubt import clock_doubt
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.columns import Key, RecordBlock
 from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import ROTOR_STREAMS, Record, Stream

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from gcs_sysid.inspection.facts import (
-    AXES,
     ONBOARD,
     Inspection,
     Obtainable,
@@ -13,8 +12,9 @@ from gcs_sysid.inspection.facts import (
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.judgement.prediction import is_still
 from gcs_sysid.judgement.received import TOO_MUCH_LOSS
-from gcs_sysid.judgement.short_verdicts import level_of
+from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.estimate import Objection
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 

@@ -12,12 +12,11 @@ from typing import Any, NamedTuple, TypeVar
 
 from gcs_sysid.judgement import (
     clock_doubt,
-    gyro,
+    imu_faults,
     outcome,
     plausibility,
     prediction,
     received,
-    saturated,
 )
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import by_interval, nothing, reference_values
@@ -67,8 +66,8 @@ PRODUCERS = (
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
-    Producer("gyro", gyro.misread_gyro, Stage.BELIEF),
-    Producer("saturation", saturated.saturated_sensors, Stage.BELIEF),
+    Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
+    Producer("saturation", imu_faults.saturated_sensors, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),
     Producer("prediction", prediction.held_out, Stage.FLIGHT),
     Producer("whiteness", prediction.white, Stage.FLIGHT),

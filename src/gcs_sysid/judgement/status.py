@@ -1,11 +1,12 @@
-"""How well a value is known by its interval alone, in one word."""
+"""Answers in one word: of a value by its interval alone, of data by objections alone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.parameters import ARM, REGISTRY, Parameter
 
 
@@ -105,3 +106,32 @@ def of_rotors(rotors: list[dict[str, Estimate]]) -> tuple[dict[str, Estimate], .
         }
         for rotor in rotors
     )
+
+
+Readiness = Literal["yes", "partly", "no"]
+Level = Literal["blocks", "limits", "note"]
+HoverVerdict = Literal["available", "refused"]
+
+
+def level_of(objection: Objection) -> Level:
+    """What an objection means for what can be had from the data, by the verdict that it leaves."""
+    if objection.verdict == "refused":
+        return "blocks"
+    return "limits" if objection.verdict == "partial" else "note"
+
+
+def readiness(objections: Iterable[Objection]) -> Readiness:
+    """Whether a vehicle can be identified from the data."""
+    levels = {level_of(objection) for objection in objections}
+    return "no" if "blocks" in levels else "partly" if "limits" in levels else "yes"
+
+
+def hover_verdict(objections: Iterable[Objection], *, hovers: bool) -> HoverVerdict:
+    """Whether a flight shows the balance of its vehicle.
+
+    Args:
+        objections: to it.
+        hovers: whether anything hovered.
+    """
+    blocked = any(level_of(objection) == "blocks" for objection in objections)
+    return "available" if hovers and not blocked else "refused"

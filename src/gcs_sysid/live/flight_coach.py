@@ -24,6 +24,7 @@ from gcs_sysid.coach.manoeuvre_library import (
 )
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.sampling import SampleBlock
@@ -68,7 +69,6 @@ class CoachRules:
 
 
 RULES = CoachRules()
-_AXES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class Coach:
         share = np.sqrt(self._tried[:3] / self._tried[3] / np.maximum(self._asked, 1e-12))
         self._tried[:] = 0.0
         found = False
-        for axis, came, squares in zip(_AXES, share, self._asked, strict=True):
+        for axis, came, squares in zip(AXES, share, self._asked, strict=True):
             if squares <= RULES.matters * self._asked.max():
                 continue
             key = axis, asked.yaw_pace if axis == "yaw" else asked.pace
@@ -221,7 +221,7 @@ class Coach:
     def _achieved(self, manoeuvre: Manoeuvre) -> Manoeuvre:
         """A maneuver as the vehicle flies it: damped at one pace, damped at a brisker one too."""
         shares = {}
-        for axis in _AXES:
+        for axis in AXES:
             pace = manoeuvre.yaw_pace if axis == "yaw" else manoeuvre.pace
             seen = [s for (name, hz), s in self._swings.items() if name == axis and hz <= pace]
             shares[axis] = min(seen, default=1.0) * getattr(manoeuvre, axis)
@@ -269,7 +269,7 @@ class Coach:
         """(3,) squared body rates, mean over the maneuver as it is asked."""
         came = self._achieved(choice.manoeuvre)
         squares = (choice.motion.rates**2).mean(axis=0)
-        for k, axis in enumerate(_AXES):
+        for k, axis in enumerate(AXES):
             swing = getattr(came, axis)
             squares[k] *= (getattr(choice.manoeuvre, axis) / swing) ** 2 if swing else 1.0
         asked: Array = squares

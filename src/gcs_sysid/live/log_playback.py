@@ -12,8 +12,7 @@ from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock

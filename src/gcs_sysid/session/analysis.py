@@ -10,8 +10,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.chain import WINDOW, Chain
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock

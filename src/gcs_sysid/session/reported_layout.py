@@ -20,6 +20,7 @@ from gcs_sysid.model.airframe import (
     is_evenly_canted,
     load_airframe,
 )
+from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.signals.motor_order import MIXER, motor_outputs
 from gcs_sysid.telemetry.dialect import mavlink
@@ -184,7 +185,7 @@ def _by_mixer(parameters: Mapping[str, float]) -> ReportedLayout | None:
     """
     rotors = []
     for i in range(MOST_ROTORS):
-        gains = [parameters.get(f"{MIXER}{axis}[{i}]") for axis in ("roll", "pitch", "yaw")]
+        gains = [parameters.get(f"{MIXER}{axis}[{i}]") for axis in AXES]
         if None in gains:
             break
         roll, pitch, yaw = (gain or 0.0 for gain in gains)

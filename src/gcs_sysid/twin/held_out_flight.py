@@ -26,7 +26,7 @@ from gcs_sysid.model.airframe import (
 )
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.prediction_errors import HORIZONS, FlightPart, Twin, judge
 from gcs_sysid.twin.twin_flight import TwinFlight

@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid.argument_types import given_words, with_given
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.limits import MEGABYTE, LogLimits, OverTime, within
+from gcs_sysid.fleet.jobs import MEGABYTE, LogLimits, OverTime, within
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
@@ -19,7 +19,7 @@ from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
 from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.health_picture import health_picture
 from gcs_sysid.report.page import render
-from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
