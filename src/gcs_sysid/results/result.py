@@ -3,6 +3,11 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model.parameters import INERTIA
+from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.results.result_data import ResultData
 
 if TYPE_CHECKING:
@@ -26,6 +31,19 @@ class Result(ResultData):
         >>> result.scale.anchor, result.as_json()["parameters"]["mass"]["unit"]
         ('mass', 'kg')
     """
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) matrix about the CG in kg m^2, axes forward, right, down; NaN where not known.
+
+        Example:
+            >>> import gcs_sysid
+            >>> gcs_sysid.analyze("logs/sample.tlog", "paper").inertia.shape
+            (3, 3)
+        """
+        known = [self.parameters.get(name) for name in INERTIA]
+        values = [np.nan if e is None or e.value is None else e.value for e in known]
+        return inertia_matrix(np.array(values))
 
     def samples(self, n: int, seed: int = 0, *, given: bool = True) -> "ParameterSamples":
         """Vehicles drawn from the full covariance, all of them physical; see `draw_samples`.
