@@ -13,6 +13,7 @@ Predictions are those of the result, not of the true vehicle. Phase in degrees, 
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from gcs_sysid.model.parameters import AXES, GRAVITY
 from sim_bridge.controller import Gains
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
-from sim_bridge.missions import HEIGHT, Reference
+from sim_bridge.missions import HEIGHT, Mission, Reference
 from sim_bridge.rate_controllers import CONTROLLERS, LOOP_RATE
 from sim_bridge.simulation import Simulation
 from testbed.study import arguments, gone_on_with
@@ -103,31 +104,33 @@ def identified(drawn: Drawn, seed: int) -> ExportedVehicle:
     return joined_vehicle(assemble(speeds), with_delay(assemble(commands)))
 
 
+CURVES = {"px4": "THR_MDL_FAC", "ardupilot": "MOT_THST_EXPO"}
+"""The parameter of each autopilot that holds the thrust curve."""
+
+
 def loop_of(autopilot: Autopilot, ours: ExportedVehicle, drawn: Drawn) -> RateLoop:
     """The autopilot's settings before the tuning: the thrust curve as identified, else defaults."""
-    curve = ours.get("thrust_curve") or 0.0
-    name = "THR_MDL_FAC" if autopilot == "px4" else "MOT_THST_EXPO"
-    return read_loop(autopilot, {name: min(max(curve, 0.0), 1.0)}, drawn.vehicle.rotors)
+    curve = min(max(ours.get("thrust_curve") or 0.0, 0.0), 1.0)
+    return read_loop(autopilot, {CURVES[autopilot]: curve}, drawn.vehicle.rotors)
 
 
-def flown(drawn: Drawn, loop: RateLoop, mission, injection=None) -> Simulation:
-    """The emulator with the gains of a loop, in calm air."""
-    curve = "THR_MDL_FAC" if loop.autopilot == "px4" else "MOT_THST_EXPO"
-    settings = {**loop.as_parameters(), curve: loop.curve}
+def flown(drawn: Drawn, loop: RateLoop, mission: Mission, gusts: float | None, *more: Any):
+    """The emulator with the gains of a loop.
 
-    def controller(vehicle, period):
-        kind = CONTROLLERS[loop.autopilot]
-        return kind(vehicle, period, settings, DELAY_LOOPS, ATTITUDE_ONLY, injection)
-
+    Args:
+        drawn: the vehicle.
+        loop: its gains.
+        mission: flown.
+        gusts: rad/s rms of the body rates.
+        more: gains of the outer loops and what is injected, of the controller.
+    """
+    settings = {**loop.as_parameters(), CURVES[loop.autopilot]: loop.curve}
+    kind = CONTROLLERS[loop.autopilot]
     return Simulation(
-        drawn.vehicle,
-        mission,
-        np.random.SeedSequence(1),
-        0.0,
-        step_us=STEP_US,
+        drawn.vehicle, mission, np.random.SeedSequence(1), gusts, step_us=STEP_US,
         control_steps=CONTROL_STEPS,
-        controller=controller,
-    )
+        controller=lambda vehicle, period: kind(vehicle, period, settings, DELAY_LOOPS, *more),
+    )  # fmt: skip
 
 
 def measured_loop(
@@ -150,7 +153,7 @@ def measured_loop(
         out[axis] = float(sizes @ np.cos(tones * t + phases))
         return (out[0], out[1], out[2])
 
-    sim = flown(drawn, loop, Steps(axis, at=math.inf), injection)
+    sim = flown(drawn, loop, Steps(axis, at=math.inf), 0.0, ATTITUDE_ONLY, injection)
     controller = sim._controller
     rows = []
     for _ in range(round((SETTLE + PERIOD) / (STEP_US * 1e-6))):
@@ -162,31 +165,23 @@ def measured_loop(
     return tones, -(wave @ asked) / (wave @ sent)
 
 
-def measured_step(drawn: Drawn, loop: RateLoop, axis: int) -> tuple[float, float]:
-    """Peak of an attitude step over the step, and the largest deviation of the other angles."""
+def overshoot_of(drawn: Drawn, loop: RateLoop, axis: int) -> float:
+    """Peak of an attitude step beyond the step, over it."""
     mission = Steps(axis)
-    sim = flown(drawn, loop, mission)
+    sim = flown(drawn, loop, mission, 0.0, ATTITUDE_ONLY)
     angles = []
     for _ in range(round(4.0 / (STEP_US * 1e-6))):
         sim.step()
         a, b, c, d = sim.state.quaternion
         angles.append((2.0 * b * a, 2.0 * c * a, 2.0 * d * a))
     track = np.array(angles)
-    others = np.abs(np.delete(track, axis, axis=1)).max()
     start = track[round(mission.at / (STEP_US * 1e-6)) - 1, axis]
-    return float((track[:, axis].max() - start) / mission.angle), float(others)
+    return max(float((track[:, axis].max() - start) / mission.angle) - 1.0, 0.0)
 
 
 def first_flight(drawn: Drawn, loop: RateLoop) -> bool:
     """Whether it holds attitude in gusts from the first second, position held."""
-    hover = Steps(0, at=math.inf)
-    curve = "THR_MDL_FAC" if loop.autopilot == "px4" else "MOT_THST_EXPO"
-    settings = {**loop.as_parameters(), curve: loop.curve}
-    sim = Simulation(
-        drawn.vehicle, hover, np.random.SeedSequence(2), 0.1, step_us=STEP_US,
-        control_steps=CONTROL_STEPS,
-        controller=lambda v, p: CONTROLLERS[loop.autopilot](v, p, settings, DELAY_LOOPS),
-    )  # fmt: skip
+    sim = flown(drawn, loop, Steps(0, at=math.inf), 0.1)
     worst = 0.0
     for _ in range(round(12.0 / (STEP_US * 1e-6))):
         sim.step()
@@ -223,13 +218,12 @@ def vehicle_rows(
         predicted = margins_of(omega, loops[:, :, axis])
         tones, transfer = measured_loop(drawn, loop, axis, float(predicted.crossover[0]))
         found = margins_of(tones, transfer[None])
-        peak, _ = measured_step(drawn, loop, axis)
         expected = float(step_response(dynamics.first(1), loop, axis).overshoot[0])
         rows.append(
             Row(
                 (float(predicted.phase[0]), float(found.phase[0])),
                 (float(predicted.gain[0]), float(found.gain[0])),
-                (expected, float(max(peak - 1.0, 0.0))),
+                (expected, overshoot_of(drawn, loop, axis)),
                 float(predicted.crossover[0]),
             )
         )

@@ -9,7 +9,6 @@ equal to that of a batch that nobody killed, and no process, and nothing half wr
 """
 
 import contextlib
-import io
 import os
 import random
 import signal
@@ -21,12 +20,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gcs_sysid.fleet.batch_table import read_table
-from sim_bridge.cli import main as sim_bridge
-from testbed.study import arguments
+from testbed.study import arguments, flown
 
 FLIGHT = (
     *("--airframe", "paper", "--mission", "all-axes", "--noise", "paper", "--sigma", "0.002"),
-    *("--rate", "20", "--speed", "max", "--duration", "14", "--seed", "5"),
+    *("--rate", "20", "--duration", "14", "--seed", "5"),
 )
 _PATIENCE = 60.0
 """s after which processes of a killed batch count as left over."""
@@ -49,13 +47,8 @@ class Kill(NamedTuple):
 
 def make_logs(folder: Path, count: int) -> None:
     """Logs of different content: a flight, and so many of its last bytes less."""
-    whole = folder / "00.tlog"
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        status = sim_bridge([*FLIGHT, "--tlog", str(whole)])
-    if status:
-        sys.exit("the emulator failed")
-    data = whole.read_bytes()
-    for number in range(1, count):
+    data = flown(FLIGHT, folder.parent)[0].read_bytes()
+    for number in range(count):
         (folder / f"{number:02d}.tlog").write_bytes(data[: len(data) - 400 * number])
 
 

@@ -86,8 +86,6 @@ def main() -> None:
     parser.add_argument(
         "--flood", type=float, default=50_000.0, help="datagrams/s (default: 50000)"
     )
-    parser.add_argument("--buffer", type=int, help="bytes of the tool's receive buffer")
-    parser.add_argument("--mixed", action="store_true", help="without a socket for the vehicle")
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.port is not None:
@@ -96,14 +94,12 @@ def main() -> None:
         )
         print(json.dumps(sent))
         return
-    watched = ["--mixed"] if options.mixed else []
-    watched += [] if options.buffer is None else ["--buffer", str(options.buffer)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         flight = folder / "flight.tlog"
         length = emulate(flight, rate=250.0, ground=1.0, seconds=BEFORE + options.seconds + AFTER)
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-        tool = Tool(folder, options.core, "--no-record", alone=options.alone, watched=watched)
+        tool = Tool(folder, options.core, "--no-record", alone=options.alone)
         own = ["--port", str(tool.port), "--flood", str(options.flood)]
         own += ["--seconds", str(options.seconds), *(["--alone"] if options.alone else [])]
         flooder = subprocess.Popen(

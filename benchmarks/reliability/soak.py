@@ -3,7 +3,7 @@
     python -m benchmarks.reliability.soak [--minutes 60 | --flights 5] [--seed 1]
 
 Round after round, as long as the minutes last or as many as asked for: traps and faults of the line
-are drawn by the seed from the emulator's own tables, the emulator flies the article's mission with
+are drawn by the seed, the emulator flies the article's mission with
 them, 1 kHz of IMU and rotor speeds, into a recording, as fast as it can; and a live session takes
 that recording's datagrams as fast as it can, records and identifies. The sessions follow each other
 in one process.
@@ -20,8 +20,6 @@ After each round it is checked that
 
 import ctypes
 import gc
-import importlib
-import importlib.util
 import random
 import sys
 import tempfile
@@ -40,7 +38,6 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
-from sim_bridge import sensor_faults as sensor_faults
 from sim_bridge.playback import moments
 from testbed.study import arguments, flown
 
@@ -54,7 +51,7 @@ FAULTS = (
     "loss=0.05", "bursts=0.05:5", "silence=20:2", "corrupt=0.01", "jitter", "reorder",
     "duplicate", "garbage=500", "forged", "flood=2000",
 )  # fmt: skip
-"""What the tool claims to bear, with sizes; those that this emulator does not know are left out."""
+"""What the tool claims to bear, with sizes."""
 MOST = 3
 """Of both kinds in one flight."""
 NOT_SENT = ("ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "ATTITUDE_QUATERNION")
@@ -93,18 +90,9 @@ class Round:
     wrong: tuple[str, ...]
 
 
-def known(candidates: Sequence[str], module: str) -> list[str]:
-    """Those of them that an emulator's table names."""
-    if importlib.util.find_spec(module) is None:
-        return []
-    table = importlib.import_module(module).KINDS
-    return [text for text in candidates if text.partition("=")[0] in table]
-
-
 def draw(random_: random.Random) -> tuple[list[str], list[str]]:
-    """SensorFaults and faults of one flight."""
-    every = [("trap", text) for text in known(TRAPS, sensor_faults.__name__)]
-    every += [("fault", text) for text in known(FAULTS, "sim_bridge.line_faults")]
+    """Sensor faults and faults of the line of one flight."""
+    every = [("trap", text) for text in TRAPS] + [("fault", text) for text in FAULTS]
     some = random_.sample(every, random_.randint(0, MOST))
     return [t for kind, t in some if kind == "trap"], [t for kind, t in some if kind == "fault"]
 

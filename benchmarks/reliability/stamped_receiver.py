@@ -1,8 +1,6 @@
 """The receiver's process, which writes down when each datagram arrived; see `watched`.
 
-    python -m benchmarks.reliability.stamped_receiver ARRIVALS BUFFER MIXED
-
-BUFFER: bytes asked of the system, 0 for the usual; MIXED: 1 never to read the vehicle's apart.
+python -m benchmarks.reliability.stamped_receiver ARRIVALS
 """
 
 import socket
@@ -19,11 +17,7 @@ ARRIVAL = struct.Struct("<qI")
 
 def main() -> int:
     """Receive, as the tool does."""
-    path, buffer, mixed = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "1"
-    if buffer:
-        UdpLink.RECEIVE_BUFFER = buffer
-    if mixed:
-        UdpLink.FLOOD = sys.maxsize
+    path = Path(sys.argv[1])
     read, run = UdpLink._read, receiver_main.ReceiverMain.run
     arrivals = path.open("wb")
 

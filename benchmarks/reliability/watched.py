@@ -160,8 +160,6 @@ def main() -> int:
     parser.add_argument("times", type=Path)
     parser.add_argument("--core", type=int)
     parser.add_argument("--alone", action="store_true")
-    parser.add_argument("--buffer", type=int, help="bytes asked of the system for what arrives")
-    parser.add_argument("--mixed", action="store_true", help="never read the vehicle's apart")
     parser.add_argument("--nice", type=int, default=0, help="of the session, not of its receiver")
     parser.add_argument("words", nargs="+")
     options = parser.parse_args()
@@ -170,10 +168,8 @@ def main() -> int:
     watch(times)
     folder = tempfile.TemporaryDirectory()
     arrivals = Path(folder.name) / "arrivals"
-    receiver_process.COMMAND = [
-        *(sys.executable, "-m", "benchmarks.reliability.stamped_receiver", str(arrivals)),
-        *(str(options.buffer or 0), str(int(options.mixed))),
-    ]
+    stamped = "benchmarks.reliability.stamped_receiver"
+    receiver_process.COMMAND = [sys.executable, "-m", stamped, str(arrivals)]
     if options.nice:
         start = receiver_process.ReceiverProcess.__init__
 

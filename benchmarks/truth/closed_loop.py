@@ -16,7 +16,7 @@ The flights are those of `testbed.rate_loop`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -131,28 +131,17 @@ def judge(
     )
 
 
-@dataclass
-class _Options:
-    flights: int = 12
-    seconds: float = 30.0
-    rate: float = 500.0
-    seed: int = 1
-    cells: Sequence[str] = field(default_factory=lambda: CELLS)
-    smoothers: Sequence[str] = ("window", "whitened")
-
-
 def main() -> None:
     """Print the table."""
     parser = arguments(__doc__)
-    known = _Options()
-    parser.add_argument("--flights", type=int, default=known.flights)
-    parser.add_argument("--seconds", type=float, default=known.seconds)
-    parser.add_argument("--rate", type=float, default=known.rate, help="Hz: 500 or 250")
-    parser.add_argument("--seed", type=int, default=known.seed)
-    parser.add_argument("--cells", nargs="+", default=known.cells, metavar="EXCITATION:DISTURBANCE")
+    parser.add_argument("--flights", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--rate", type=float, default=500.0, help="Hz: 500 or 250")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cells", nargs="+", default=CELLS, metavar="EXCITATION:DISTURBANCE")
     names = [*estimators(0.002)]
-    parser.add_argument("--smoothers", nargs="+", choices=names, default=known.smoothers)
-    options = parser.parse_args(namespace=known)
+    parser.add_argument("--smoothers", nargs="+", choices=names, default=["window", "whitened"])
+    options = parser.parse_args()
     vehicle, dt = Vehicle(), 1.0 / options.rate
     head = "bias %    rms  cov  +-95"
     print(

@@ -8,6 +8,7 @@ weighted mean, and how many intervals hold what throws without feedback gave (5.
 """
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,33 +26,24 @@ FLIGHTS = tuple(f"LOG00{number}.tlog" for number in (259, 264, 267, 269, 271, 27
 NAMES = tuple(OPEN_LOOP)
 
 
-def table(folder: Path, *, offline: bool) -> list[str]:
+def table(folder: Path, *, offline: bool) -> Iterator[str]:
     """Lines to print."""
-    lines = ["flight     used s   Ixx 1e-4          Iyy 1e-4          k_T 1e-7  status"]
+    yield "flight     used s   Ixx 1e-4          Iyy 1e-4          status"
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}
     options = ChainOptions(history_interval=None, offline=offline)
-    for name in FLIGHTS:
-        log = folder / name
-        if not log.exists():
-            continue
+    for log in filter(Path.exists, (folder / name for name in FLIGHTS)):
         result = analyze_log(log, airframe_for(log), options=options)
-        cells, statuses = [], []
-        for key in NAMES:
-            estimate = result.parameters[key]
-            statuses.append(estimate.status)
-            if estimate.value is None or estimate.std is None or estimate.status == "unobservable":
+        cells = []
+        for name, e in ((name, result.parameters[name]) for name in NAMES):
+            if e.value is None or e.std is None or e.status == "unobservable":
                 cells.append(f"{'-':>16}")
                 continue
-            found[key].append((estimate.value, estimate.std))
-            half = 100.0 * Z95 * estimate.std / estimate.value
-            cells.append(f"{1e4 * estimate.value:7.2f} +-{half:5.1f} %")
-        k_T = result.parameters["k_T"].value
+            found[name].append((e.value, e.std))
+            cells.append(f"{1e4 * e.value:7.2f} +-{100.0 * Z95 * e.std / e.value:5.1f} %")
+        statuses = ", ".join(result.parameters[name].status for name in NAMES)
         used = result.telemetry["used_seconds"]
-        thrust = "-" if k_T is None else f"{1e7 * k_T:.3f}"
-        lines.append(
-            f"{log.stem:10s} {used:6.1f}   {'  '.join(cells)}  {thrust:>8}  {', '.join(statuses)}"
-        )
-    return lines + [summary(key, np.array(pairs)) for key, pairs in found.items() if len(pairs) > 1]
+        yield f"{log.stem:10s} {used:6.1f}   {'  '.join(cells)}  {statuses}"
+    yield from (summary(key, np.array(pairs)) for key, pairs in found.items() if len(pairs) > 1)
 
 
 def summary(name: str, pairs: Array) -> str:
@@ -77,7 +69,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--offline", action="store_true")
     options = parser.parse_args(argv)
     try:
-        print("\n".join(table(options.folder, offline=options.offline)))
+        for line in table(options.folder, offline=options.offline):
+            print(line, flush=True)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
