@@ -17,66 +17,36 @@ from pathlib import Path
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.arrays import Array
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.command_curve import thrust_of
-from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.log_streams import Streams, streams_of
-from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
+from gcs_sysid.health.rotor_condition import compare_loads, load_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.signals.columns import Track
-from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.logs import open_log
 from sim_bridge.doublets import DoubletMission
-from sim_bridge.missions import HoverMission, Mission
-from sim_bridge.physics import IDEAL, Physics
-from sim_bridge.px4 import Px4
+from sim_bridge.missions import HoverMission
 from sim_bridge.simulated_vehicle import RotorTraits
-from sim_bridge.simulation import Simulation
-from testbed.emulated import fly_into
-from testbed.study import arguments
+from testbed.hover_flights import (
+    LAYOUTS,
+    ORDINARY,
+    STRETCH,
+    fly,
+    hover_of,
+    loads_of,
+    streams_in,
+    uneven,
+)
+from testbed.study import arguments, markdown
 from testbed.vehicles import Drawn, draw
 
-LAYOUTS = ("quad-x", "hexa", "octo")
-IMU, ROTORS = 25.0, 10.0
-"""Hz."""
-STEP_US = 4000
-"""us of a physics step: short against the motors' lag, and what is sent is slow."""
-ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
-"""What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
 HOVER = 30.0
 """s of the flight used as the baseline."""
-STRETCH = 10.0
-"""s in which a weak rotor is to be named."""
 LOSS = 0.05
-
-
-@dataclass(frozen=True)
-class Flown:
-    """A recording of a drawn vehicle."""
-
-    log: Path
-    airframe: Airframe
-    drawn: Drawn
-    traits: RotorTraits
-
-
-def uneven(drawn: Drawn, random: np.random.Generator, scatter: float) -> RotorTraits:
-    """Rotors whose thrust and torque scatter, of mean 1."""
-    n = len(drawn.vehicle.rotors)
-
-    def shares() -> tuple[float, ...]:
-        values = 1.0 + scatter * random.standard_normal(n)
-        return tuple((values / values.mean()).tolist())
-
-    return RotorTraits(shares(), shares())
 
 
 def misplaced(airframe: Airframe, random: np.random.Generator) -> Airframe:
@@ -87,76 +57,6 @@ def misplaced(airframe: Airframe, random: np.random.Generator) -> Airframe:
         for r in airframe.rotors
     )
     return replace(airframe, rotors=moved)
-
-
-def fly(
-    log: Path,
-    drawn: Drawn,
-    mission: Mission,
-    seed: int,
-    traits: RotorTraits | None = None,
-    seconds: float | None = None,
-    physics: Physics = IDEAL,
-    step_us: int = STEP_US,
-) -> None:
-    """Fly into a .tlog at slow rates.
-
-    Args:
-        log: to write.
-        drawn: that flies.
-        mission: flown.
-        seed: of sensors and air.
-        traits: of its rotors; None: all alike.
-        seconds: of flight; None: the whole mission.
-        physics: besides.
-        step_us: us of a physics step.
-    """
-    vehicle = replace(drawn.vehicle, traits=traits)
-    simulation = Simulation(
-        vehicle,
-        mission,
-        np.random.SeedSequence([seed, 1]),
-        None,
-        step_us=step_us,
-        control_steps=1,
-        physics=physics,
-    )
-    autopilot = Px4(simulation, "mems", 0.0, IMU, np.random.SeedSequence([seed, 2]))
-    phase = np.random.default_rng([seed, 3])
-    for message in (
-        mavlink.MAVLINK_MSG_ID_ESC_STATUS,
-        mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS,
-        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-    ):
-        autopilot.schedule.set_interval(message, 1e6 / ROTORS, 0)
-        autopilot.schedule.streams[message].due = float(phase.uniform(0.0, 1e6 / ROTORS))
-    fly_into(log, simulation, autopilot, seconds)
-
-
-def streams_in(log: Path, airframe: Airframe, *, speeds: bool, thin: bool = False) -> Streams:
-    """The streams of a recording, with its speeds or without; thinned to slow rates."""
-    opened = open_log(log)
-    blocks = []
-    for block in opened.blocks():
-        tracks = tuple(
-            thinned(track) if thin else track
-            for track in block.tracks
-            if speeds or track.stream is not Stream.ROTOR_SPEED
-        )
-        blocks.append(replace(block, tracks=tracks))
-    assert opened.vehicle is not None
-    return streams_of(blocks, airframe, opened.vehicle.key, opened.parameters)
-
-
-def thinned(track: Track) -> Track:
-    """A track at the rate of slow logs."""
-    rates = {Stream.IMU: IMU, Stream.ROTOR_SPEED: ROTORS, Stream.ROTOR_COMMAND: ROTORS,
-             Stream.ATTITUDE: ROTORS, Stream.VELOCITY: ROTORS}  # fmt: skip
-    rate = rates.get(track.stream)
-    if rate is None or len(track.t) < 2:
-        return track
-    step = np.floor(track.t * rate + 1e-6)
-    return track.part(np.append(True, np.diff(step) > 0.0))
 
 
 @dataclass
@@ -189,8 +89,7 @@ def vehicles(
     numbers: range, folder: Path, mission: DoubletMission, seconds: float
 ) -> Iterator[str]:
     """The table of errors and intervals."""
-    yield "| | rms | largest | median half interval | intervals hold |"
-    yield "|---|---|---|---|---|"
+    yield from markdown(" | rms | largest | median half interval | intervals hold")
     for speeds in (False, True):
         for scatter in (True, False):
             scores = _scores(numbers, folder, mission, seconds, speeds=speeds, scatter=scatter)
@@ -268,28 +167,9 @@ def _true_shares(log: Path, drawn: Drawn, traits: RotorTraits) -> Array:
     return mean
 
 
-def hover_of(log: Path, airframe: Airframe, *, speeds: bool) -> Windows:
-    """The hover of a log."""
-    windows = windows_of(streams_in(log, airframe, speeds=speeds), len(airframe.rotors))
-    told = windows.speeds if speeds else windows.commands
-    return windows.part(windows.hovering & complete_rows(told) & complete_rows(windows.turning))
-
-
-def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
-    """The loads of stretch after stretch."""
-    count = round(STRETCH / hover.half)
-    for start in range(0, len(hover.t) - count + 1, count):
-        part = hover.part(slice(start, start + count))
-        curve = None if speeds else c
-        load = load_of(part, thrust_of(part, curve), curve)
-        if load is not None:
-            yield load
-
-
 def weak(numbers: range, folder: Path) -> Iterator[str]:
     """Weak rotors named, and false alarms."""
-    yield "| | named right | named wrong | not named | false alarms | in hours |"
-    yield "|---|---|---|---|---|---|"
+    yield from markdown(" | named right | named wrong | not named | false alarms | in hours")
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
     mission = HoverMission("hover", 10.0 * STRETCH)
     for number in numbers:

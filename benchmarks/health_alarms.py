@@ -19,15 +19,23 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.health import LAYOUTS, ORDINARY, fly, loads_of, streams_in, uneven
-from gcs_sysid.arrays import complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.command_curve import curve_of, thrust_of
-from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover import windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
+from testbed.hover_flights import (
+    LAYOUTS,
+    ORDINARY,
+    fly,
+    hover_of,
+    hovering,
+    loads_of,
+    streams_in,
+    uneven,
+)  # fmt: skip
 from testbed.study import arguments, gone_on_with, markdown
 from testbed.vehicles import Drawn, draw
 
@@ -80,24 +88,15 @@ def judged(number: int, folder: Path) -> dict[str, Any]:
     return out
 
 
-def _hover(log: Path, drawn: Drawn, *, speeds: bool, c: float | None) -> tuple[Windows, float]:
-    """Hover of a log, and the thrust curve given or by its commands."""
-    windows = windows_of(streams_in(log, drawn.airframe, speeds=speeds), len(drawn.vehicle.rotors))
-    if c is None:
-        c = curve_of(windows, None, None, "").c.value or 0.0
-    told = windows.speeds if speeds else windows.commands
-    sound = windows.hovering & complete_rows(told) & complete_rows(windows.turning)
-    return windows.part(sound), c
-
-
 def _alarms(
     before: Path, log: Path, drawn: Drawn, *, speeds: bool, out: dict[str, Any]
 ) -> dict[str, list[int]]:
     """Alarms and judgments of each test, by speeds or by commands."""
     airframe = drawn.airframe
-    earlier, c = _hover(before, drawn, speeds=speeds, c=None)
+    windows = windows_of(streams_in(before, airframe, speeds=speeds), len(airframe.rotors))
+    earlier, hover = hovering(windows, speeds=speeds), hover_of(log, airframe, speeds=speeds)
     # A later flight's commands are read by the curve of the baseline, as `health` does.
-    hover, _ = _hover(log, drawn, speeds=speeds, c=c)
+    c = curve_of(windows, None, None, "").c.value or 0.0
     curve = None if speeds else c
     thrust = thrust_of(hover, curve)
     out["hover"] = hover.seconds

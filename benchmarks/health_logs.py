@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.health import hover_of, streams_in
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
 from gcs_sysid.health.airframe_guess import GuessedAirframe
@@ -25,6 +24,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
+from testbed.hover_flights import hover_of, streams_in
 from testbed.recordings import rectangle
 from testbed.study import arguments
 
