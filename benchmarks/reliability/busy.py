@@ -23,11 +23,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.reliability.rate import Tool, parser_of, play, rows_of_times, table
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.fast_link import Tool, parser_of, play, rows_of_times, table
 from testbed.ground_cycles import FAST, emulate
 
 AGREES = 1e-9

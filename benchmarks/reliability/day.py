@@ -28,7 +28,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.reliability.watched import resident
 from gcs_sysid.arrays import Array
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
@@ -44,6 +43,7 @@ from sim_bridge.simulation import mass_step
 from testbed.ground_cycles import emulate
 from testbed.repeated import add_to, frames_of, later
 from testbed.study import arguments
+from testbed.watched import resident
 
 RATE = 20.0
 RATES = {

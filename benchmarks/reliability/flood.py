@@ -22,9 +22,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.reliability.rate import Run, Tool, parser_of, play, table
-from benchmarks.reliability.watched import take_core
+from testbed.fast_link import Run, Tool, parser_of, play, table
 from testbed.ground_cycles import emulate
+from testbed.watched import take_core
 
 USED = 0.99
 BEFORE, AFTER = 4.0, 2.0

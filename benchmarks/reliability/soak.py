@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reliability.watched import resident
 from gcs_sysid.intervals import Z95
 from gcs_sysid.live.live_session import LiveOptions, LiveSession
 from gcs_sysid.model.airframe import load_airframe
@@ -40,6 +39,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
 from testbed.study import arguments, flown
+from testbed.watched import resident
 
 TRAPS = (
     "rpm-repeats", "rpm-signed", "quaternion-flips", "gyro-outliers=0.0005", "imu-frozen=0.005",

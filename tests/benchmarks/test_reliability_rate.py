@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.reliability import busy, day, flood, rate, soak
-from benchmarks.reliability.watched import Times
+from benchmarks.reliability import busy, day, flood, soak
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge import line_faults, sensor_faults
+from testbed import fast_link
 from testbed.ground_cycles import emulate
 from testbed.repeated import frames_of
+from testbed.watched import Times
 
 
 def test_garbage_holds_no_frame_and_repeats_with_its_seed():
@@ -59,17 +60,17 @@ def test_a_recording_is_held_against_what_was_sent():
 
 def test_growth_is_told_from_when_memory_had_settled():
     memory = [(5, 50), (125, 100), (130, 103), (185, 98), (239, 106), (590, 101), (599, 96)]
-    assert rate.growth([(float(t), 1_000_000 * size) for t, size in memory]) == (101.0, 3.0)
+    assert fast_link.growth([(float(t), 1_000_000 * size) for t, size in memory]) == (101.0, 3.0)
 
 
 def test_what_comes_and_goes_within_each_minute_is_no_growth():
     memory = [(float(t), 100_000_000 + 9_000_000 * (t % 7 == 0)) for t in range(5, 600, 5)]
-    assert rate.growth(memory) == (109.0, 0.0)
+    assert fast_link.growth(memory) == (109.0, 0.0)
 
 
 def test_a_leak_is_growth():
     memory = [(float(t), 100_000_000 + 20_000 * t) for t in range(600)]
-    assert rate.growth(memory)[1] == pytest.approx(8.4, abs=0.1)
+    assert fast_link.growth(memory)[1] == pytest.approx(8.4, abs=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """The receiver's process, which writes down when each datagram arrived; see `watched`.
 
-python -m benchmarks.reliability.stamped_receiver ARRIVALS
+python -m testbed.stamped_receiver ARRIVALS
 """
 
 import socket

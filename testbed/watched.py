@@ -1,10 +1,10 @@
 """The live tool with its arrivals stamped: `gcs-sysid` in a process that keeps its own times.
 
-    python -m benchmarks.reliability.watched TIMES.json [--core N] ... -- live URL --headless ...
+    python -m testbed.watched TIMES.json [--core N] ... -- live URL --headless ...
 
 runs the words after `--` as `gcs-sysid` would, with the same code all the way. The system stamps
 each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it; the
-receiver's process (`benchmarks.reliability.stamped_receiver`) writes the stamps down.
+receiver's process (`testbed.stamped_receiver`) writes the stamps down.
 
 A datagram counts as taken when all that was handed over together with it is processed: decoded, on
 the grid of samples and, where it completes a block of samples (0.1 s of the vehicle's clock), rows
@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.reliability.stamped_receiver import ARRIVAL
 from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.live import receiver_process
 from gcs_sysid.live.live_estimate import LiveEstimate
 from gcs_sysid.telemetry.receiver import ReceivedFrames
+from testbed.stamped_receiver import ARRIVAL
 from testbed.study import arguments
 
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
@@ -168,7 +168,7 @@ def main() -> int:
     watch(times)
     folder = tempfile.TemporaryDirectory()
     arrivals = Path(folder.name) / "arrivals"
-    stamped = "benchmarks.reliability.stamped_receiver"
+    stamped = "testbed.stamped_receiver"
     receiver_process.COMMAND = [sys.executable, "-m", stamped, str(arrivals)]
     if options.nice:
         start = receiver_process.ReceiverProcess.__init__
