@@ -15,7 +15,6 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.live_estimate import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.telemetry.intake import Intake
@@ -25,6 +24,7 @@ from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.article_flights import GEOMETRY, fly, measure
+from testbed.recordings import block_of
 from testbed.study import arguments, free_port, run
 
 RATE = 250
@@ -108,7 +108,7 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
     records = intake.frames(frame for _, frame in read_tlog(log))
     watch, airframe = HoverWatch(intake, "link"), load_airframe("paper")
     size = max(round(0.02 * len(records) / seconds), 1)
-    blocks = [RecordBlock.of(records[i : i + size]) for i in range(0, len(records), size)]
+    blocks = [block_of(records[i : i + size]) for i in range(0, len(records), size)]
     begin = len(blocks) * 2 // 3
     began = 0.0
     for i, block in enumerate(blocks):

@@ -11,7 +11,7 @@ import os
 import random
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry import logs
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.track_collector import TrackCollector
 from testbed.emulated import Truth
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -93,6 +95,14 @@ class Log:
         """Options that name the mapping file of a table."""
         at = self.given.index("--csv") if "--csv" in self.given else len(self.given)
         return self.given[at : at + 2]
+
+
+def block_of(records: Iterable[Record]) -> RecordBlock:
+    """Records that follow each other, as one block."""
+    collector = TrackCollector()
+    for order, record in enumerate(records):
+        collector.add_record(order, record)
+    return collector.block()
 
 
 def records_of(log: logs.Log) -> list[Record]:

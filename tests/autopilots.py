@@ -4,8 +4,9 @@ from collections import Counter, defaultdict
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.messages import message_name
 from testbed.fuzz.link_harnesses import check_sent
+from testbed.payloads import unpack
 
 SETS, GROUPS, READS = "SET_MESSAGE_INTERVAL", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ"
 INTERVALS, MESSAGES = "GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"

@@ -8,6 +8,7 @@ from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record
 from gcs_sysid.signals.time_base import Block, TimeBase
+from testbed.recordings import block_of
 
 AT_ONCE = 64
 
@@ -16,7 +17,7 @@ def pieces(records: Iterable[Record], at_once: int = AT_ONCE) -> Iterator[Record
     """The records as blocks of so many."""
     left = iter(records)
     while some := list(islice(left, at_once)):
-        yield RecordBlock.of(some)
+        yield block_of(some)
 
 
 def feed(chain: Chain, records: Iterable[Record], at_once: int = AT_ONCE) -> None:

@@ -332,7 +332,7 @@ def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
     for recording in recordings:
         reader = read_tlog(recording)
         assert sum(1 for _ in reader) > 0
-        assert reader.garbage_bytes == 0
+        assert reader.counts.garbage_bytes == 0
 
 
 @pytest.mark.slow

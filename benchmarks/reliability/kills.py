@@ -166,7 +166,7 @@ def kill_one(number: int, after: float, flight: Path, folder: Path) -> Kill:
         empty = not path.exists() or not path.stat().st_size
         found = judge(after, killed, sent, (), readable=empty)
         return replace(found, victim=victim, outlived=outlived)
-    sound = all(frame.valid is Validity.OK for frame in frames) and not reader.garbage_bytes
+    sound = all(frame.valid is Validity.OK for frame in frames) and not reader.counts.garbage_bytes
     found = judge(after, killed, sent, (frame.raw for frame in frames), readable=sound)
     return replace(found, victim=victim, outlived=outlived)
 

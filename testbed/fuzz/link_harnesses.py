@@ -22,7 +22,7 @@ from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Address, Link, ReceivedBytes
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
 from gcs_sysid.telemetry.tlog import STAMP, ScanCounts, Scanner
@@ -30,6 +30,7 @@ from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 from testbed.fuzz.references import checksum, frames_of_log, frames_of_stream
+from testbed.payloads import unpack
 
 _TYPES = (
     "HEARTBEAT", "HIGHRES_IMU", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED",

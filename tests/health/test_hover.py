@@ -13,8 +13,9 @@ from gcs_sysid.health.hover import Averager, _rotor_means, windows_of
 from gcs_sysid.health.log_streams import RotorStream, streams_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track, by_key
+from gcs_sysid.signals.columns import IntakeEvent, Track, by_key
 from gcs_sysid.signals.records import Record, Stream
+from testbed.recordings import block_of
 
 G = 9.80665
 
@@ -112,7 +113,7 @@ def flight(
     if commands != "alone":
         add(Stream.ROTOR_SPEED, rotors, speeds, "ESC_STATUS")
     ordered = [record for _, record in sorted(out, key=lambda entry: entry[0])]
-    block = RecordBlock.of(ordered)
+    block = block_of(ordered)
     if reboot:
         first = next(i for i, r in enumerate(ordered) if i and r.t < ordered[i - 1].t - 10.0)
         block = replace(block, events=((first, IntakeEvent(start, "reboot", "")),))

@@ -9,20 +9,25 @@ import numpy as np
 import pytest
 
 from gcs_sysid.cli import inspect_command
-from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
-from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
+from gcs_sysid.inspection.stream_watch import (
+    CHUNK,
+    MotionWatch,
+    RotorWatch,
+    StreamWatch,
+    assumed_airframe,
+)
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
+from testbed.recordings import block_of
 
 FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
 
@@ -202,7 +207,7 @@ def flown(*speeds, vehicle_type):
         records.append(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
         records.append(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
-    inspector.add_records(RecordBlock.of(records))
+    inspector.add_records(block_of(records))
     return inspector.finish("made", "tlog")
 
 
@@ -297,7 +302,7 @@ def test_several_flights_and_the_ground_between():
             records.append(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
         if not 3000 <= i < 3300:  # a gap on the ground is none in flight
             records.append(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
-    inspector.add_records(RecordBlock.of(records))
+    inspector.add_records(block_of(records))
     found = inspector.finish("made", "tlog")
     assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
     assert found.stream(Stream.IMU).gaps == 0
@@ -387,7 +392,7 @@ def test_how_records_are_cut_into_blocks_changes_nothing(size):
     def found(step):
         inspector = Inspector(Intake())
         for first in range(0, len(records), step):
-            inspector.add_records(RecordBlock.of(records[first : first + step]))
+            inspector.add_records(block_of(records[first : first + step]))
         return inspector.finish("made", "tlog")
 
     whole = found(len(records))
@@ -398,7 +403,7 @@ def test_how_records_are_cut_into_blocks_changes_nothing(size):
 
 def test_flight_by_armed_and_turning_rotors():
     inspector = Inspector(Intake())
-    inspector.add_records(RecordBlock.of(armed_and_turning()))
+    inspector.add_records(block_of(armed_and_turning()))
     found = inspector.finish("made", "tlog")
     assert found.flight_told_by == "rotors"
     assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)

@@ -22,10 +22,11 @@ from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.link import PersistentLink, TcpLink, UdpLink
-from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.messages import message_name
 from gcs_sysid.telemetry.signing import Signer, SigningClock
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import LinkUrl
+from testbed.payloads import unpack
 
 LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)
 """Sends nothing, and refits seldom, which the final numbers do not depend on."""

@@ -18,13 +18,12 @@ from gcs_sysid.live.reception import (
     Toggled,
 )
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
-from gcs_sysid.telemetry.receiver import ReceivedFrames
-from gcs_sysid.telemetry.senders import Rival
+from gcs_sysid.telemetry.receiver import ReceivedFrames, Rival
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import LinkReport
+from testbed.payloads import unpack
 
 HERE = ("10.0.0.1", 14550)
 

@@ -13,7 +13,6 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.stream_restoration import SCHEMA, StreamRestoration
@@ -23,6 +22,7 @@ from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.payloads import unpack
 from tests.test_what_is_sent import PATIENCE, OnTerminal, needs_posix, on_udp
 
 IMU, ATTITUDE, POSITION, LANDED, ESC, OUTPUTS, RAW_IMU, ESC_TELEMETRY = (

@@ -8,8 +8,8 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
+from testbed.recordings import block_of
 
 RPM = 2.0 * math.pi / 60.0
 
@@ -113,11 +113,11 @@ def test_parameters_are_no_samples():
     airframe = load_airframe("paper")
     chain = Chain(airframe)
     parameter = Record(Stream.PARAMETER, 0.0, (1.0,), source="MOT_SPIN_MIN")
-    chain.take(RecordBlock.of([parameter]))
+    chain.take(block_of([parameter]))
     assert chain.sampler.recorded is None
     assert chain.sampler.seen == set()
     first, second = (Record(Stream.IMU, t, (0.0,) * 6) for t in (500.0, 501.0))
-    chain.take(RecordBlock.of([first, parameter, second]))
+    chain.take(block_of([first, parameter, second]))
     assert chain.sampler.recorded == 1.0
     assert chain.rotor_selector.parameters == {"MOT_SPIN_MIN": 1.0}
 

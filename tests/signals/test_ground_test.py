@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.signals.ground_test import GroundTest
+from gcs_sysid.signals.flight_detection import GroundTest
 
 G = 9.81
 T = np.arange(0.0, 30.0, 0.02)

@@ -9,7 +9,6 @@ import pytest
 from gcs_sysid.model.airframe import CommandRange, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.redundant_commands import mean_of
 from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
@@ -21,6 +20,7 @@ from gcs_sysid.signals.rotor_units import (
     gyro_cutoff,
     normalized,
 )
+from testbed.recordings import block_of
 
 RATE = 100.0
 RPM = 2.0 * math.pi / 60.0
@@ -59,7 +59,7 @@ def commands(u, t, source="ACTUATOR_OUTPUT_STATUS"):
 def judged(*streams, airframe=PAPER, anchor=MASS, rotor_selector=None):
     rotor_selector = rotor_selector or RotorSourceSelector(airframe, anchor)
     every = sorted((r for s in streams for r in s), key=lambda r: r.t)
-    rotor_selector.extend(RecordBlock.of(every).tracks)
+    rotor_selector.extend(block_of(every).tracks)
     assert rotor_selector.fly(STRETCH)
     return rotor_selector
 
@@ -144,7 +144,7 @@ def test_a_rotor_found_dead_stays_so_in_a_calm_hover(ever):
         values = values.copy()
         if reads is not None:
             values[:, 1] = reads
-        rotor_selector.extend(RecordBlock.of(speeds(values, t + n * STRETCH)).tracks)
+        rotor_selector.extend(block_of(speeds(values, t + n * STRETCH)).tracks)
         assert rotor_selector.fly(STRETCH)
         return rotor_selector.choice is not None
 
@@ -426,7 +426,7 @@ def test_groups_of_rotors_repeat_on_their_own():
             values = (float(i),) * 4 if offset else (1.0,) * 4
             source = f"ESC_TELEMETRY_{offset + 1}_TO_{offset + 4}"
             record = Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source)
-            rotor_selector.extend(RecordBlock.of([record]).tracks)
+            rotor_selector.extend(block_of([record]).tracks)
     assert rotor_selector.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}
 
 

@@ -21,8 +21,7 @@ from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.message_table import MOST_ROTORS, RPM
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
-from gcs_sysid.telemetry.senders import Contradictions
-from gcs_sysid.telemetry.vehicles import VehicleSelector
+from gcs_sysid.telemetry.vehicles import Contradictions, VehicleSelector
 
 MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""

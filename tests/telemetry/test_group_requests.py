@@ -4,11 +4,11 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASK_AGAIN_AFTER, StreamRequests
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import GROUPS, fitting_groups
+from testbed.payloads import unpack
 
 RAW_SENSORS, RC, EXTRA1, POSITION, EXTRA3 = 1, 3, 10, 6, 12
 NAMES = {

@@ -15,6 +15,7 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Message, Stamp
 from gcs_sysid.telemetry.messages import LAYOUTS, MESSAGE_IDS
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
+from testbed.recordings import records_of
 
 AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 MILLI = (1e-3, 1e-3, 1e-3, 9.80665e-3, 9.80665e-3, 9.80665e-3)
@@ -84,7 +85,7 @@ def test_a_row_alone_takes_up_a_message(what, sender, tmp_path, monkeypatch):
     with TlogWriter(path) as writer:
         for number, frame in enumerate(frames):
             writer.write(1_700_000_000_000_000 + 10_000 * number, [frame])
-    whole = list(open_log(path).records())
+    whole = records_of(open_log(path))
     rng = random.Random(1)
     assert live(frames, lambda: 7) == whole  # at most one frame at a time
     assert live(frames, lambda: rng.randrange(1, 2000)) == whole

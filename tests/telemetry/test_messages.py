@@ -7,15 +7,9 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import (
-    LAYOUTS,
-    NAMED_IDS,
-    OTHER_TYPES,
-    message_name,
-    picker,
-    unpack,
-)
+from gcs_sysid.telemetry.messages import LAYOUTS, NAMED_IDS, OTHER_TYPES, message_name, picker
 from gcs_sysid.telemetry.tlog import read_tlog
+from testbed.payloads import unpack
 
 MESSAGES = list(mavlink.mavlink_map.values())
 

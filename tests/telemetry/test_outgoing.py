@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import all as everything
 import gcs_sysid
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import (
     ADMITTED,
     FILE_HEADER,
@@ -21,6 +20,7 @@ from gcs_sysid.telemetry.outgoing import (
     NotAllowedError,
     is_allowed,
 )
+from testbed.payloads import unpack
 
 PACKAGE = Path(gcs_sysid.__file__).parent
 SECURITY = Path(__file__).parents[2] / "docs" / "security.md"

@@ -3,7 +3,7 @@
 import pytest
 
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.parameter_requests import (
     ParameterRequests,
@@ -11,6 +11,7 @@ from gcs_sysid.telemetry.parameter_requests import (
     wanted_parameters,
 )
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
+from testbed.payloads import unpack
 
 PX4 = MavlinkSystem(1, 1, 2, 12)
 ARDUPILOT = MavlinkSystem(1, 1, 2, 3)

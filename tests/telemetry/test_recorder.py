@@ -130,7 +130,7 @@ def test_flushed_frames_are_in_the_file_while_it_is_open(tmp_path, flight):
 
 
 @pytest.mark.slow
-def test_an_existing_file_is_not_overwritten_unless_told(tmp_path, flight):
+def test_an_existing_file_is_not_overwritten(tmp_path, flight):
     path = tmp_path / "flight.tlog"
     path.write_bytes(b"precious")
     with pytest.raises(InputError, match="exists already"):
@@ -140,9 +140,6 @@ def test_an_existing_file_is_not_overwritten_unless_told(tmp_path, flight):
     assert writer.recorded == (tmp_path / "flight-2.tlog",)
     assert path.read_bytes() == b"precious"
     assert unused_path(path).name == "flight-3.tlog"
-    with TlogWriter(path, overwrite=True) as writer:
-        write_all(writer, flight[:1])
-    assert list(read_tlog(path)) == flight[:1]
 
 
 @pytest.mark.slow
@@ -272,7 +269,7 @@ def read_tlog_of(disk, folder):
     path.write_bytes(disk.content.getvalue())
     reader = read_tlog(path)
     yield from reader
-    assert reader.garbage_bytes == 0
+    assert reader.counts.garbage_bytes == 0
 
 
 def test_a_disk_that_never_answers_is_left_behind(disk, flight, tmp_path):
@@ -363,15 +360,6 @@ def test_a_file_that_fails_again_and_again_is_given_up(disk, flight, tmp_path):
     assert len(disk.opened) == TlogWriter.MOST_FILES
     assert sum("tried again" in text for text in told) <= TlogWriter.MOST_FILES
     assert writer.dropped == len(flight) + 1
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
-def test_the_real_full_device_is_told(flight):
-    with TlogWriter("/dev/full", overwrite=True) as writer:
-        write_all(writer, flight[:1])
-        until(writer, "recording stopped: /dev/full (No space left on device)")
-    assert writer.dropped == 1
-    assert os.path.exists("/dev/full")
 
 
 @pytest.mark.slow

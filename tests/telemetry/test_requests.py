@@ -3,11 +3,12 @@
 import pytest
 
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.messages import message_name
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASKS_AT_MOST, StreamRequests
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import bytes_per_second
+from testbed.payloads import unpack
 
 VEHICLE = MavlinkSystem(1, 1, 2, 12)
 ARDUPILOT = MavlinkSystem(1, 1, 2, 3)

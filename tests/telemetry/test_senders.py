@@ -8,10 +8,10 @@ from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.marks import RESET_TEXT
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
-from gcs_sysid.telemetry.receiver import Receiver
-from gcs_sysid.telemetry.senders import Contradictions, Whereabouts
+from gcs_sysid.telemetry.receiver import Receiver, Whereabouts
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
+from gcs_sysid.telemetry.vehicles import Contradictions
 
 HOME, FORGER = ("10.0.0.1", 14550), ("10.6.6.6", 666)
 ARMED = {"base_mode": mavlink.MAV_MODE_FLAG_SAFETY_ARMED}

@@ -69,8 +69,8 @@ def test_frames_with_a_changed_definition_keep_the_chain(tmp_path, flight):
     reader = read_tlog(path)
     records = list(reader)
     assert len(records) == len(flight)
-    assert reader.bad_crc == 1
-    assert reader.garbage_bytes == 0
+    assert reader.counts.bad_crc == 1
+    assert reader.counts.garbage_bytes == 0
 
 
 def test_windows_do_not_change_what_is_read(tmp_path, flight, monkeypatch):

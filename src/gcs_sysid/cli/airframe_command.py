@@ -16,7 +16,6 @@ from gcs_sysid.setup_help.airframe_file import (
     checked,
     write_new,
 )
-from gcs_sysid.setup_help.answers import arm_lengths, imu_position, plain_name, rotor
 from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
 from gcs_sysid.setup_help.layouts import (
     ASCII,
@@ -27,7 +26,15 @@ from gcs_sysid.setup_help.layouts import (
     legend,
     rotor_table,
 )
-from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard, given_answers
+from gcs_sysid.setup_help.wizard import (
+    GivenAnswers,
+    Wizard,
+    arm_lengths,
+    given_answers,
+    imu_position,
+    plain_name,
+    rotor,
+)
 from gcs_sysid.strict_json import json_text
 
 

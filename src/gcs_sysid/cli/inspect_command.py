@@ -11,7 +11,6 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.output import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file
-from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import (
     GROUPS,
     Inspection,
@@ -22,6 +21,7 @@ from gcs_sysid.inspection.facts import (
     role,
 )
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
+from gcs_sysid.inspection.stream_watch import assumed_airframe
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import Airframe

@@ -23,6 +23,7 @@ from gcs_sysid.session.reported_layout import (
     ReportedLayout,
     differences,
     place_words,
+    px4_rotors,
     reported_layout,
     usual_layouts,
 )
@@ -116,16 +117,10 @@ def _bare(airframe: Airframe) -> Airframe:
 
 
 def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
-    count = int(parameters.get("CA_ROTOR_COUNT", 0.0))
-    if not 4 <= count <= 12:
+    found = px4_rotors(parameters)
+    if found is None:
         return None
-    rotors = []
-    for i in range(count):
-        x, y = (parameters.get(f"CA_ROTOR{i}_P{axis}") for axis in "XY")
-        turn = parameters.get(f"CA_ROTOR{i}_KM")
-        if x is None or y is None or not turn:
-            return None
-        rotors.append(Rotor(x, y, 1 if turn > 0.0 else -1))
+    rotors = [Rotor(r.x, r.y, r.spin) for r in found]
     airframe = Airframe("CA_ROTOR", tuple(rotors))
     meters = all(_REAL[0] < math.hypot(r.x, r.y) < _REAL[1] for r in rotors)
     unit = all(abs(r.x) in (0.0, 1.0) and abs(r.y) in (0.0, 1.0) for r in rotors)

@@ -12,14 +12,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
-from gcs_sysid.inspection.derived_facts import (
-    USUAL,
-    FlightWatch,
-    RotorJudge,
-    assumed_airframe,
-    decisive,
-    rotor_count,
-)
 from gcs_sysid.inspection.facts import (
     ChosenSource,
     ClockFacts,
@@ -31,10 +23,15 @@ from gcs_sysid.inspection.facts import (
 )
 from gcs_sysid.inspection.readiness import objections_to, obtainable
 from gcs_sysid.inspection.stream_watch import (
+    USUAL,
+    FlightWatch,
     MotionWatch,
     Pending,
+    RotorJudge,
     RotorWatch,
     StreamWatch,
+    assumed_airframe,
+    decisive,
     pending,
     set_back,
 )
@@ -152,7 +149,8 @@ class Inspector:
     def _known_rotors(self) -> int | None:
         if self._airframe is not None:
             return len(self._airframe.rotors)
-        return rotor_count(self._telemetry.vehicle)
+        vehicle = self._telemetry.vehicle
+        return None if vehicle is None else vehicle.rotors
 
     def _new_judge(self) -> RotorJudge:
         vehicle = self._telemetry.vehicle

@@ -135,15 +135,10 @@ def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:
     if count == 0.0:  # before 1.13, or a mixer file
         shape = _AUTOSTART.get(round(parameters.get("SYS_AUTOSTART", 0.0)))
         name = f"SYS_AUTOSTART {parameters.get('SYS_AUTOSTART', 0.0):.0f}"
-        return None if shape is None else ReportedLayout(_circle(shape), False, name)
-    if not 4 <= count <= MOST_ROTORS:
+        return None if shape is None else ReportedLayout(on_circle(shape), False, name)
+    rotors = px4_rotors(parameters)
+    if rotors is None or not all(math.hypot(r.x, r.y) <= MOST_ARM for r in rotors):
         return None
-    rotors = []
-    for i in range(round(count)):
-        x, y, ratio = (parameters.get(f"CA_ROTOR{i}_{name}") for name in ("PX", "PY", "KM"))
-        if x is None or y is None or not ratio or not math.hypot(x, y) <= MOST_ARM:
-            return None
-        rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1, _axis(parameters, i)))
     if not is_evenly_canted(rotors):
         rotors = [Rotor(r.x, r.y, r.spin) for r in rotors]
     arm = Airframe("reported", tuple(rotors)).arm
@@ -153,6 +148,20 @@ def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:
     scale = 1.0 if sized else 1.0 / arm
     placed = tuple(replace(r, x=r.x * scale, y=r.y * scale) for r in rotors)
     return ReportedLayout(placed, sized, "CA_ROTORn_PX, _PY and _KM")
+
+
+def px4_rotors(parameters: Mapping[str, float]) -> list[Rotor] | None:
+    """The rotors of CA_ROTORn, in whatever unit; None where one of them is not known."""
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)
+    if not 4 <= count <= MOST_ROTORS:
+        return None
+    rotors = []
+    for i in range(round(count)):
+        x, y, ratio = (parameters.get(f"CA_ROTOR{i}_{name}") for name in ("PX", "PY", "KM"))
+        if x is None or y is None or not ratio:
+            return None
+        rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1, _axis(parameters, i)))
+    return rotors
 
 
 def _axis(parameters: Mapping[str, float], i: int) -> tuple[float, float, float]:
@@ -173,7 +182,7 @@ def _ardupilot(parameters: Mapping[str, float]) -> ReportedLayout | None:
     shape = _FRAME_TYPES.get(name, {}).get(form)
     if shape is None:
         return None
-    rotors = _circle(f"{name}-{shape}")
+    rotors = on_circle(f"{name}-{shape}")
     return ReportedLayout(rotors, False, f"FRAME_CLASS {kind} and FRAME_TYPE {form}")
 
 
@@ -197,8 +206,8 @@ def _by_mixer(parameters: Mapping[str, float]) -> ReportedLayout | None:
     return ReportedLayout(placed, False, "PID sums and motors of the log", shown=True)
 
 
-def _circle(shape: str) -> tuple[Rotor, ...]:
-    """Rotors of a usual frame, at a distance of 1."""
+def on_circle(shape: str) -> tuple[Rotor, ...]:
+    """Rotors of a usual frame such as "quad-x", at a distance of 1."""
     if shape not in _SHAPES:
         return load_airframe(f"ardupilot-{shape}").with_arm(1.0).rotors
     circle = [(math.radians(angle), spin) for angle, spin in _SHAPES[shape]]
@@ -209,7 +218,7 @@ def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
     """The frames that autopilots know by name, of so many rotors, at a distance of 1."""
     kind = {4: "quad", 6: "hexa", 8: "octo"}.get(count, "")
     forms = dict.fromkeys(_FRAME_TYPES.get(kind, {}).values())
-    return {f"{kind} {form}": _circle(f"{kind}-{form}") for form in forms}
+    return {f"{kind} {form}": on_circle(f"{kind}-{form}") for form in forms}
 
 
 # --- the airframe for it

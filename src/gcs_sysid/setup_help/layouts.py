@@ -4,16 +4,8 @@ import math
 from dataclasses import dataclass, replace
 
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.session.reported_layout import on_circle
 
-# Degrees clockwise from the front, and spin seen from above (+1 counter-clockwise), in motor
-# order. PX4's airframes 5001, 7001 and 9001 and ArduPilot's FRAME_TYPE 0 are the same here.
-_PLUS = {
-    "quad-plus": ((90, +1), (-90, +1), (0, -1), (180, -1)),
-    "hexa-plus": ((0, -1), (180, +1), (-120, -1), (60, +1), (-60, +1), (120, -1)),
-    "octo-plus": (
-        (0, -1), (180, -1), (45, +1), (135, +1), (-45, +1), (-135, +1), (-90, -1), (90, -1),
-    ),
-}  # fmt: skip
 _SHAPES = {
     "quad-x": "quad X",
     "quad-plus": "quad +",
@@ -49,14 +41,10 @@ def layout_rotors(name: str, arm: float | tuple[float, float]) -> tuple[Rotor, .
         arm: m from the center to each motor; for `TWO_LENGTHS` also m forward and m sideways.
     """
     shape = name.partition("-")[2]
-    lengths = arm if isinstance(arm, tuple) else (1.0, 1.0)
-    if shape in _PLUS:
-        circle = [(math.radians(angle), spin) for angle, spin in _PLUS[shape]]
-        rotors = tuple(Rotor(math.cos(a), math.sin(a), spin) for a, spin in circle)
-    else:
-        rotors = load_airframe(name).rotors
+    # PX4's airframes 5001, 7001 and 9001 and ArduPilot's FRAME_TYPE 0 are the same.
+    rotors = on_circle(shape) if shape.endswith("plus") else load_airframe(name).rotors
     if isinstance(arm, tuple):
-        x, y = lengths
+        x, y = arm
         return tuple(Rotor(math.copysign(x, r.x), math.copysign(y, r.y), r.spin) for r in rotors)
     return Airframe(name, rotors).with_arm(arm).rotors
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.inspection.derived_facts import rotor_count
 from gcs_sysid.setup_help.checks import SetupFinding, Sign, quoted
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
@@ -139,7 +138,7 @@ def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> st
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
     # The type in its heartbeat gives no order of motors, and for many a hexa not even the number;
     # its parameters do, once they may be requested.
-    reported = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != 3
+    reported = vehicle.key in ("px4", "ardupilot") and vehicle.rotors != 3
     frame = "--airframe auto --arm M" if reported else "--airframe FILE.toml"
     which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
     return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"

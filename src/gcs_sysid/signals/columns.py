@@ -106,30 +106,6 @@ class RecordBlock:
         for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
             yield number, next(rows[index])
 
-    @classmethod
-    def of(cls, records: Iterable[Record]) -> "RecordBlock":
-        """Records that follow each other."""
-        parameters: list[tuple[int, Record]] = []
-        streams: dict[tuple[Key, int], list[tuple[int, Record]]] = {}
-        for order, record in enumerate(records):
-            if record.stream is Stream.PARAMETER:
-                parameters.append((order, record))
-            else:
-                key = (record.stream, record.source, record.offset), len(record.values)
-                streams.setdefault(key, []).append((order, record))
-        tracks = (
-            Track(
-                stream,
-                np.array([record.t for _, record in some]),
-                np.array([record.values for _, record in some], dtype=float),
-                offset,
-                source,
-                np.array([order for order, _ in some]),
-            )
-            for ((stream, source, offset), _), some in streams.items()
-        )
-        return cls(tuple(tracks), tuple(parameters))
-
     def windows(self, imu_samples: int | None = None) -> Iterator["RecordBlock"]:
         """Parts that follow each other.
 

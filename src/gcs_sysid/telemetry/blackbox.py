@@ -28,6 +28,7 @@ from gcs_sysid.telemetry.blackbox_predictors import latest
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording
+from gcs_sysid.telemetry.vehicles import multirotor_type
 
 _FRD = np.array([1.0, -1.0, -1.0])
 """Forward, left, up to forward, right, down; north, west, up to north, east, down."""
@@ -49,14 +50,6 @@ _FEWEST_MIXED, _MIXED = 1000, 0.9
 mixer: a mixer alone gives .99 and more."""
 _MODES, _ARM = "flightModeFlags", 1
 """Field of S frames, and its bit: the switch is at "armed"."""
-_TYPES = {
-    3: mavlink.MAV_TYPE_TRICOPTER,
-    4: mavlink.MAV_TYPE_QUADROTOR,
-    6: mavlink.MAV_TYPE_HEXAROTOR,
-    8: mavlink.MAV_TYPE_OCTOROTOR,
-    12: mavlink.MAV_TYPE_DODECAROTOR,
-}
-"""Motors -> MAV_TYPE: no firmware writes its mixer into the header."""
 _ARRAYS = {
     "gyroADC": 3, "gyroData": 3, "gyroADCafterRpm": 3, "accSmooth": 3, "accUnfiltered": 3,
     "motor": _MOST_MOTORS, "eRPM": _MOST_MOTORS, "omegaUnfiltered": _MOST_MOTORS, "quat": 4,
@@ -166,7 +159,8 @@ class _SessionReader:
             tracks=[],
             system=1,
             component=mavlink.MAV_COMP_ID_AUTOPILOT1,
-            vehicle_type=_TYPES.get(self._motors, mavlink.MAV_TYPE_GENERIC),
+            # No firmware writes its mixer into the header.
+            vehicle_type=multirotor_type(self._motors),
             autopilot=mavlink.MAV_AUTOPILOT_GENERIC,
             parameters=self._parameters(),
             counts={f"{letter} frames": count for letter, count in frames.counts.items() if count},
@@ -325,7 +319,7 @@ class _SessionReader:
         recording.add_state(Stream.ARMED, changes, float(self._t[-1]))
 
     def _add_extras(self, recording: Recording) -> None:
-        """Setpoints of the rate loop; and what no stream takes yet, kept for later use."""
+        """Setpoints of the rate loop, and the battery."""
         asked = self._fields("setpoint", 3)
         turns = self._fields("gyroSp", 3)
         if asked is not None:
@@ -336,6 +330,3 @@ class _SessionReader:
             volts = self._frames.main.columns(name)
             if volts is not None:
                 recording.add_voltage(self._t, volts * 0.01)
-        flags = self._frames.slow.columns(_MODES)
-        if flags is not None:
-            recording.extras["flight modes"] = self._when(self._frames.slow.order), flags

@@ -22,8 +22,6 @@ from gcs_sysid.telemetry.blackbox_format import (
     Header,
 )
 
-_TIMED = ("loopIteration", "time", "motor[0]")
-"""Columns by which frames are believed, and what they may be predicted from."""
 _LONGEST_CHAIN = 4096
 """P frames after an I frame; firmware writes 1024 at most."""
 WRAP = 2**32
@@ -71,67 +69,14 @@ def main_frames(
     key = np.maximum.accumulate(np.where(is_key, rows, -1))
     since = np.searchsorted(breaks, order) - np.searchsorted(breaks, order[key])
     sound = is_key | ((key >= 0) & (since == 0) & (rows - key <= _LONGEST_CHAIN))
-    merged = _Merged(keys.values, deltas.values, sorting, is_key).only(sound)
-    order = order[sound]
-    time = np.zeros(0, np.int64)
-    if len(order):  # their times first: in garbage few are believed
-        sound, time = _timed(header, keys.names, order, merged, resumed)
-        order, merged = order[sound], merged.only(sound)
-    values = merged.columns(np.arange(len(keys.names)))
-    if len(order):
-        _predict(header, keys.names, values, _chains(merged.is_key))
-    return FrameTable(keys.names, order, values), time
-
-
-class _Merged(NamedTuple):
-    """I and P frames in the order of the log."""
-
-    keys: Array
-    """(i, columns) all I frames as written."""
-    deltas: Array
-    """(p, columns) all P frames as written."""
-    source: Array
-    """(n,) row of each in those of I and then P frames."""
-    is_key: Mask
-    """(n,) whether it is an I frame."""
-
-    def only(self, rows: Mask) -> "_Merged":
-        """Those of an (n,) mask."""
-        if rows.all():
-            return self
-        return self._replace(source=self.source[rows], is_key=self.is_key[rows])
-
-    def columns(self, which: Array) -> Array:
-        """(n, which) values as written, to be added up by columns."""
-        values = np.empty((len(self.is_key), len(which)), np.int64, order="F")
-        for written, mine, first in (
-            (self.keys, self.is_key, 0),
-            (self.deltas, ~self.is_key, len(self.keys)),
-        ):
-            rows = self.source[mine] - first
-            some = written if len(which) == written.shape[1] else written[:, which]
-            values[mine] = some if len(rows) == len(some) else some.take(rows, axis=0)
-        return values
-
-
-def _timed(
-    header: Header, names: tuple[str, ...], order: Array, merged: _Merged, resumed: Array
-) -> tuple[Mask, Array]:
-    """Which of (n,) frames are believed, and us of each that is, without wraps.
-
-    Args:
-        header: of the session.
-        names: of the columns.
-        order: (n,) rising, their places.
-        merged: the frames; the first is an I frame.
-        resumed: as for `main_frames`.
-    """
-    is_key, chains = merged.is_key, _chains(merged.is_key)
-    needed = [name for name in names if name in _TIMED]
-    values = merged.columns(np.array([names.index(name) for name in needed]))
-    _predict(header, tuple(needed), values, chains)
-    loop = values[:, needed.index("loopIteration")] % WRAP
-    clock = values[:, needed.index("time")] % WRAP
+    order, is_key = order[sound], is_key[sound]
+    values = np.asfortranarray(np.concatenate([keys.values, deltas.values])[sorting[sound]])
+    if not len(order):
+        return FrameTable(keys.names, order, values), order
+    chains = _chains(is_key)
+    _predict(header, keys.names, values, chains)
+    loop = values[:, keys.names.index("loopIteration")] % WRAP
+    clock = values[:, keys.names.index("time")] % WRAP
     jump, forward = np.diff(loop, prepend=loop[:1]), np.diff(clock, prepend=clock[:1]) % WRAP
     wrong = ~is_key & ((jump < 0) | (jump >= MOST_LOOPS) | (forward >= MOST_TIME))
     sound = chains.since(np.cumsum(wrong)) == 0
@@ -142,7 +87,7 @@ def _timed(
     starts = _believed_starts(table, passed[last], resumed)
     sound &= starts[chains.number] >= 0
     time = starts[chains.number] + passed
-    return sound, time[sound]
+    return FrameTable(keys.names, order[sound], values[sound]), time[sound]
 
 
 class _Chains(NamedTuple):

@@ -47,14 +47,12 @@ class VehicleClock:
 
     Attributes:
         now: the latest time received, s; None before the first stamp.
-        started: the first time received since boot or since listening, s.
         reboots: how often the clock was set back for good.
         doubted: stamps refused because they jumped and nothing confirmed them.
     """
 
     def __init__(self) -> None:
         self.now: float | None = None
-        self.started: float | None = None
         self.reboots = 0
         self.doubted = 0
         self._unix_minus_boot: float | None = None
@@ -191,7 +189,7 @@ class VehicleClock:
     def _follow(self, t: float) -> float | None:
         now = self.now
         if now is None:
-            self.now = self.started = t
+            self.now = t
             return t
         if now - JUMP_BACK <= t <= now + JUMP_AHEAD:
             if t > now:
@@ -206,7 +204,6 @@ class VehicleClock:
         self.now = t
         if t < now:
             self.reboots += 1
-            self.started = t
             self._unix_minus_boot = None
         return t
 

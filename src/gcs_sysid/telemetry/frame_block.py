@@ -195,15 +195,7 @@ class FrameBlock:
 
     def frame(self, index: int) -> Frame:
         """One of them as an object."""
-        at, size = int(self.at[index]), int(self.size[index])
-        raw = self.data[at : at + size].tobytes()
-        start = int(self.payload_at[index]) - at
-        version = int(self.version[index])
-        return Frame(
-            int(self.system[index]), int(self.component[index]), int(self.sequence[index]),
-            int(self.message_id[index]), raw[start : start + int(self.payload_size[index])], raw,
-            version, version == 2 and raw[2] == FLAG_SIGNED, _VALIDITY[self.validity[index]],
-        )  # fmt: skip
+        return next(iter(self.part(index, index + 1)))[1]
 
     def __iter__(self) -> Iterator[tuple[int, Frame]]:
         """(time in us, frame) one by one."""

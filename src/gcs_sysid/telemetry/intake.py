@@ -20,9 +20,13 @@ from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, 
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
-from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.track_collector import TrackCollector
-from gcs_sysid.telemetry.vehicles import INERTIAL_IDS, MavlinkSystem, VehicleSelector
+from gcs_sysid.telemetry.vehicles import (
+    INERTIAL_IDS,
+    Contradictions,
+    MavlinkSystem,
+    VehicleSelector,
+)
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]

@@ -114,7 +114,7 @@ class TlogLog(Intake):
 
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
-        self.garbage_bytes = self._reader.garbage_bytes
+        self.garbage_bytes = self._reader.counts.garbage_bytes
         torn = self._reader.counts.cut_short
         facts = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
         return {**super().as_dict(), **facts}

@@ -26,6 +26,7 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording, interpolated
+from gcs_sysid.telemetry.vehicles import multirotor_type
 
 _MOST_BYTES = 200_000
 _DEGREE = math.pi / 180.0
@@ -62,11 +63,6 @@ _TOP = {"time", "time_unit", "frame", "world", "delimiter", "autopilot", "parame
 _MOST_ROTORS = 32
 _LARGEST = 1e21
 """Larger values are damaged, and would overflow in products; times in ns have 19 digits."""
-_TYPES = {
-    4: mavlink.MAV_TYPE_QUADROTOR,
-    6: mavlink.MAV_TYPE_HEXAROTOR,
-    8: mavlink.MAV_TYPE_OCTOROTOR,
-}
 _AUTOPILOTS = {
     "": mavlink.MAV_AUTOPILOT_GENERIC,
     "px4": mavlink.MAV_AUTOPILOT_PX4,
@@ -253,7 +249,7 @@ def read_table(path: Path, mapping_path: Path) -> Recording:
         tracks=[],
         system=1,
         component=1,
-        vehicle_type=_TYPES.get(rotors, mavlink.MAV_TYPE_GENERIC),
+        vehicle_type=multirotor_type(rotors),
         autopilot=_AUTOPILOTS[mapping.autopilot],
         counts={name: len(columns[s.time]) for name, s in mapping.signals.items()},
     )

@@ -216,7 +216,7 @@ MESSAGES: tuple[Message, ...] = (
     ),
 )  # fmt: skip
 """HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are rare and carry states: they are
-read in `vehicle_states`, and by the clock."""
+read by `decode.VehicleStates`, and by the clock."""
 
 INERTIAL = frozenset(message.name for message in MESSAGES if message.stream is Stream.IMU)
 """Messages with IMU data."""

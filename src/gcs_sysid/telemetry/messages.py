@@ -14,7 +14,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of, rows_of
 
-Value = int | float | str | tuple[int, ...] | tuple[float, ...]
 HEADER = [
     ("_time_us", "<u8"),
     ("_frame", "<i8"),
@@ -76,28 +75,6 @@ def message_name(message_id: int) -> str:
         return "UNKNOWN"
     layout = LAYOUTS.get(message_id)
     return f"UNKNOWN_{message_id}" if layout is None else layout.name
-
-
-def unpack_flat(message_id: int, payload: bytes) -> tuple[Any, ...]:
-    """All values in wire order, arrays laid out flat. Cut zeros are put back first."""
-    layout = LAYOUTS[message_id]
-    size = layout.size
-    if len(payload) != size:
-        # Longer: a newer definition with more extension fields, which always come last.
-        payload = payload[:size].ljust(size, b"\0")
-    return layout.unpacker.unpack(payload)
-
-
-def unpack(message_id: int, payload: bytes) -> dict[str, Value]:
-    """One message as field name -> value; arrays as tuples, char arrays as text."""
-    flat = unpack_flat(message_id, payload)
-    fields: dict[str, Value] = {}
-    for name, (at, count) in LAYOUTS[message_id].places.items():
-        value = flat[at] if count == 1 else flat[at : at + count]
-        if isinstance(value, bytes):
-            value = value.split(b"\0", 1)[0].decode("utf-8", "replace")
-        fields[name] = value
-    return fields
 
 
 def picker(message_name: str, *fields: str) -> Callable[[bytes], tuple[Any, ...]]:

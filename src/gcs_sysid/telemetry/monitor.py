@@ -278,8 +278,6 @@ class Monitor:
     sender can make up 16 million."""
     _NEW_SHARE = 0.02
     """Of each step of the IMU in what its usual step is believed to be."""
-    _REMEMBERED = 2048
-    """Steps after which nothing is left of an older one."""
 
     def __init__(self) -> None:
         self.received = 0
@@ -399,45 +397,23 @@ class Monitor:
     def watch_imu_times(self, t: Array) -> None:
         """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
         self._imu_loss.add_times(t)
-        if self._imu_last is None:
-            for first in t[:1].tolist():
-                self._watch_imu_time(first)
-            t = t[1:]
-        newest = np.maximum.accumulate(np.append(self._imu_last or 0.0, t))
-        t = t[t > newest[:-1]]
-        steps = np.diff(t, prepend=newest[0])
-        start = 0
-        for long in np.flatnonzero(steps > self.GAP).tolist():  # only there can a gap be
-            self._watch_imu_steps(t[start:long], steps[start:long])
-            self._watch_imu_time(float(t[long]))
-            start = long + 1
-        self._watch_imu_steps(t[start:], steps[start:])
-
-    def _watch_imu_steps(self, t: Array, steps: Array) -> None:
-        """Take samples after steps that are no gaps."""
-        if not len(t):
-            return
-        self._imu_last = float(t[-1])
-        usual = self._imu_step or float(steps[0])
-        steps = steps[-self._REMEMBERED :]
-        left = (1.0 - self._NEW_SHARE) ** np.arange(len(steps), -1, -1)
-        self._imu_step = float(usual * left[0] + self._NEW_SHARE * (left[1:] @ steps))
-
-    def _watch_imu_time(self, t: float) -> None:
-        if self._imu_last is not None:
-            step = t - self._imu_last
+        last, usual = self._imu_last, self._imu_step
+        for time in t.tolist():
+            if last is None:
+                last = time
+                continue
+            step = time - last
             if step <= 0.0:
-                return
-            if step > max(self.GAP, 5.0 * self._imu_step):
-                if self._imu_step:
-                    self.gaps.append((self._imu_last, step))
+                continue
+            if step > max(self.GAP, 5.0 * usual):
+                if usual:
+                    self.gaps.append((last, step))
                     self.gap_count += 1
-                self._imu_step = self._imu_step or step
+                usual = usual or step
             else:
-                self._imu_step += (
-                    self._NEW_SHARE * (step - self._imu_step) if self._imu_step else step
-                )
-        self._imu_last = t
+                usual += self._NEW_SHARE * (step - usual) if usual else step
+            last = time
+        self._imu_last, self._imu_step = last, usual
 
     @property
     def counts(self) -> dict[str, int]:

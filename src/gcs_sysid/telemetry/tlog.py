@@ -445,16 +445,6 @@ class TlogReader:
         if not shows_a_record(head):
             raise InputError(f"{self.path} is not a .tlog: no MAVLink record found in it")
 
-    @property
-    def garbage_bytes(self) -> int:
-        """Bytes that belong to no record."""
-        return self.counts.garbage_bytes
-
-    @property
-    def bad_crc(self) -> int:
-        """Frames whose checksum is wrong."""
-        return self.counts.bad_crc
-
     def blocks(self) -> Iterator[FrameBlock]:
         """All frames as columns, window by window.
 

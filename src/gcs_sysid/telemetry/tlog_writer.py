@@ -36,7 +36,6 @@ class TlogWriter:
 
     Args:
         path: of the file.
-        overwrite: replace what is there.
         beside: where that name is taken, take the next one that is free.
 
     Attributes:
@@ -45,7 +44,7 @@ class TlogWriter:
         dropped: frames that are in no file, because the disk did not keep up or failed.
 
     Raises:
-        InputError: the file exists, and neither of the two is wanted.
+        InputError: the file exists, and none beside it is wanted.
     """
 
     WRITE_EVERY = 0.1
@@ -66,16 +65,15 @@ class TlogWriter:
     _MOST_EVENTS = 20
     """Events kept until taken."""
 
-    def __init__(self, path: Path | str, *, overwrite: bool = False, beside: bool = False) -> None:
+    def __init__(self, path: Path | str, *, beside: bool = False) -> None:
         self.path = Path(path)
         self.problem = ""
         self.dropped = 0
-        if not overwrite and not beside and self.path.exists():
+        if not beside and self.path.exists():
             raise InputError(
                 f"{self.path} exists already and is not overwritten: give another file name"
             )
         self._wanted = self.path
-        self._overwrite = overwrite
         self._files: list[Path] = []  # those that hold records, in order
         self._begun = 0
         self._events: deque[str] = deque(maxlen=self._MOST_EVENTS)
@@ -257,14 +255,10 @@ class TlogWriter:
 
     def _open(self) -> None:
         """Open the next file."""
-        if self._begun or not self._overwrite:
-            # "x": even a file that appears at this moment is not overwritten.
-            mode, path = "x", unused_path(self._wanted)
-        else:
-            mode, path = "w", self._wanted
-        self.path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file, self._size = open_file(path, mode), 0
+        self.path = unused_path(self._wanted)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        # "x": even a file that appears at this moment is not overwritten.
+        self._file, self._size = open_file(self.path, "x"), 0
         self._begun += 1
 
     def _see_whether_there(self) -> None:
@@ -311,7 +305,7 @@ class TlogWriter:
                 sync(file)
             with suppress(OSError):
                 file.close()
-        if not self._size and not self._overwrite:
+        if not self._size:
             with suppress(OSError):
                 if self.path.stat().st_size == 0:
                     self.path.unlink()

@@ -6,8 +6,7 @@ from typing import Any, Protocol
 
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import ReceivedFrames, Receiver
-from gcs_sysid.telemetry.senders import Rival
+from gcs_sysid.telemetry.receiver import ReceivedFrames, Receiver, Rival
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
 from gcs_sysid.telemetry.urls import LinkUrl
 

@@ -13,7 +13,7 @@ subscription or a SYNC must look like: in linear time whatever lies between.
 import math
 import struct
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -27,8 +27,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import file_windows, reading_log
 
 MAGIC = b"ULog\x01\x12\x35"
-_OTHERS, _BYTES_AN_OTHER = 2**16, 64
-"""Entries that are no rows: so many, and one for so many bytes. More of them are garbage."""
 _ZEROS_PIECE = 2**20
 
 _FILE_HEAD = 16
@@ -100,8 +98,6 @@ class UlogFile:
     _MOST_FAULTS = 100
     _MOST_NEW_KINDS = 1000
     """Entries of unknown kinds."""
-    _DOUBTFUL_OTHER = 15
-    """Of those, so many more for one behind garbage or of no use: logs have few, garbage many."""
     _LONG = 300
     """Bytes of an entry other than a row that others must follow: a length may be damaged."""
     _WINDOW = 2**22
@@ -133,14 +129,13 @@ class UlogFile:
         self._high = np.zeros(2**16, np.int32)
         self._longest = 0
         self._learned: set[int] = set()  # topics whose subscription is missing
-        self._others = self._new_kinds = 0
+        self._new_kinds = 0
         self._keys: dict[bytes, tuple[str, str]] = {}
         # (place, name, value) and (place, s) in this window, whose times are those of the rows.
         self._parameters: list[tuple[int, str, float]] = []
         self._pauses: list[tuple[int, float]] = []
         self._found: list[int] = []  # entries in what was searched, and up to where that was
-        self._found_others: list[int] = []  # of these, those that are no rows
-        self._next = self._other = self._searched = 0
+        self._searched = 0
         self._hunting = False  # whether the last window ended in garbage
         self._names = sorted(name.encode() for name in self._wanted)
         with reading_log(path):
@@ -162,7 +157,7 @@ class UlogFile:
             for start, stop in pairwise(parts):
                 file.seek(start)
                 for window in file_windows(file, self._WINDOW, stop):
-                    window.done = self._scan(window.content, window.position, final=window.final)
+                    window.done = self._scan(window.content, final=window.final)
         self.garbage_bytes += path.stat().st_size - end
         self.damaged |= self.garbage_bytes > 0
 
@@ -186,15 +181,14 @@ class UlogFile:
                         parts.append(offset)
         return [*parts, max(end, _FILE_HEAD)]
 
-    def _scan(self, content: bytes, position: int, *, final: bool) -> int:
+    def _scan(self, content: bytes, *, final: bool) -> int:
         """Find the entries of a window, which begins with one; the bytes that are done."""
         end = len(content)
         limit = end if final else max(end - self._MARGIN, 0)
-        self._searched = self._next = 0
-        self._found = []
+        self._searched, self._found = 0, []
         at = 0
         if self._hunting:
-            at = self._hunt(content, 0, limit, position)
+            at = self._hunt(content, 0, limit)
             self.garbage_bytes += at
         while at + 5 <= limit:
             size, kind, number = _ANY_HEAD(content, at)
@@ -208,13 +202,13 @@ class UlogFile:
                         known[2].append(at)
                     at = following
                     continue
-            elif following <= end and self._take(content, at, kind, size, position):
+            elif following <= end and self._take(content, at, kind, size):
                 at = following
                 continue
-            if final and self._is_cut_short(content, at, position, following, kind):
+            if final and self._is_cut_short(content, at, following, kind):
                 at = end
                 break
-            found = self._hunt(content, at + 1, limit, position)
+            found = self._hunt(content, at + 1, limit)
             self.garbage_bytes += found - at
             at = found
         if final and at < end:
@@ -246,18 +240,14 @@ class UlogFile:
         self._longest = max(self._longest, high)
         return known
 
-    def _take(self, content: bytes, at: int, kind: int, size: int, position: int) -> bool:
+    def _take(self, content: bytes, at: int, kind: int, size: int) -> bool:
         """Read an entry that is no row; whether it can be one."""
         bounds = _BOUNDS[kind]
         if bounds is None:  # of a later version of the format, which are to be passed over
             self._new_kinds += 1
             can_be = 0 < size < 10_000 and self._new_kinds <= self._MOST_NEW_KINDS
             return can_be and _follows(content, at + _HEAD + size)
-        allowed = self._next_other()
-        self._others += 1
         if not bounds[0] <= size <= bounds[1]:
-            return False
-        if allowed > position + at:
             return False
         if size > self._LONG and not _follows(content, at + _HEAD + size):
             return False
@@ -307,7 +297,6 @@ class UlogFile:
         if number in self._learned:
             self._learned.remove(number)
         elif number in self._subscriptions or name in self.faults:
-            self._others += self._DOUBTFUL_OTHER
             return
         subscribed = len(self._subscriptions) - len(self._learned)
         if subscribed >= self.MOST_SUBSCRIPTIONS or len(self.faults) >= self._MOST_FAULTS:
@@ -336,39 +325,25 @@ class UlogFile:
         kept = [c for c in columns if c == "timestamp" or self._is_read(name, c)]
         return np.dtype([(column, layout[column]) for column in kept])
 
-    def _is_cut_short(
-        self, content: bytes, at: int, position: int, following: int, kind: int
-    ) -> bool:
+    def _is_cut_short(self, content: bytes, at: int, following: int, kind: int) -> bool:
         """Whether the file ends inside of this entry."""
         end = len(content)
         if following <= end or _BOUNDS[kind] is None:
             return False
-        return self._hunt(content, at + 1, end, position) >= end
+        return self._hunt(content, at + 1, end) >= end
 
-    def _hunt(self, content: bytes, at: int, limit: int, position: int) -> int:
-        """Where the next entry of a window at a position in the file begins, or `limit`."""
+    def _hunt(self, content: bytes, at: int, limit: int) -> int:
+        """Where the next entry of a window begins, or `limit`."""
         self.damaged = self._hunting = True
         while at < limit:
             if not self._searched or at >= self._searched:
                 self._search(content, at, min(at + self._HUNTED, limit))
-            self._next = bisect_right(self._found, at - 1, self._next)
-            found = self._found[self._next : self._next + 1]
-            others = self._found_others
-            # Of these, those that would be refused are passed over.
-            first = max(at, self._next_other() - position)
-            self._other = bisect_right(others, first - 1, self._other)
-            other = others[self._other : self._other + 1]
-            if found or other:
+            index = bisect_left(self._found, at)
+            if index < len(self._found):
                 self._hunting = False
-                at = min(found + other)
-                self._others += self._DOUBTFUL_OTHER * (found != [at])
-                return at
+                return self._found[index]
             at = self._searched
         return limit
-
-    def _next_other(self) -> int:
-        """Where in the file the next entry may begin that is no row."""
-        return (self._others + 1 - _OTHERS) * _BYTES_AN_OTHER
 
     def _search(self, content: bytes, start: int, stop: int) -> None:
         """Find what begins an entry in a stretch: rows of known topics and subscriptions."""
@@ -381,16 +356,15 @@ class UlogFile:
         size = data[at] | data[at + 1].astype(np.int32) << 8
         number = data[at + 3] | data[at + 4].astype(np.int32) << 8
         sound = (self._low[number] <= size) & (size <= self._high[number])
-        self._found = at[sound & (at + _HEAD + size <= len(content))].tolist()
+        found: list[int] = at[sound & (at + _HEAD + size <= len(content))].tolist()
         letters, upper = data[start + 2 : start + 2 + count], data[start + 1 : start + 1 + count]
         synced = np.flatnonzero((letters == _S) & (upper == 0)) + start
-        others: list[int] = _places_of(_SYNC, data, synced).tolist()
+        found += _places_of(_SYNC, data, synced).tolist()
         named = np.flatnonzero((letters == _A) & (upper == 0)) + start
         for name in self._names:
             mine = named[data[named] == 3 + len(name)]
-            others += (_places_of(name, data, mine + 6) - 6).tolist()
-        self._found_others = sorted(others)
-        self._next, self._other, self._searched = 0, 0, stop
+            found += (_places_of(name, data, mine + 6) - 6).tolist()
+        self._found, self._searched = sorted(found), stop
 
     def _settle(self, content: bytes) -> None:
         """Copy the rows of a window, and give what has no time that of the rows before it."""

@@ -1,5 +1,6 @@
-"""Which of the systems found is the vehicle."""
+"""Which of the systems found is the vehicle, and whether others pose as it."""
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +40,22 @@ _NOT_VEHICLES = {
     mavlink.MAV_TYPE_ANTENNA_TRACKER,
     mavlink.MAV_TYPE_ADSB,
 }
+
+
+_ROTORS: dict[int, int] = {
+    mavlink.MAV_TYPE_TRICOPTER: 3,
+    mavlink.MAV_TYPE_QUADROTOR: 4,
+    mavlink.MAV_TYPE_HEXAROTOR: 6,
+    mavlink.MAV_TYPE_OCTOROTOR: 8,
+    mavlink.MAV_TYPE_DECAROTOR: 10,
+    mavlink.MAV_TYPE_DODECAROTOR: 12,
+}
+
+
+def multirotor_type(rotors: int) -> int:
+    """MAV_TYPE of a vehicle with so many rotors, where a log holds no more of it."""
+    generic: int = mavlink.MAV_TYPE_GENERIC
+    return next((kind for kind, count in _ROTORS.items() if count == rotors), generic)
 
 
 def autopilot_key(autopilot: int) -> str:
@@ -98,6 +115,11 @@ class MavlinkSystem:
             and self.address != RADIO
             and self.system != _EVERYBODY
         )
+
+    @property
+    def rotors(self) -> int | None:
+        """How many it has by its type; None when unknown."""
+        return _ROTORS.get(self.vehicle_type or -1)
 
     def __str__(self) -> str:
         words = []
@@ -214,3 +236,34 @@ class VehicleSelector:
             return False
         # A component named by the user is taken at its word.
         return vehicle.is_autopilot if component is None else vehicle.component == component
+
+
+class Contradictions:
+    """Detects heartbeats of one vehicle that contradict each other by turns.
+
+    No vehicle arms and disarms, or is one autopilot and then another, every few heartbeats:
+    another sender is behind some of them.
+
+    Attributes:
+        found: whether they did, once.
+    """
+
+    LATEST = 20
+    """Heartbeats that are looked at."""
+    CHANGES = 6
+    """Among them, from which on they contradict each other."""
+
+    def __init__(self) -> None:
+        self.found = False
+        self._said: tuple[int, int, bool] | None = None
+        self._changed: deque[bool] = deque(maxlen=self.LATEST)
+
+    def note_heartbeat(self, vehicle_type: int, autopilot: int, *, armed: bool) -> bool:
+        """Take what a heartbeat says; whether that made it sure."""
+        said = (vehicle_type, autopilot, armed)
+        self._changed.append(self._said is not None and said != self._said)
+        self._said = said
+        if self.found or sum(self._changed) < self.CHANGES:
+            return False
+        self.found = True
+        return True
