@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import multiprocessing
 import os
 import socket
@@ -60,6 +61,15 @@ def markdown(head: str | Sequence[str], rows: Iterable[Sequence[str]] = ()) -> l
     names = head.split(" | ") if isinstance(head, str) else head
     table = ["| " + " | ".join(row) + " |" for row in (names, *rows)]
     return [table[0], "|---" * len(names) + "|", *table[1:]]
+
+
+def number(value: float) -> str:
+    """Three digits, in plain decimals: 3.6e-05 beside 0.12 is hard to read."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "never"
+    if abs(value) >= 100.0:
+        return f"{value:.0f}"
+    return f"{value:.3g}" if abs(value) >= 1e-4 or value == 0.0 else f"{value:.5f}"
 
 
 def gone_on_with(

@@ -10,8 +10,7 @@ import time
 from typing import Any
 
 from benchmarks.accuracy.cases import CASES, Case
-from benchmarks.accuracy.document import page
-from benchmarks.accuracy.tables_others import whole_path
+from benchmarks.accuracy.sections import page, whole_path
 from testbed.study import PROJECT, WORKERS, Kept, arguments, in_processes, say
 
 KEPT = Kept(PROJECT / "build" / "accuracy", 3)
@@ -70,7 +69,7 @@ def main() -> None:
             file=sys.stderr,
         )
     if options.only == ["end-to-end"]:
-        print("\n".join(whole_path(kept()).lines).rstrip())
+        print("\n".join(whole_path(kept())))
         return
     PAGE.write_text(page(kept()), encoding="utf-8", newline="\n")
     print(PAGE.relative_to(PROJECT), file=sys.stderr)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.verdicts import number, table
 from benchmarks.public.flight import Claims
 from testbed.judge import against
+from testbed.study import markdown, number
 
 OURS = "gcs-sysid"
 MOMENTS = ("Ixx", "Iyy", "Izz")
@@ -113,7 +113,7 @@ def main_table(flights: list[Flown]) -> list[str]:
         "flights", "estimator", "score", "claims", "median error", "largest",
         "intervals that hold", "false claims", "s a flight",
     ]  # fmt: skip
-    return table(head, rows)
+    return [*markdown(head, rows), ""]
 
 
 def duel(flights: list[Flown], who: str, parameter: str) -> tuple[float, float, int]:
@@ -145,7 +145,7 @@ def duels_table(flights: list[Flown]) -> list[str]:
                 )
             if any(cell != "–" for cell in cells):
                 rows.append([group, parameter, *cells])
-    return table(["flights", "parameter", *(f"against {who}" for who in others)], rows)
+    return [*markdown(["flights", "parameter", *(f"against {who}" for who in others)], rows), ""]
 
 
 def errors(flights: list[Flown]) -> list[str]:

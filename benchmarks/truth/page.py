@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.verdicts import number, table
 from testbed.judge import MOMENTS, Claims, claims
+from testbed.study import markdown, number
 
 TEMPLATE = Path(__file__).with_name("template.md")
 Outcome = dict[str, Any]
@@ -96,15 +96,15 @@ def worst(name: str, outcomes: list[Outcome]) -> list[str] | None:
 
 def lines(rows: Rows) -> list[str]:
     """The main table."""
-    return table(HEAD, [row(name, case["outcomes"]) for name, case in rows.items()])
+    return markdown(HEAD, [row(name, case["outcomes"]) for name, case in rows.items()])
 
 
 def page(rows: Rows) -> str:
     """The whole page."""
     found = [w for n, case in rows.items() if (w := worst(n, case["outcomes"])) is not None]
     head = ["scenario", "vehicle", "parameter", "error", "z", "verdict", "held-out R²", "whiteness"]
-    misses = table(head, found) if found else ["No claim is."]
-    says = table(["scenario", "what is flown"], [[n, c["says"]] for n, c in rows.items()])
+    misses = markdown(head, found) if found else ["No claim is."]
+    says = markdown(["scenario", "what is flown"], [[n, c["says"]] for n, c in rows.items()])
     wrong = [
         f"- {name}, {o['vehicle']}: {o['error']}"
         for name, case in rows.items()
