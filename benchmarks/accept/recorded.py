@@ -74,7 +74,7 @@ def _log(unit: str) -> dict[str, Any]:
     change = change_in(log)
     options = ChainOptions(history_interval=None if change is None else 1.0)
     try:
-        result = analyze_log(log, recordings.airframe_for(log), options=options, observer=seen)
+        result = analyze_log(log, recordings.airframe_for(log), options=options, observers=[seen])
     except InputError as error:
         return {"log": log.name, "verdict": "refused", "error": str(error), "false": []}
     t, flies = (np.concatenate(parts or [np.zeros(1)]) for parts in (seen.t, seen.flies))

@@ -89,7 +89,7 @@ def fly(group: str, name: str, make: Make, others: Mapping[str, Entry]) -> score
         log, airframe, truth = make(Path(folder))
         began = time.process_time()
         try:
-            ours = claims_of(analyze_log(log, airframe, observer=onlooker))
+            ours = claims_of(analyze_log(log, airframe, observers=[onlooker]))
             estimators[score.OURS] = {"claims": ours}
         except InputError as error:
             estimators[score.OURS] = {"error": str(error).replace(str(log), log.name)}

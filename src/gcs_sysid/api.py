@@ -258,7 +258,7 @@ def analyze(
     if not history:
         return analyze_log(Path(log), whole, vehicle, options)
     with closing(Recorder(len(whole.rotors))) as recorder:
-        result = analyze_log(Path(log), whole, vehicle, options, observer=recorder)
+        result = analyze_log(Path(log), whole, vehicle, options, observers=[recorder])
         return replace(
             result, history=recorder.history, prediction=_prediction(recorder, result, whole)
         )

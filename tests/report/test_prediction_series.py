@@ -33,7 +33,7 @@ MADE = Provenance(("gcs-sysid",), {}, 0, "")
 
 def analyzed(path, airframe):
     recorder = Recorder(len(airframe.rotors))
-    result = analyze_log(Path(path), airframe, options=ChainOptions(), observer=recorder)
+    result = analyze_log(Path(path), airframe, options=ChainOptions(), observers=[recorder])
     data = gather(result, recorder, {}, airframe, MADE)
     recorder.close()
     return data

@@ -29,7 +29,7 @@ in_air = "flying"
 def analyzed(paper_flight):
     airframe = load_airframe("paper").with_anchor("mass", 1.5)
     recorder = SignalRecorder(4)
-    result = analyze_log(paper_flight.tlog, airframe, observer=recorder)
+    result = analyze_log(paper_flight.tlog, airframe, observers=[recorder])
     return recorder.table(result, airframe), result
 
 

@@ -272,7 +272,7 @@ def test_a_recorder_keeps_no_more_than_it_is_asked_for():
         take=lambda block: [each.take(block) for each in (whole, half)],
         end=lambda chain: [each.end(chain) for each in (whole, half)],
     )
-    analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observer=both)
+    analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observers=[both])
     flown = whole.record(0.0, "log").flown()
     kept = half.record(0.0, "log").flown()
     assert flown[-1] - flown[0] > 50.0

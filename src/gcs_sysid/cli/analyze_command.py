@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
             show.result(log, result)
 
     one_by_one = OneByOne(options.logs)
-    with contextlib.nullcontext() if reporter is None else reporter as observer:
+    with contextlib.nullcontext(()) if reporter is None else reporter as observers:
         for log in options.logs if not results else ():
             with one_by_one.attempt(log):
                 found = analyze_whole(
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
                     options.vehicle,
                     chain,
                     output.progress_bar(log),
-                    observer,
+                    observers,
                 )
                 results.append(found.result)
                 documents.append(found.as_json())

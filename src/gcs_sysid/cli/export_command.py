@@ -54,7 +54,7 @@ def _signals(options: argparse.Namespace) -> int:
     airframe = airframe_of(options)
     recorder = SignalRecorder(len(airframe.rotors))
     result = analyze_log(
-        log, airframe, options.vehicle, progress=progress_bar(str(log)), observer=recorder
+        log, airframe, options.vehicle, progress=progress_bar(str(log)), observers=[recorder]
     )
     table = recorder.table(result, airframe)
     if not len(table["t"]):

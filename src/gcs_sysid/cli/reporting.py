@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -28,8 +28,7 @@ from gcs_sysid.report.data import Recorder, gather, provenance_of
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.signals.sampling import SampleBlock
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight, twin_svg
@@ -83,7 +82,7 @@ class ReportJob:
 
 
 class Reporter:
-    """Looks on while a log is analyzed; as a context, the observer to hand over."""
+    """Looks on while a log is analyzed; as a context, the observers to hand over."""
 
     history_interval = 0.5
     """s between the instants of the estimates' history."""
@@ -94,8 +93,8 @@ class Reporter:
         # Half an hour at 250 Hz takes 30 MB.
         self._flight = FlightRecorder(longest=1800.0)
 
-    def __enter__(self) -> Observer:
-        return _Both(self._recorder, self._flight)
+    def __enter__(self) -> Sequence[Observer]:
+        return self._recorder, self._flight
 
     def __exit__(
         self,
@@ -141,28 +140,6 @@ class Reporter:
             return None
 
 
-class _Both:
-    """Two observers as one."""
-
-    def __init__(self, *observers: Observer) -> None:
-        self._observers = observers
-
-    def begin(self) -> None:
-        """A reading of the log begins."""
-        for each in self._observers:
-            each.begin()
-
-    def take(self, block: SampleBlock) -> None:
-        """The next block of samples."""
-        for each in self._observers:
-            each.take(block)
-
-    def end(self, chain: Chain) -> None:
-        """All is read."""
-        for each in self._observers:
-            each.end(chain)
-
-
 def have_written(job: ReportJob) -> None:
     """Have another process write a report, and wait for it.
 
@@ -191,9 +168,9 @@ def write(job: ReportJob) -> None:
         log = Path(folder) / job.log.name
         shutil.copyfile(job.log, log)
         reporter = Reporter(replace(job, log=log))
-        with reporter as observer:
+        with reporter as observers:
             history = ChainOptions(history_interval=reporter.history_interval)
-            found = analyze_log(log, job.airframe, job.vehicle, history, observer=observer)
+            found = analyze_log(log, job.airframe, job.vehicle, history, observers=observers)
             reporter.write(replace(found, source=str(job.log)))
 
 

@@ -23,7 +23,6 @@ from gcs_sysid.session.reported_layout import (
     ReportedLayout,
     differences,
     place_words,
-    px4_rotors,
     reported_layout,
     usual_layouts,
 )
@@ -43,8 +42,6 @@ _USUAL_ARM = 0.25
 """m, where unknown."""
 _UNKNOWN_ARM = 0.5
 """Relative standard deviation of an arm that was not given."""
-_REAL = (0.02, 5.0)
-"""m: rotors of CA_ROTORn_P* in meters lie between; stock simulators have 1 for all."""
 _GIVE = "give --airframe FILE.toml (gcs-sysid airframe new writes one)"
 _CORNERS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 _KINDS = {6: "hexa", 8: "octo"}
@@ -60,7 +57,6 @@ class GuessedAirframe:
         airframe: with or without a scale.
         origin: in words.
         arm_std: relative standard deviation of its size.
-        relative: whether positions are already those from the CG, as PX4's are meant to be.
         assumed: whether the order of its rotors follows from the vehicle's type alone.
         shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
         explained: share of roll or pitch acceleration, the lesser, that their moments explain over
@@ -73,7 +69,6 @@ class GuessedAirframe:
     airframe: Airframe
     origin: str
     arm_std: float = 0.0
-    relative: bool = False
     assumed: bool = False
     shown: bool = False
     explained: float | None = None
@@ -102,9 +97,7 @@ def guess_airframe(
     if given is not None:
         shown = reported is not None and reported.shown and not differences(given, reported)
         return GuessedAirframe(given, f"{given.name}, as given", shown=shown)
-    found = _of_px4(parameters) if vehicle.key == "px4" else None
-    if found is None:
-        found = _by_type(vehicle, parameters, reported)
+    found = _by_type(vehicle, parameters, reported)
     if arm is not None:
         layout = found.origin.partition(", its arm")[0]
         origin = f"{layout}, {arm:g} m from the center to a rotor"
@@ -116,32 +109,18 @@ def _bare(airframe: Airframe) -> Airframe:
     return replace(airframe, mass=None, k_T=None, T_max=None, priors={})
 
 
-def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
-    found = px4_rotors(parameters)
-    if found is None:
-        return None
-    rotors = [Rotor(r.x, r.y, r.spin) for r in found]
-    airframe = Airframe("CA_ROTOR", tuple(rotors))
-    meters = all(_REAL[0] < math.hypot(r.x, r.y) < _REAL[1] for r in rotors)
-    unit = all(abs(r.x) in (0.0, 1.0) and abs(r.y) in (0.0, 1.0) for r in rotors)
-    if meters and not unit:
-        return GuessedAirframe(airframe, "CA_ROTORn_* of the vehicle", 0.0, relative=True)
-    return GuessedAirframe(
-        airframe.with_arm(_USUAL_ARM),
-        f"CA_ROTORn_* of the vehicle, its arm of {_USUAL_ARM:g} m assumed: give --arm",
-        _UNKNOWN_ARM,
-    )
-
-
 def _by_type(
     vehicle: MavlinkSystem, parameters: Mapping[str, float], reported: ReportedLayout | None
 ) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
     if reported is not None:
-        airframe = Airframe("reported", reported.rotors).with_arm(_USUAL_ARM)
+        airframe = Airframe("reported", reported.rotors)
+        if reported.sized:
+            return GuessedAirframe(airframe, f"{reported.by} of the vehicle")
         origin = f"{reported.by}, {size}"
-        return GuessedAirframe(airframe, origin, _UNKNOWN_ARM, shown=reported.shown)
+        sized = airframe.with_arm(_USUAL_ARM)
+        return GuessedAirframe(sized, origin, _UNKNOWN_ARM, shown=reported.shown)
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "

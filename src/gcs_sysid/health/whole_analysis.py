@@ -1,6 +1,6 @@
 """A whole analysis of a log, read once: what is identified, and what hover shows beside it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ def analyze_whole(
     vehicle: tuple[int, int | None] | None = None,
     options: ChainOptions | None = None,
     progress: Callable[[float], None] | None = None,
-    observer: Observer | None = None,
+    observers: Sequence[Observer] = (),
     *,
     name: str | None = None,
 ) -> WholeAnalysis:
@@ -62,7 +62,7 @@ def analyze_whole(
         vehicle: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's history is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
-        observer: looks on.
+        observers: look on.
         name: of the log for people; None: its path.
 
     Raises:
@@ -71,7 +71,7 @@ def analyze_whole(
     options = options or ChainOptions(history_interval=None)
     keeper = HoverRecords()
     result = analyze_log(
-        log, airframe, vehicle, options, progress, observer=observer, keeper=keeper
+        log, airframe, vehicle, options, progress, observers=observers, keeper=keeper
     )
     found = keeper.health(name or str(log), HealthOptions(airframe), (options.start, options.end))
     return WholeAnalysis(result, beside_analysis(found, result))

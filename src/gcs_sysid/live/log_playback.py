@@ -204,7 +204,7 @@ def survey(
         InputError: the file cannot be read as a log.
     """
     seen, hover = _Survey(), HoverRecords()
-    result = analyze_log(path, airframe, wanted, progress=progress, observer=seen, keeper=hover)
+    result = analyze_log(path, airframe, wanted, progress=progress, observers=[seen], keeper=hover)
     found = hover.health(str(path), HealthOptions(airframe))
     health = document_of(beside_analysis(found, result))
     return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)

@@ -1,7 +1,7 @@
 """Analysis of recorded flights."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -52,7 +52,7 @@ def analyze_log(
     options: ChainOptions | None = None,
     progress: Callable[[float], None] | None = None,
     anchor: ScaleReference | None = None,
-    observer: Observer | None = None,
+    observers: Sequence[Observer] = (),
     keeper: RecordKeeper | None = None,
     opened: Log | None = None,
 ) -> Result:
@@ -65,7 +65,7 @@ def analyze_log(
         options: of the chain; by default the estimate's history is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
         anchor: sets the scale instead of the airframe's.
-        observer: looks on.
+        observers: look on.
         keeper: gets the records as they are read.
         opened: the log, opened by the caller; where it must be read twice, then from the path.
 
@@ -77,7 +77,7 @@ def analyze_log(
     def read(options: ChainOptions, opened: Log | None = None) -> Chain:
         log = opened or open_log(path, wanted)
         chain = Chain(airframe, options, anchor, Origin(log, str(path), wanted))
-        if observer is not None:
+        for observer in observers:
             observer.begin()
             chain.observers.append(observer.take)
         if keeper is not None:
@@ -90,7 +90,7 @@ def analyze_log(
         # A ground station that fetched the parameters after the flight: they held all along.
         chain = read(replace(options, parameters=dict(chain.rotor_selector.parameters)))
     result = chain.finish()
-    if observer is not None:
+    for observer in observers:
         observer.end(chain)
     return result
 

@@ -70,7 +70,7 @@ def fly_held_out(
     on_progress = progress or (lambda _: None)
     recorder = FlightRecorder()
     whole = analyze_log(
-        log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observer=recorder
+        log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observers=[recorder]
     )
     if whole.rotor_input != result.rotor_input:
         raise InputError(

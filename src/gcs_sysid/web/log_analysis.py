@@ -73,7 +73,7 @@ def analyze(
             airframe,
             options=options,
             progress=lambda share: on_progress("identifying", 0.6 * share),
-            observer=recorder,
+            observers=[recorder],
             name=name,
         )
         found = replace(found, result=replace(found.result, source=name))
