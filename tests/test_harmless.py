@@ -12,11 +12,10 @@ import pytest
 import gcs_sysid
 import sim_bridge
 from gcs_sysid.cli.program import run
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import LONGEST_LINE, InputError, one_line
 from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.sanitize import LONGEST_LINE, one_line
 from gcs_sysid.telemetry.link import UdpLink
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.outgoing import Gate

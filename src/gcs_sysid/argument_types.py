@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-from gcs_sysid.errors import InputError, nearest
-from gcs_sysid.sanitize import one_line
+from gcs_sysid.errors import InputError, nearest, one_line
 
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe

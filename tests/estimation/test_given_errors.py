@@ -20,9 +20,8 @@ from gcs_sysid.estimation.parameters.given_errors import (
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.given_uncertainty import UNCERTAIN
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
 from tests.known_theta import theta_from

@@ -3,8 +3,14 @@
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import load_airframe, parse_airframe
-from gcs_sysid.model.given_uncertainty import UNCERTAIN, USUAL, Sigma, parse_sigma
+from gcs_sysid.model.airframe import (
+    UNCERTAIN,
+    USUAL,
+    Sigma,
+    load_airframe,
+    parse_airframe,
+    parse_sigma,
+)
 
 
 def test_what_is_usual():

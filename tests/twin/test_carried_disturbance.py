@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.twin.carried_disturbance import NOTHING_CARRIED, choose_carried
+from gcs_sysid.twin.prediction_errors import NOTHING_CARRIED, choose_carried
 
 DT = 0.004
 

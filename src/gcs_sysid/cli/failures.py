@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sized
 
 from gcs_sysid.cli.commands import PROGRAM
 from gcs_sysid.cli.output import abandon_stdout, is_full, say
-from gcs_sysid.errors import GcsSysidError
-from gcs_sysid.sanitize import one_line
+from gcs_sysid.errors import GcsSysidError, one_line
 
 
 def failure_line(error: Exception, log: str = "") -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast, get_args
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.files import read_text
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
@@ -14,7 +14,6 @@ from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import SCHEMA, Scale
-from gcs_sysid.sanitize import one_line
 from gcs_sysid.strict_json import parse_json
 
 MOST_BYTES = 256 * 1024 * 1024

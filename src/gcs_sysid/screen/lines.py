@@ -18,7 +18,7 @@ from textual.style import Style
 from textual.widget import Widget
 from textual.widgets import Static
 
-from gcs_sysid.sanitize import printable
+from gcs_sysid.errors import printable
 from gcs_sysid.screen.view import View
 
 Part = tuple[str, str]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
@@ -51,7 +51,6 @@ from gcs_sysid.results import summary
 from gcs_sysid.results.history import History, HistoryRecorder
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.sanitize import one_line
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector

@@ -17,8 +17,7 @@ from typing import Any, Literal
 
 from aiohttp import web
 
-from gcs_sysid.errors import InputError
-from gcs_sysid.sanitize import one_line
+from gcs_sysid.errors import InputError, one_line
 
 Role = Literal["pilot", "viewer"]
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]

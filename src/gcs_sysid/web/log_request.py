@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from gcs_sysid.argument_types import GivenName, Measured, parse_given
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, printable
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, builtin_names, parse_airframe
-from gcs_sysid.sanitize import printable
 
 Kind = Literal["log", "builtin", "rotors", "file"]
 RESULT, REPORT, PICTURE = "result.json", "report.html", "health.svg"

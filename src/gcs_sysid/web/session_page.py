@@ -14,10 +14,9 @@ from typing import Any
 
 from aiohttp import web
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.snapshot import Snapshot
-from gcs_sysid.sanitize import one_line
 from gcs_sysid.screen.app import Scene
 from gcs_sysid.screen.view import SnapshotSource
 from gcs_sysid.strict_json import json_text

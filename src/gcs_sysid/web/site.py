@@ -11,9 +11,8 @@ from typing import Protocol
 
 from aiohttp import web
 
-from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.errors import GcsSysidError, InputError, one_line
 from gcs_sysid.report.page import asset as report_asset
-from gcs_sysid.sanitize import one_line
 from gcs_sysid.web.access import Access, Handler, Role, authority, present_role, refuse
 
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
