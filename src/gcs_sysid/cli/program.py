@@ -99,6 +99,5 @@ gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recor
 Try demo, then a log of yours and your vehicle (m from center to motor, kg):
   gcs-sysid flight.bin --arm 0.25 --mass 1.5
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
-Commands
-{commands}
-Options: gcs-sysid COMMAND --help. No vehicle found? gcs-sysid doctor"""
+Commands (options: gcs-sysid COMMAND --help; no vehicle found: gcs-sysid doctor)
+{commands}"""
