@@ -30,7 +30,7 @@ from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Snapshot
-from gcs_sysid.screen import SnapshotSource, SysidApp
+from gcs_sysid.screen import Scene, SnapshotSource, SysidApp
 from gcs_sysid.telemetry.link import TcpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -64,7 +64,7 @@ async def capture(
     keys: Sequence[str] = (),
 ) -> str:
     """The screen as SVG text, after some keys."""
-    app = SysidApp(source, truth)
+    app = SysidApp(source, Scene(truth or {}))
     async with app.run_test(size=size) as pilot:
         if light:
             app.action_toggle_dark()

@@ -11,9 +11,8 @@ from textual._context import visible_screen_stack
 from textual.pilot import Pilot
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.screen import Actions, EarlierResult, SysidApp
+from gcs_sysid.screen import Actions, EarlierResult, Scene, SysidApp, Transport
 from gcs_sysid.screen.app import ReplayApp
-from gcs_sysid.screen.bars import Transport
 
 from . import fake
 
@@ -97,7 +96,8 @@ def run_screen() -> RunScreen:
     ) -> AsyncIterator[Running]:
         source, clock = fake.FakeSource(first), Clock()
         actions = source.actions() if actions is None else actions
-        app = SysidApp(source, truth, actions, baseline, time_source=clock)
+        scene = Scene(truth or {}, actions, None, baseline)
+        app = SysidApp(source, scene, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)
             await running.settle()
@@ -121,7 +121,8 @@ def run_replay():
 
         transport = Transport(*map(noted, ("pause", "speed", "seek", "skip")))
         actions = Actions(absent="in a replay")
-        app = ReplayApp(source, transport, fake.TRUTH, actions, time_source=clock)
+        scene = Scene(fake.TRUTH, actions, transport)
+        app = ReplayApp(source, scene, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)
             await running.settle()

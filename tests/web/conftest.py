@@ -8,8 +8,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.screen import Actions
-from gcs_sysid.screen.app import Scene
+from gcs_sysid.screen import Actions, Scene
 from gcs_sysid.web.session_page import SessionPage
 from gcs_sysid.web.site import Site
 from gcs_sysid.web.workbench import Workbench

@@ -13,9 +13,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History
 from gcs_sysid.results.notebook_view import text
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.screen import Actions, EarlierResult
-from gcs_sysid.screen.app import Scene
-from gcs_sysid.screen.bars import Transport
+from gcs_sysid.screen import Actions, EarlierResult, Scene, Transport
 from gcs_sysid.screen.formatting import choose_exponents
 from gcs_sysid.web import session_page
 from gcs_sysid.web.page_json import MOST_POINTS, history_view, session_view

@@ -21,9 +21,7 @@ from gcs_sysid.live.live_view import Session
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.screen import Actions, EarlierResult
-from gcs_sysid.screen.app import Scene
-from gcs_sysid.screen.bars import Transport
+from gcs_sysid.screen import Actions, EarlierResult, Scene, Transport, app_of
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.telemetry.tlog_writer import unused_path
 
@@ -168,7 +166,7 @@ def live_actions(
 
 
 def _show_on_terminal(session: Session, scene: Scene) -> None:
-    app = scene.app(session)
+    app = app_of(session, scene)
     stopped = threading.Event()
 
     def stop() -> None:

@@ -6,7 +6,7 @@ a session is made in `snapshot_view`, for the page too. Then draw the goldens ag
 `UPDATE_GOLDEN=1 pytest tests/screen/test_golden.py`.
 """
 
-from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.view import Actions, EarlierResult, SnapshotSource
+from gcs_sysid.screen.app import SysidApp, app_of
+from gcs_sysid.screen.view import Actions, EarlierResult, Scene, SnapshotSource, Transport
 
-__all__ = ["Actions", "EarlierResult", "SnapshotSource", "SysidApp"]
+__all__ = ["Actions", "EarlierResult", "Scene", "SnapshotSource", "SysidApp", "Transport", "app_of"]

@@ -1,13 +1,11 @@
 """The live screen's application: polls a snapshot source, does what keys ask; its themes.
 
-That of a replay is the same with keys to pause, to go elsewhere and faster. A `Scene` is all that
-either is made of but its source, wherever it stands: a terminal or a browser.
+That of a replay is the same with keys to pause, to go elsewhere and faster.
 """
 
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import ClassVar
 
@@ -26,7 +24,7 @@ from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.result_view import rows
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.bars import Transport, TransportBar
+from gcs_sysid.screen.bars import TransportBar
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.dialogs import Choose, Enter, HelpScreen
 from gcs_sysid.screen.key_commands import COMMANDS, PAGES, REPLAY_COMMANDS, bindings_of
@@ -35,7 +33,7 @@ from gcs_sysid.screen.parameter_table import ParameterRows
 from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
-from gcs_sysid.screen.view import Actions, EarlierResult, SnapshotSource, View
+from gcs_sysid.screen.view import EarlierResult, Scene, SnapshotSource, View
 
 DARK = Theme(
     name="gcs-dark",
@@ -75,9 +73,7 @@ class SysidApp(App[None]):
 
     Args:
         source: the session.
-        truth: true values by parameter name, where the vehicle is an emulator that reports them.
-        actions: what can be done with the source.
-        baseline: an earlier result to compare with.
+        scene: all else that it is made of.
         time_source: seconds that only grow; tests put their own here.
     """
 
@@ -91,18 +87,16 @@ class SysidApp(App[None]):
     def __init__(
         self,
         source: SnapshotSource,
-        truth: Mapping[str, float] | None = None,
-        actions: Actions | None = None,
-        baseline: EarlierResult | None = None,
+        scene: Scene | None = None,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self.source = source
-        self.actions = actions or Actions()
-        self.baseline = baseline
+        self.scene = scene = scene or Scene()
+        self.actions, self.baseline = scene.actions, scene.baseline
         self._marks = 0
         self._at_work: set[str] = set()
-        self.truth: Mapping[str, float] = dict(truth or {})
+        self.truth = scene.truth
         self.title = "gcs-sysid"
         self.selected = ""
         self.paused = False
@@ -112,12 +106,9 @@ class SysidApp(App[None]):
         self._received = (-1, time_source())
         self._last_event: Event | None = None
         self._compared: Comparison | None = None
-        self.announcer = Announcer(now=time_source)
-        """Calls out what is new; the creator of the application may replace it."""
+        self.announcer = scene.announcer or Announcer(now=time_source)
         self._large: PilotScreen | None = None
         """The pilot view, while it covers the main screen."""
-        self.begins_large = False
-        """Whether the pilot view comes first."""
         self.defect: Exception | None = None
         """What the screen has failed of."""
         self._main = MainScreen(self.title)
@@ -165,7 +156,7 @@ class SysidApp(App[None]):
     def on_main_screen_ready(self) -> None:
         """Draw at once, without waiting for the next tick."""
         self.poll(force=True)
-        if self.begins_large:
+        if self.scene.large:
             self.action_pilot_view()
 
     def poll(self, force: bool = False) -> None:
@@ -576,30 +567,19 @@ class SysidApp(App[None]):
 
 
 class ReplayApp(SysidApp):
-    """The screen on a recorded flight.
-
-    Args:
-        source: the replay.
-        transport: what moves it.
-        truth: as of `SysidApp`.
-        actions: as of `SysidApp`.
-        baseline: as of `SysidApp`.
-        time_source: as of `SysidApp`.
-    """
+    """The screen on a recorded flight, whose scene has a transport."""
 
     BINDINGS: ClassVar[list[BindingType]] = [*bindings_of(REPLAY_COMMANDS)]
 
     def __init__(
         self,
         source: SnapshotSource,
-        transport: Transport,
-        truth: Mapping[str, float] | None = None,
-        actions: Actions | None = None,
-        baseline: EarlierResult | None = None,
+        scene: Scene,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(source, truth, actions, baseline, time_source)
-        self.transport = transport
+        super().__init__(source, scene, time_source)
+        assert scene.transport is not None
+        self.transport = scene.transport
         self._bar = TransportBar()
 
     def on_main_screen_ready(self) -> None:
@@ -653,33 +633,6 @@ class ReplayApp(SysidApp):
         yield from super().get_system_commands(screen)
 
 
-@dataclass(frozen=True)
-class Scene:
-    """All that an application is made of but its source.
-
-    Attributes:
-        truth: true values by parameter name, where known.
-        actions: what can be done with the source.
-        transport: what moves it, where it is a replay.
-        baseline: an earlier result to compare with.
-        announcer: calls out what is new; None: one that is off.
-        large: whether the pilot view comes first.
-    """
-
-    truth: Mapping[str, float] = field(default_factory=dict)
-    actions: Actions = field(default_factory=Actions)
-    transport: Transport | None = None
-    baseline: EarlierResult | None = None
-    announcer: Announcer | None = None
-    large: bool = False
-
-    def app(self, source: SnapshotSource) -> SysidApp:
-        """A new application on a source; there may be several."""
-        made = (
-            SysidApp(source, self.truth, self.actions, self.baseline)
-            if self.transport is None
-            else ReplayApp(source, self.transport, self.truth, self.actions, self.baseline)
-        )
-        made.announcer = self.announcer or made.announcer
-        made.begins_large = self.large
-        return made
+def app_of(source: SnapshotSource, scene: Scene) -> SysidApp:
+    """A new application on a source; there may be several."""
+    return (SysidApp if scene.transport is None else ReplayApp)(source, scene)

@@ -1,7 +1,5 @@
 """The bars above and below the panels: status, banner, verdict, coach, transport, answers."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from textwrap import shorten, wrap
 
 from textual import events
@@ -286,23 +284,6 @@ class CoachPanel(WrappedLines, Shown):
 
 
 KEYS = "space · ← → 10 s · [ ] speed"
-
-
-@dataclass(frozen=True)
-class Transport:
-    """What moves a replay. Each returns at once, with what happens in a few words.
-
-    Attributes:
-        toggle_pause: pause, or go on.
-        change_speed: so many steps faster, or slower.
-        seek: go to so many seconds of the flight.
-        skip: go on by so many seconds, or back.
-    """
-
-    toggle_pause: Callable[[], str]
-    change_speed: Callable[[int], str]
-    seek: Callable[[float], str]
-    skip: Callable[[float], str]
 
 
 class TransportBar(Widget):

@@ -11,6 +11,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import ParameterRow, parameter_rows, rows
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import before_data
+from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.snapshot_view import notice
 
 
@@ -67,12 +68,50 @@ class Actions:
 
 
 @dataclass(frozen=True)
+class Transport:
+    """What moves a replay. Each returns at once, with what happens in a few words.
+
+    Attributes:
+        toggle_pause: pause, or go on.
+        change_speed: so many steps faster, or slower.
+        seek: go to so many seconds of the flight.
+        skip: go on by so many seconds, or back.
+    """
+
+    toggle_pause: Callable[[], str]
+    change_speed: Callable[[int], str]
+    seek: Callable[[float], str]
+    skip: Callable[[float], str]
+
+
+@dataclass(frozen=True)
 class EarlierResult:
     """An earlier result to compare with."""
 
     name: str
     """Of its file."""
     result: Result
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that a screen or a page is made of but its source, wherever it stands.
+
+    Attributes:
+        truth: true values by parameter name, where the vehicle is an emulator that reports them.
+        actions: what can be done with the source.
+        transport: what moves it, where it is a replay.
+        baseline: an earlier result to compare with.
+        announcer: calls out what is new; None: one that is off.
+        large: whether the pilot view comes first.
+    """
+
+    truth: Mapping[str, float] = field(default_factory=dict)
+    actions: Actions = field(default_factory=Actions)
+    transport: Transport | None = None
+    baseline: EarlierResult | None = None
+    announcer: Announcer | None = None
+    large: bool = False
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from aiohttp import web
 from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.snapshot import Snapshot
-from gcs_sysid.screen.app import Scene
-from gcs_sysid.screen.view import SnapshotSource
+from gcs_sysid.screen.view import Scene, SnapshotSource
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
