@@ -18,7 +18,7 @@ from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.health_view import cg_facts, health_fact, quantity_text
+from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text
 from gcs_sysid.results.number_format import PLAIN
 
 
@@ -130,7 +130,8 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     if health.cg_of_hover is None:
         yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
-        yield _line("  wind contribution", _as_flown(health.by_wind))
+        perhaps = f"perhaps {off_words(*health.by_wind, ', ')}: fly in calm air to know"
+        yield _line("  wind contribution", perhaps)
     for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
         yield from _fact(document, key)
     if health.scale is not None:
@@ -153,12 +154,6 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     if health.weakened is not None:
         weak_rotor = condition_text(health.weakened.condition)
         yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
-
-
-def _as_flown(moved: tuple[float, float]) -> str:
-    x, y = (1e3 * value for value in moved)
-    along, across = "forward" if x >= 0.0 else "aft", "right" if y >= 0.0 else "left"
-    return f"perhaps {abs(x):.0f} mm {along}, {abs(y):.0f} mm {across}: fly in calm air to know"
 
 
 def _line(name: str, text: str) -> str:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
+from gcs_sysid.results.health_view import WAYS
 from gcs_sysid.results.number_format import PLAIN, decimals_for
 
-_AXES = (("forward", "aft"), ("right", "left"))
 _BY_BATTERY = (
     "Battery travel = shift × vehicle mass / battery mass (computed with --mass and --battery-mass)"
 )
@@ -81,7 +81,7 @@ def _cg(health: Health) -> Iterator[Finding]:
     off, moves = [], []
     mass, battery = health.known_mass, health.battery_mass
     scale = 1.0 if battery is None or mass is None else mass / battery
-    for place, ways in zip(health.cg, _AXES, strict=True):
+    for place, ways in zip(health.cg, WAYS.values(), strict=True):
         value, half = place.value, place.half
         assert value is not None
         assert half is not None

@@ -11,7 +11,7 @@ from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
 from gcs_sysid.judgement.status import hover_verdict
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.health_view import first_answer
+from gcs_sysid.results.health_view import first_answer, off_words
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.strict_json import parse_json
 
@@ -110,11 +110,7 @@ def condition_text(condition: Condition) -> str:
     if condition.verdict == "all":
         change = 100.0 * float(condition.changes.mean())
         return f"all rotors do {change:+.1f} % for the same thrust: air, battery or payload"
-    x, y = (1e3 * v for v in condition.moved)
-    moved = (
-        f"{abs(x):.0f} mm {'forward' if x >= 0.0 else 'aft'} and "
-        f"{abs(y):.0f} mm {'right' if y >= 0.0 else 'left'}"
-    )
+    moved = off_words(*condition.moved)
     if condition.verdict == "cg":
         return f"the CG moved by {moved}"
     which = (

@@ -26,6 +26,7 @@ from gcs_sysid.report.parts import (
     table,
 )
 from gcs_sysid.results import words
+from gcs_sysid.results.health_view import way
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
@@ -317,8 +318,9 @@ def plan_view(data: ReportData) -> Markup | None:
 
 def cg_text(x: float, y: float) -> str:
     """Where the center of gravity is, in words; m forward and right of the geometric center."""
-    along = f"{PAGE.fixed(abs(1e3 * x), 1)} mm {'ahead' if x >= 0.0 else 'behind'}"
-    across = f"{PAGE.fixed(abs(1e3 * y), 1)} mm {'right' if y >= 0.0 else 'left'}"
+    along, across = (
+        f"{PAGE.fixed(abs(1e3 * v), 1)} mm {way(axis, v)}" for axis, v in (("x", x), ("y", y))
+    )
     return f"The center of gravity (⊕) is {along} and {across} of the geometric center."
 
 

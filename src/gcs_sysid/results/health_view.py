@@ -25,6 +25,20 @@ key of the file. A battery's voltage, whose square the thrust follows, falls by 
 may be any size above zero."""
 
 
+WAYS = {"x": ("forward", "aft"), "y": ("right", "left")}
+"""Along each axis of the body: the way of positive values and that of negative ones."""
+
+
+def way(axis: str, value: float) -> str:
+    """The way that something is off along an axis."""
+    return WAYS[axis][value < 0.0]
+
+
+def off_words(x: float, y: float, joint: str = " and ") -> str:
+    """How far something is off, in whole millimeters: `12 mm forward and 3 mm left`."""
+    return joint.join(f"{abs(1e3 * v):.0f} mm {way(axis, v)}" for axis, v in (("x", x), ("y", y)))
+
+
 def half_of(quantity: Mapping[str, Any]) -> float:
     """Half of a quantity's 95 % interval; 0 where it is exact."""
     return Z95 * float(quantity["std"] or 0.0)
@@ -76,13 +90,12 @@ def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
     Returns:
         For each: name and value.
     """
-    ways = {"x": ("forward", "aft"), "y": ("right", "left")}
     off = []
-    for axis, (positive, negative) in ways.items():
+    for axis in WAYS:
         place = health["cg"][axis]
-        way = positive if place["value"] >= 0.0 else negative
-        off.append(f"{short({**place, 'value': abs(place['value'])}, 1e3)} mm {way}")
-    half = 1e3 * max(half_of(health["cg"][axis]) for axis in ways)
+        size = short({**place, "value": abs(place["value"])}, 1e3)
+        off.append(f"{size} mm {way(axis, place['value'])}")
+    half = 1e3 * max(half_of(health["cg"][axis]) for axis in WAYS)
     source = "as identified" if "cg_by_hover" in health else "by hover"
     within = PLAIN.fixed(half, decimals_for(half, most=1))
     out = [("CG", f"{off[0]}, {off[1]} (± {within} mm), {source}")]
@@ -131,10 +144,7 @@ def cg_facts(
         identical, in mm, or which source it is of.
     """
     out = []
-    for name, axis, ways in (
-        ("along", "x", ("forward", "aft")),
-        ("across", "y", ("right", "left")),
-    ):
+    for name, axis in (("along", "x"), ("across", "y")):
         quantity = health["cg"][axis]
         value, std = quantity["value"] or 0.0, quantity["std"] or 0.0
         size = notation.measure(1e3 * abs(value), 1e3 * half_of(quantity), "mm")
@@ -143,7 +153,7 @@ def cg_facts(
         source = f"identical rotors: ± {identical} mm"
         if "cg_by_hover" in health:
             source = "as identified"
-        out.append((f"CG {name}", size, ways[value < 0.0], source))
+        out.append((f"CG {name}", size, way(axis, value), source))
     return out
 
 
