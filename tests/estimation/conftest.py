@@ -1,5 +1,7 @@
 """A flight from a small simulator of its own: rigid body, motors, drag and wind by solve_ivp."""
 
+import hashlib
+import os
 from dataclasses import dataclass, replace
 from math import cos, sin
 
@@ -12,6 +14,7 @@ from gcs_sysid.signals.samples import Samples
 from tests.known_theta import theta_from
 
 G = 9.80665
+SIGNALS = ("gyro", "rates", "speeds", "attitude", "force", "velocity")
 
 
 @dataclass
@@ -113,23 +116,41 @@ def simulate(truth, seconds, dt):
 
 
 @pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
+    """30 s at 200 Hz of a vehicle, without any noise; integrated once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def simulated(truth):
+        path = folder / f"simulated-{hashlib.sha256(repr(truth).encode()).hexdigest()[:16]}.npz"
+        if not path.exists():
+            flown = simulate(truth, 30.0, 0.005)
+            new = tmp_path_factory.mktemp("simulated") / "new.npz"
+            np.savez(new, **{name: getattr(flown, name) for name in SIGNALS})
+            new.replace(path)
+        with np.load(path) as kept:
+            return Samples(**{name: kept[name] for name in SIGNALS})
+
+    return simulated
+
+
+@pytest.fixture(scope="session")
 def truth():
     return Truth()
 
 
 @pytest.fixture(scope="session")
-def flight(truth):
-    """30 s at 200 Hz, without any noise."""
-    return simulate(truth, 30.0, 0.005)
+def flight(truth, simulated):
+    return simulated(truth)
 
 
 @pytest.fixture(scope="session")
-def plain_flight(truth):
-    """The same by the article's model: without damping and rotor inertia."""
-    return simulate(replace(truth, damping=0.0, rotor_inertia=0.0), 30.0, 0.005)
+def plain_flight(truth, simulated):
+    """By the article's model: without damping and rotor inertia."""
+    return simulated(replace(truth, damping=0.0, rotor_inertia=0.0))
 
 
 @pytest.fixture(scope="session")
-def untwisted_flight(truth):
-    """The same of what is no rigid body: without its gyroscopic torque."""
-    return simulate(replace(truth, gyroscopic=0.0), 30.0, 0.005)
+def untwisted_flight(truth, simulated):
+    """Of what is no rigid body: without its gyroscopic torque."""
+    return simulated(replace(truth, gyroscopic=0.0))

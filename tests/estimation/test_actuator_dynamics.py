@@ -6,18 +6,11 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import (
-    BODY,
-    PLAIN,
-    ROTOR_COLUMNS,
     SIGNALS,
-    WIDTH,
     ActuatorDynamics,
-    Element,
-    LagPlace,
     motor_filter,
     response,
 )
-from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import cosine_window
 
 SLOW = 2.0 * np.pi * np.array([0.3, 1.0, 2.0, 2.7])
@@ -138,123 +131,6 @@ def test_a_motor_follows_straight_commands_exactly():
     assert motor_filter(dt, 0.0) == (0.0, 1.0, 0.0)
 
 
-def test_coordinates_with_one_value_are_given():
-    speeds_, commands_ = speeds(0.1), commands(0.2)
-    assert speeds_.free == (0,)
-    assert commands_.free == (0, 1, 2)
-    assert ActuatorDynamics((0.01,), (0.0, 0.05), (0.5,), motors=True).free == (1,)
-    np.testing.assert_allclose(commands_.low, [-0.015, 0.0, -0.2, 0.0, 0.0])
-    np.testing.assert_allclose(commands_.high, [0.03, 0.13, 1.2, 0.0, 0.0])
-
-
-def test_elements_are_the_lags_at_the_middle_delay_and_the_delays_at_a_usual_lag():
-    assert ActuatorDynamics((-0.01, 0.0, 0.01)).elements == tuple(Element(0, j) for j in range(3))
-    both = ActuatorDynamics((-0.01, 0.0, 0.01, 0.02), (0.0, 0.05, 0.1), motors=True)
-    assert both.elements == (
-        Element(0, 2), Element(1, 2), Element(2, 2), Element(1, 0), Element(1, 1), Element(1, 3),
-    )  # fmt: skip
-    assert both.width == 6 * 2 * SIGNALS + BODY
-    two = ActuatorDynamics((-0.01, 0.01), (0.0, 0.05), motors=True)
-    assert two.elements == (Element(0, 1), Element(1, 1), Element(1, 0))
-
-
-def test_bends_are_at_every_other_lag_from_the_longest_down():
-    def bent(n, dt=0.005):
-        lags = np.linspace(0.0, 0.1, n)
-        basis = ActuatorDynamics((0.0, 0.01), lags, (0.0, 1.0), motors=True, dt=dt, coupled=True)
-        assert basis.bends == 4 * len(basis.bent_lags)
-        return basis.bent_lags
-
-    assert [bent(n) for n in (2, 3, 4, 7)] == [(1,), (2,), (1, 3), (2, 4, 6)]
-    # Of commands every 20 ms, squares between samples are not known.
-    assert bent(7, dt=0.02) == ()
-
-
-def test_products_with_speeds_take_the_past_of_twenty_and_forty_milliseconds():
-    def shifts(delays, dt, coupled=True):
-        basis = ActuatorDynamics(delays, dt=dt, coupled=coupled)
-        # Of q H and p H each, the present is a column of the body.
-        assert basis.products == 2 * max(len(basis.coupled_shifts) - 1, 0)
-        return basis.coupled_shifts
-
-    two, three = (0.0, 0.01), (-0.01, 0.0, 0.01)
-    assert shifts(two, 0.005) == shifts(three, 0.005) == (0, 4, 8)
-    assert shifts(three, 0.0025) == (0, 8, 16)
-    assert shifts(three, 0.05) == (0, 1, 2)
-    # A delay that is given needs no mixture.
-    assert shifts((0.01,), 0.005) == shifts(three, 0.005, coupled=False) == ()
-
-
-@pytest.mark.parametrize("hover", [0.02, 0.05, 0.4])
-@pytest.mark.parametrize("curve", [0.1, 0.4, 0.9])
-def test_a_bend_near_no_thrust_comes_with_its_derivative(hover, curve):
-    """Where a rotor all but stands, the root of thrust is held at its least."""
-    place = LagPlace("speed", hover, 0.03)
-    (ahead, _), (behind, _) = (place.bend(np.array([curve + h])) for h in (1e-6, -1e-6))
-    _, slope = place.bend(np.array([curve]))
-    np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-6)
-
-
-def test_searches_start_from_nodes_over_the_whole_range():
-    dynamics = ActuatorDynamics(
-        (-0.02, 0.0, 0.06), np.linspace(0.0, 0.1, 9), (-0.2, 1.2), motors=True
-    )
-    delays, lags, curves = (np.unique(dynamics.nodes[:, i]) for i in range(3))
-    # No fewer than five of each, no more than eight delays, six lags and five curves.
-    np.testing.assert_allclose(delays, np.linspace(-0.02, 0.06, 5))
-    np.testing.assert_allclose(lags, np.linspace(0.0, 0.1, 6))
-    np.testing.assert_allclose(curves, np.linspace(-0.2, 1.2, 5))
-    assert len(dynamics.nodes) == 5 * 6 * 5
-    # Nearest to no delay, half of the lag, half of the curve.
-    at = dynamics.nodes[dynamics.middle]
-    np.testing.assert_allclose(at[[0, 2]], [0.0, 0.5])
-    assert at[1] in (pytest.approx(0.04), pytest.approx(0.06))
-    assert len(np.unique(ActuatorDynamics(np.linspace(0.0, 0.11, 12)).nodes[:, 0])) == 8
-    assert ActuatorDynamics(np.linspace(0.0, 0.07, 8)).nodes.shape == (8, 5)
-    np.testing.assert_allclose(
-        ActuatorDynamics((0.01,), (0.02,), (0.3,)).nodes, [[0.01, 0.02, 0.3, 0.0, 0.0]]
-    )
-    # Whatever the units: a lag of 0.1 s off weighs as much as the whole range of curves.
-    wide = ActuatorDynamics((-0.05, 0.01), (0.0, 0.001), (0.0, 100.0), motors=True)
-    np.testing.assert_allclose(wide.nodes[wide.middle], [-0.005, 0.0005, 50.0, 0.0, 0.0])
-
-
-def test_rows_hold_rotors_and_body_in_their_places():
-    dynamics = commands(0.2)
-    row = np.arange(1.0, dynamics.width + 1)
-    x = dynamics.map_at(np.array([0.0, 0.0, 0.0])) @ row
-    body = [i for i in range(WIDTH) if i not in ROTOR_COLUMNS]
-    np.testing.assert_array_equal(x[body], row[-BODY:])
-    # Curve 0: the first set, of w; the first element is no lag at the middle delay, here 7.5 ms.
-    at = np.array([0.0075, 0.0, 0.0])
-    np.testing.assert_allclose(
-        dynamics.map_at(at)[ROTOR_COLUMNS, :][:, : dynamics.width - BODY] @ row[:-BODY],
-        row[:SIGNALS],
-        atol=0.01,
-    )
-    # Curve 1: the second, of w^2.
-    at = np.array([0.0075, 0.0, 1.0])
-    np.testing.assert_allclose(
-        dynamics.map_at(at)[ROTOR_COLUMNS, :][:, : dynamics.width - BODY] @ row[:-BODY],
-        row[SIGNALS : 2 * SIGNALS],
-        atol=0.01,
-    )
-    products = [rb.SIGNALS.index(name) for name in ("qr", "rr")]
-    places = dynamics.body_places(products)
-    np.testing.assert_array_equal(row[places], x[products])
-
-
-def test_moments_and_noise_of_commands_are_mapped_alike():
-    dynamics = commands(0.2)
-    rows = np.random.default_rng(1).normal(size=(50, dynamics.width))
-    at = np.array([0.01, 0.05, 0.4])
-    mapped = rows @ dynamics.map_at(at).T
-    np.testing.assert_allclose(dynamics.moments_at(rows.T @ rows, at), mapped.T @ mapped)
-    np.testing.assert_allclose(dynamics.noise_at(rows.T @ rows, at), mapped.T @ mapped)
-    given = np.eye(WIDTH)
-    assert speeds(0.1).noise_at(given, at) is given
-
-
 def test_thrust_is_mixed_of_lags_and_sets_without_delay():
     dynamics = commands(0.2)
     assert speeds(0.1).thrust_weights(np.zeros(3)).tolist() == [1.0]
@@ -264,40 +140,3 @@ def test_thrust_is_mixed_of_lags_and_sets_without_delay():
     own = response(SLOW, np.zeros_like(dynamics.lags), dynamics.lags)
     wanted = response(SLOW, np.zeros(1), np.array([0.05]))[0]
     np.testing.assert_allclose(weights.sum(axis=1) @ own, wanted, atol=1e-3)
-
-
-@pytest.mark.parametrize("free", [0, 1, 2])
-def test_maps_come_with_their_derivatives(free):
-    dynamics = commands(0.2)
-    at = np.array([[0.008, 0.04, 0.4], [0.0, 0.1, 1.0]])
-    step = np.zeros(3)
-    step[free] = 1e-5
-    ahead, behind = (dynamics.maps(at + s * step)[:, 0] for s in (1.0, -1.0))
-    np.testing.assert_allclose(
-        dynamics.maps(at)[:, 1 + free], (ahead - behind) / 2e-5, atol=1e-4, rtol=1e-4
-    )
-
-
-def test_plain_rows_are_rows_as_they_are():
-    assert PLAIN.width == WIDTH
-    assert PLAIN.free == ()
-    maps = PLAIN.maps(np.zeros((3, 3)))
-    assert maps.shape == (3, 1, WIDTH, WIDTH)
-    np.testing.assert_array_equal(maps[2, 0], np.eye(WIDTH))
-    np.testing.assert_array_equal(PLAIN.nodes, [[0.0, 0.0, 1.0, 0.0, 0.0]])
-
-
-def test_what_is_not_told_is_as_for_speeds_at_high_rates():
-    told = ActuatorDynamics((0.0, 0.01), (0.0,), (1.0,), motors=False, half_width=0.1, dt=0.0)
-    plain = ActuatorDynamics((0.0, 0.01))
-    at = np.array([[0.004, 0.0, 1.0]])
-    np.testing.assert_array_equal(plain.maps(at), told.maps(at))
-    np.testing.assert_array_equal(plain.nodes, told.nodes)
-    wide = ActuatorDynamics((0.0, 0.01), half_width=0.2)
-    assert np.abs(wide.maps(at) - told.maps(at)).max() > 1e-6
-    lagged = (0.0, 0.05), (0.0, 0.05), (0.0, 1.0)
-    at = np.array([[0.004, 0.02, 0.5]])
-    np.testing.assert_array_equal(
-        ActuatorDynamics(*lagged, motors=True).maps(at),
-        ActuatorDynamics(*lagged, motors=True, half_width=0.1, dt=0.0, coupled=False).maps(at),
-    )

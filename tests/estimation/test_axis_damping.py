@@ -63,8 +63,7 @@ def test_yaw_that_is_hardly_damped_is_no_longer_a_false_inertia(seed):
     assert wider.data_std[IZZ] == pytest.approx(wider.std[IZZ])
     np.testing.assert_allclose(wider.theta, fit.theta)
     # Roll and pitch know their damping themselves.
-    widening = wider.std[:3] / fit.std[:3]
-    assert (widening[:2] < 0.15 * widening[IZZ]).all()
+    assert (wider.std[:2] < 2.0 * fit.std[:2]).all()
 
 
 def with_covariance(fit: RotationFit, times: float) -> RotationFit:

@@ -10,7 +10,6 @@ from gcs_sysid.estimation.changes.change_detection import ChangeDetector
 from gcs_sysid.estimation.changes.change_hypotheses import judge
 from gcs_sysid.estimation.changes.change_kinds import describe
 from gcs_sysid.estimation.changes.change_window import TUNING, Frames
-from gcs_sysid.estimation.changes.sequential_tests import Cusum, Level
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
@@ -229,25 +228,6 @@ def test_grouping_of_samples_does_not_matter(changed, name):
         np.testing.assert_allclose(other.frames, one.frames, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("turbulence", [None, 0.02])
-def test_levels_do_not_depend_on_how_many_frames_come_at_once(turbulence):
-    """Whole frames are taken together while nothing is clipped; in gusts some of them are not."""
-    samples = measured(fly("all-axes", 12.0, turbulence=turbulence))
-    noise = np.std(np.diff(samples.force[:, 2]))
-    samples.force[1500::331, 2] += 12.0 * noise  # clipped, and no alarm
-    samples.gyro[2000:2010] = np.nan
-    _, one = watch(samples, block=len(samples.gyro))
-    _, other = watch(samples, block=10)  # never a whole frame
-    for level in ("_levels", "_level_of_means"):
-        a, b = getattr(one, level), getattr(other, level)
-        assert (a.frames == b.frames).all()
-        assert a.frames.min() > 20
-        np.testing.assert_allclose(a.mean, b.mean, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(a.variance, b.variance, rtol=1e-9)
-    np.testing.assert_allclose(one._mean_x, other._mean_x, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(one._baseline.last, other._baseline.last, rtol=1e-9, atol=1e-12)
-
-
 def test_a_renewed_reference_is_no_change(quiet_flight):
     samples = measured(quiet_flight)
     cut = 2000
@@ -283,28 +263,6 @@ def test_memory_is_bounded(quiet_flight):
     samples = measured(quiet_flight)
     _, detector = watch(samples, block=10)
     assert len(detector._table) < 50
-
-
-def test_cusum_waits_for_a_third_sample_and_forgets_outliers():
-    z = np.zeros((20, 1))
-    z[3] = z[9] = z[10] = 1e6
-    test = Cusum(1, allowance=4.0, clip=9.0, threshold=11.0)
-    assert test.update(z, 0) is None
-    z = np.zeros((20, 1))
-    z[5:] = -30.0
-    row, channel, began = test.update(z, 100)
-    assert (row, channel, began) == (7, 0, 105)
-
-
-def test_level_learns_mean_and_noise_and_shrugs_off_an_outlier():
-    random = np.random.default_rng(0)
-    level = Level(1, 0.05)
-    for _ in range(200):
-        frame = 3.0 + 0.5 * random.standard_normal((50, 1))
-        frame[7] = 1e3
-        level.update(frame, np.full(1, 0.01))
-    assert level.mean[0] == pytest.approx(3.0, abs=0.1)
-    assert level.std(np.full(1, 0.01))[0] == pytest.approx(0.5, rel=0.25)
 
 
 BEFORE = {

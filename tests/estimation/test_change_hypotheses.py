@@ -8,7 +8,6 @@ from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, 
 from gcs_sysid.estimation.changes.change_window import (
     TUNING,
     AlarmWindow,
-    Frames,
     ResidualHistory,
     covariance,
     strengths,
@@ -309,26 +308,6 @@ def test_the_noise_of_a_history_is_found_again():
         true = weight @ known @ weight + 2.0 * 0.1**2 * h / seconds
         # Raised where it would fall short, and by what few values may mislead.
         assert 0.9 * true < weight @ found @ weight < 2.0 * true
-
-
-def test_frames_know_the_flight_before_and_are_bounded():
-    rng = np.random.default_rng(5)
-    air = rng.standard_normal((200, 3))
-    x = np.zeros((200, N_X))
-    x[:, TOTAL] = SUM
-    y = np.zeros((200, 4))
-    y[:, 0] = -GRAVITY + 0.3 + 0.6 * air[:, 2] + 0.01 * rng.standard_normal(200)
-    frames = Frames()
-    frames.add(list(np.concatenate([y, x, air], axis=1)))
-    history = frames.before(10.0, STEP, reference())
-    assert len(history.left) == 160
-    assert history.level[0] == pytest.approx(0.3, abs=0.1)
-    # What follows vertical speed is not noise.
-    assert history.left[:, 0].std() == pytest.approx(0.01, rel=0.2)
-    for _ in range(30):
-        frames.add(list(np.zeros((200, 4 + N_X + 3))))
-    assert len(frames.before(0.0, STEP, reference()).left) <= Frames.MOST
-    assert len(Frames().before(0.0, STEP, reference()).left) == 0
 
 
 @pytest.mark.parametrize("before", [0.0, 0.01, 0.05, 0.2])

@@ -10,17 +10,13 @@ import pytest
 from gcs_sysid.coach.information import prior_noise, prior_vehicle
 from gcs_sysid.coach.predicted_information import predicted_information
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
-from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
-from gcs_sysid.estimation.noise.whitening import bank_for_commands
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import command_record
-from gcs_sysid.estimation.record.command_record import CommandRecord, FirstPlace, TunedRows
-from gcs_sysid.estimation.record.record import FlightRecord
+from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
-from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics, MeanThrust, step_of
-from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from sim_bridge.doublets import ALL_MISSIONS
@@ -118,86 +114,6 @@ def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, mo
     np.testing.assert_allclose(std, std_of_all, rtol=1e-9)
 
 
-def test_one_that_is_the_likeliest_is_made_with_all_whiteners(commands):
-    """Whatever the search starts with."""
-    start = commands._now.fit.rotation.coordinates
-    found, _ = commands._found([(start, "thrust")], commands._now.maker.hover, ("speed",))
-    assert found.basis.lag_place.of == "speed"
-    assert len(found.white.whiteners) > 15
-
-
-def test_rows_that_were_just_made_are_not_made_again(samples, makings, estimator, commands):
-    estimator.forget_last(1.0)
-    makings.clear()
-    before = commands._now
-    with commands.settled():
-        assert commands.white is before.white
-    assert None not in makings
-    # With more samples they are others.
-    estimator.update(samples.part(slice(0, 400)))
-    with commands.settled():
-        assert commands.white is not before.white
-    assert None in makings
-
-
-def test_starts_that_are_rounded_to_the_same_motors_are_one(makings, commands):
-    at, hover = commands._now.basis.at, commands._now.maker.hover
-    commands._found([(at, "speed"), (at + 0.4 * command_record._GRID, "speed")], hover, ())
-    alone = len(makings)
-    makings.clear()
-    commands._found([(at, "speed")], hover, ())
-    assert len(makings) == alone
-
-
-def test_a_fit_without_scatter_differs_by_its_standard_deviations_alone(commands):
-    white = commands.white
-    data = white.moments(white.silence)
-    whole, bare = (fit_whitened(data, white.basis, scatter=scatter) for scatter in (True, False))
-    np.testing.assert_array_equal(bare.rotation.unknowns, whole.rotation.unknowns)
-    np.testing.assert_array_equal(bare.rotation.r_squared, whole.rotation.r_squared)
-    np.testing.assert_allclose(bare.rotation.std, whole.bound)
-    assert (bare.cost, bare.rows_left_out) == (whole.cost, whole.rows_left_out)
-    assert (whole.rotation.std > bare.rotation.std).any()
-
-
-def test_the_window_is_fitted_where_it_is_asked_for(truth, samples, monkeypatch):
-    """The outcome is the same as if it were fitted at every look."""
-    monkeypatch.setattr(command_record, "_SURE", 8.0)
-    fitted = []
-
-    def outcome_of(window):
-        monkeypatch.setattr(FlightRecord, "_window", window)
-        fitted.clear()
-        estimator = flown(truth, samples)
-        before = len(fitted)
-        return estimator.fit().rotation, before, len(fitted)
-
-    make = FlightRecord._window
-
-    def later(self):
-        fit = make(self)
-        return lambda: fitted.append(self.seconds) or fit()
-
-    def at_once(self):
-        fitted.append(self.seconds)
-        found = make(self)()
-        return lambda: found
-
-    lazy, looks, all_of_them = outcome_of(later)
-    assert (looks, all_of_them) == (1, 2)
-    eager, *_ = outcome_of(at_once)
-    np.testing.assert_array_equal(lazy.unknowns, eager.unknowns)
-    np.testing.assert_array_equal(lazy.full_covariance, eager.full_covariance)
-
-
-def test_once_the_motors_are_known_no_window_is_kept(truth, samples, monkeypatch):
-    monkeypatch.setattr(command_record, "LAST", 10.0)
-    monkeypatch.setattr(command_record, "_SURE", 8.0)
-    commands = flown(truth, samples)._record.commands
-    assert commands._kept is None
-    assert commands._to_compare is None
-
-
 def record_about(estimator, share):
     """The commands of a flight, with rows about a share of the lag found."""
     record = deepcopy(estimator)._record.commands
@@ -209,17 +125,6 @@ def record_about(estimator, share):
     fit = record._fitted(white, basis)
     record._now = replace(now, basis=basis, maker=maker, white=white, fit=fit)
     return record
-
-
-def test_motors_that_are_not_the_rows_any_more_are_looked_for(estimator):
-    """Halfway the fit finds them far away; then not every sample asks."""
-    right, wrong = (record_about(estimator, share) for share in (1.0, 0.5))
-    for record in (right, wrong):
-        assert not record.is_due()
-        record._check = 0.0
-    assert wrong.is_due()
-    assert not right.is_due()
-    assert right._check == pytest.approx(1.25 * right._samples * DT)
 
 
 def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(estimator):
@@ -257,21 +162,6 @@ def test_a_lag_first_found_wrong_misleads_no_one():
     assert looks[-1]["Ixx"].status == "identified"
 
 
-def test_rows_that_are_gone_on_with_have_all_whiteners(truth, samples, monkeypatch):
-    """Also where another place is likeliest by few whiteners alone."""
-    bank, cost = bank_for_commands(step_of(DT).time), TunedRows.cost.fget
-
-    def flattered(tuned):
-        return cost(tuned) - 1e6 * (len(tuned.white.whiteners) < len(bank))
-
-    monkeypatch.setattr(TunedRows, "cost", property(flattered))
-    monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)
-    commands = flown(truth, samples)._record.commands
-    assert len(commands.white.whiteners) == len(bank)
-    with commands.settled():
-        assert len(commands.white.whiteners) == len(bank)
-
-
 @pytest.mark.parametrize("curves", [COMMANDS.curves, (0.0,)])
 def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curves):
     """They estimate more of the motors than those of the window, which it predicts."""
@@ -284,31 +174,6 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
     after = predicted_information(fit, known, noise, estimator.free).after()
     assert (after.rotation.std < before.rotation.std).all()
-
-
-def test_cost_does_not_fall_with_the_rows_that_slow_motors_wait_for(monkeypatch):
-    monkeypatch.setattr(
-        TunedRows, "_power", property(lambda self: np.full((2, 3), 0.3 * self.white.rows))
-    )
-    maker = SimpleNamespace(samples_a_row=3)
-    fast, slow = (
-        TunedRows(None, maker, SimpleNamespace(rows=rows), None, np.zeros(0), 3000)
-        for rows in (990, 800)
-    )
-    assert fast.cost == pytest.approx(0.5 * 1000 * 3 * np.log(0.3))
-    assert slow.cost == pytest.approx(fast.cost)
-
-
-@pytest.mark.parametrize(
-    ("worse", "tried", "enough"),
-    [(-100.0, True, False), (10.0, True, False), (30.0, True, True), (30.0, False, False)],
-)
-def test_a_place_of_the_lag_is_left_when_it_is_no_rival(worse, tried, enough):
-    """One 160 nats likelier was dropped, as it was still on its way after two rounds."""
-    other = SimpleNamespace(
-        cost=worse, is_within=lambda steps: True, white=SimpleNamespace(rows=4000)
-    )
-    assert FirstPlace((), 0.0).is_enough(other, tried=tried) is enough
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.15])
@@ -342,31 +207,3 @@ def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(estimator):
     assert other.lag_place is not None
     for place in (Unknown.LAG, Unknown.DELAY):
         assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0
-
-
-def test_mean_thrust_of_uneven_motors_is_in_doubt_where_something_disturbs(estimator, monkeypatch):
-    """Commands that swing from stop to stop, faster than they are sent: T_max was 11 sigma off."""
-    fit = estimator.fit().rotation
-    monkeypatch.setattr(
-        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
-    )
-    calm, disturbed = (
-        estimator.fit_translation(replace(fit, disturbance=np.full(3, nats)))[0]
-        for nats in (0.0, 5.0)
-    )
-    assert calm.kappa == pytest.approx(disturbed.kappa)
-    added = disturbed.kappa_std**2 - calm.kappa_std**2
-    assert np.sqrt(added) == pytest.approx(0.25 * 1.25 * calm.kappa / 1.25, rel=1e-6)
-
-
-def test_the_cg_of_uneven_motors_is_in_doubt_too(estimator, monkeypatch):
-    fit = estimator.fit().rotation
-    monkeypatch.setattr(
-        MeanThrust, "rectified", lambda self, at: (0.25, np.zeros(len(fit.coordinates)))
-    )
-    calm, disturbed = (
-        estimator._rotation._with_motor_doubt(replace(fit, disturbance=np.array([0.0, 0.0, nats])))
-        for nats in (0.0, 5.0)
-    )
-    added = np.diag(disturbed.covariance - calm.covariance)[[rb.CG_X, rb.CG_Y]]
-    np.testing.assert_allclose(np.sqrt(added), 0.25 * 0.25 / 2.0, rtol=1e-6)

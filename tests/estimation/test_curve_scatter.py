@@ -45,13 +45,6 @@ def scattered(basis=BASIS, counts=COUNTS):
     return problem, curve_scatter(problem, fit, batches, counts)
 
 
-def test_each_third_is_left_out_once(found):
-    scattered()
-    sums, rows = found.left
-    np.testing.assert_allclose(sums, [435 - 45, 435 - 145, 435 - 245])
-    np.testing.assert_allclose(rows, 1600)
-
-
 def test_what_goes_beyond_the_interval_is_added_and_all_goes_with_it(found):
     found.curves = [0.4, 0.5, 0.6]
     problem, along = scattered()

@@ -93,10 +93,6 @@ def test_whiteners_share_the_contrast_by_how_sure_they_are():
     np.testing.assert_allclose(error, np.sqrt(100.0 - 1.0) * STD, rtol=1e-6)
 
 
-def test_no_faster_whitener_no_contrast():
-    assert len(contrast(0.0, pick=4)) == 0
-
-
 @pytest.mark.parametrize("gain", [0.4, 0.9])
 def test_a_little_better_is_no_disturbance(gain):
     whiteners = trial(2, gain=gain)
@@ -114,11 +110,6 @@ def test_floor_grows_with_the_share_that_is_not_explained():
         expected = np.zeros(rb.N_THETA)
         expected[moved] = RULES.floor * share * THETA[moved]
         np.testing.assert_allclose(floor, expected)
-
-
-def test_worse_than_nothing_is_as_bad_as_nothing():
-    errors = trial(2, gain=5.0).systematic(fit_of((-4.0, 0.9, 0.9)), HOVER)
-    assert errors[0][0] == pytest.approx(RULES.floor * THETA[0])
 
 
 def test_trim_is_the_moment_held_by_an_offset():
@@ -143,12 +134,3 @@ def test_no_trim_without_hover_or_without_a_moment():
     no_moment = trial(0, gain=5.0)
     assert np.all(no_moment.detected == 0.0)
     assert len(no_moment.systematic(fit_of((0.2, 0.2, 0.2)), HOVER)) == 0
-
-
-@pytest.mark.parametrize("lost", [0.0, -1.0])
-def test_whiteners_without_information_are_compared_with_nobody(lost):
-    """Known noise taken out may leave no information, or less than none."""
-    whiteners, fit = trial(2, 50.0, gain=5.0), fit_of((1.0, 1.0, 1.0))
-    assert whiteners.systematic(fit, 0.0)[0].any()
-    whiteners.information[-1] *= lost
-    assert not whiteners.systematic(fit, 0.0).any()

@@ -24,7 +24,6 @@ from gcs_sysid.estimation.offline.instrumental_variables import (
 )
 from gcs_sysid.estimation.offline.likelihood import most_passes
 from gcs_sysid.estimation.offline.offline import fit_offline
-from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 
@@ -237,26 +236,3 @@ def test_a_search_out_of_budget_says_so(monkeypatch, truth, flight):
     )
     unfinished.passes = 7
     assert fit_offline(tracker, plain) == "the maximum-likelihood search did not converge"
-
-
-def test_whitened_rows_are_never_left_to_white_process_noise(monkeypatch):
-    """Where the likeliest noise leads nowhere, the online estimate stays."""
-    monkeypatch.setattr(offline, "_second_look", lambda *_: None)
-    tracker = SimpleNamespace(kept=["samples"])
-    for disturbance in ((5.0, 5.0, 5.0), (0.1, 0.1, 0.1)):
-        said = fit_offline(tracker, Fit(fit_with(disturbance=disturbance), None, 20.0))
-        assert said == "the fit by the likeliest noise did not converge"
-
-
-def test_what_two_estimates_are_apart_is_in_the_interval():
-    """Beyond chance, and told where it is more than the estimate's own standard deviation."""
-    online = fit_with()
-    off = 10.0 * online.std[0]
-    theta = online.theta + off * np.eye(len(online.theta))[0]
-    fit, apart = offline._widened(replace(online, theta=theta), online)
-    assert fit.std[0] == pytest.approx(np.hypot(online.std[0], off))
-    assert apart[0] == pytest.approx(off)
-    assert not apart[1:].any()
-    same, none = offline._widened(online, online)
-    assert not none.any()
-    np.testing.assert_array_equal(same.std, online.std)

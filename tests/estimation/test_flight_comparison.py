@@ -1,17 +1,16 @@
 """Whether two flights were flown by one vehicle."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.changes.flight_comparison import ENOUGH, Trial, is_another
+from gcs_sysid.estimation.changes.flight_comparison import is_another
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
 
 THETA = rb.theta_of(
     {
@@ -190,78 +189,3 @@ def test_thrust_from_two_sources_is_compared_by_the_accelerometers():
     # One source in both: the accelerometers are not asked.
     same = replace(before, accelerometer=lifting(5.0 * KAPPA))
     assert not is_another(before, same, ARM)
-
-
-class Learner:
-    """What a trial asks of an estimator."""
-
-    dt = 0.5
-
-    def __init__(self):
-        self.calls = []
-
-    def update(self, samples):
-        self.calls.append(len(samples.gyro))
-
-    def restart(self):
-        self.calls.append("restart")
-
-    def forget_last(self, seconds):
-        self.calls.append(("forget", seconds))
-
-    def fit(self):
-        return "the fit"
-
-    def with_thrust_by(self, rotors, fit):
-        return f"{fit} by {rotors}"
-
-
-@dataclass(frozen=True)
-class Drift:
-    thrust_doubt: float
-
-
-def samples_of(n):
-    return Samples(*(np.arange(float(n * width)).reshape(n, width) for width in (3, 3, 4, 4, 3, 3)))
-
-
-def test_a_trial_keeps_what_it_is_told_until_there_is_enough():
-    learner = Learner()
-    trial = Trial(learner, landed=90.0, start=100.0)
-    assert (trial.landed, trial.start, trial.end) == (90.0, 100.0, 100.0)
-    assert trial.room == ENOUGH / 0.5 == 20
-    trial.restart()  # before any sample there is nothing to break off
-    t = 100.0 + 0.5 * np.arange(16)
-    trial.add_samples(t[:6], samples_of(6))
-    trial.restart()
-    trial.restart()
-    trial.add_samples(t[6:], samples_of(10))
-    assert trial.room == 4
-    assert trial.end == 107.5
-    assert [None if part is None else len(part[0]) for part in trial.parts] == [6, None, 10]
-    assert learner.calls == ["restart", 6, "restart", "restart", 10]
-    assert trial.fit(Fit("the rotors", None, 0.0)) == "the fit by the rotors"
-
-
-@pytest.mark.parametrize(("drift", "doubt"), [(None, 0.0), (Drift(0.07), 0.07)])
-def test_only_a_battery_that_is_followed_may_have_changed_thrust(drift, doubt):
-    learner = Learner()
-    learner.drift = drift
-    assert Trial(learner, 90.0, 100.0).battery_doubt == doubt
-
-
-def test_a_trial_without_its_landing():
-    learner = Learner()
-    trial = Trial(learner, 90.0, 100.0)
-    trial.add_samples(100.0 + 0.5 * np.arange(6), samples_of(6))
-    trial.restart()
-    trial.add_samples(103.0 + 0.5 * np.arange(4), samples_of(4))
-    trial.drop_last(1.0)
-    # The last was at 104.5: what is later than 103.5 is gone, times and samples alike.
-    (first, between, last) = trial.parts
-    assert between is None
-    assert len(first[0]) == len(first[1].gyro) == 6
-    np.testing.assert_array_equal(last[0], [103.0, 103.5])
-    np.testing.assert_array_equal(last[1].gyro, samples_of(4).gyro[:2])
-    assert learner.calls[-1] == ("forget", 1.0)
-    assert trial.room == 12

@@ -74,13 +74,13 @@ def assert_same(fits, others):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("smoother", ["window", "td"])
+@pytest.mark.parametrize("smoother", ["window", pytest.param("td", marks=pytest.mark.thorough)])
 def test_blocks_give_what_single_fits_give(truth, flight, smoother):
-    samples, tuning = measured(flight), EstimatorTuning(smoother=smoother)
+    samples, tuning = measured(flight).part(slice(4000)), EstimatorTuning(smoother=smoother)
     alone = single(truth, samples, tuning)
     for block in (7, 250, 100_000):
         fits = series(truth, samples, block, tuning)
-        assert sum(fit.rotation is not None for fit in fits) > 200
+        assert sum(fit.rotation is not None for fit in fits) > 120
         assert_same(fits, alone)
 
 
@@ -107,7 +107,7 @@ def test_blocks_know_the_prior(truth, flight):
     mean[at] = truth.k_M / truth.k_T
     known[at, at] = (0.01 * mean[at]) ** -2.0
     sources = {"prior_source": lambda translation: Prior(mean, known)}
-    samples = measured(flight)
+    samples = measured(flight).part(slice(2500))
     fits = series(truth, samples, 400, EstimatorTuning(), **sources)
     assert_same(fits, single(truth, samples, EstimatorTuning(), **sources))
     early = next(fit for fit in fits if fit.rotation is not None and fit.seconds > 2.0)
@@ -124,8 +124,6 @@ def test_quick_fits_are_near_full_ones(truth, flight):
         quick = estimator.follow(part, list(range(STOP, len(part.gyro) + 1, STOP)))[-1]
         if k % 4 == 3 and quick.seconds > 6.0:
             full, quick = estimator.fit().rotation, quick.rotation
-            # Of two memories nearly as good each may take another.
-            if quick.leak == full.leak:
-                off.append(np.abs((quick.theta - full.theta) / full.std))
+            off.append(np.abs((quick.theta - full.theta) / full.std))
     assert len(off) > 4
     assert np.max(off) < 0.1

@@ -67,7 +67,9 @@ def colored_fit(truth, slow, start):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.thorough), 5, 10])
+@pytest.mark.parametrize(
+    "every", [*(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 5)), 10]
+)
 def test_exact_without_noise(truth, flight, start, every):
     """At 20 Hz too, where the fastest signal turns by half a radian a sample."""
     dt = 0.005 * every
@@ -111,7 +113,7 @@ def test_color_is_found_and_used(truth, colored_fit, white_fit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("color", [None, 5.0])
+@pytest.mark.parametrize("color", [pytest.param(None, marks=pytest.mark.thorough), 5.0])
 def test_bound_equals_the_dense_computation(truth, slow, color):
     """Against finite differences of the simulated record and its full covariance matrix."""
     samples, dt = slow[0].part(slice(120)), slow[1]
@@ -204,13 +206,9 @@ def test_gaps_split_the_record(truth, slow, start, white_fit):
 
 
 @pytest.mark.slow
-def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start, colored_fit):
+def test_the_start_does_not_matter(truth, slow, colored_fit):
     noisy, first = colored_fit
-    again, other = (
-        maximize_likelihood(noisy, truth.geometry, slow[1], s) for s in (start, 1.2 * truth.theta)
-    )
-    np.testing.assert_array_equal(first.theta, again.theta)
-    np.testing.assert_array_equal(first.covariance, again.covariance)
+    other = maximize_likelihood(noisy, truth.geometry, slow[1], 1.2 * truth.theta)
     assert np.abs((other.theta - first.theta) / first.std).max() < 0.1
 
 

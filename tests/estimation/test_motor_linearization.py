@@ -112,49 +112,6 @@ def test_blocks_change_nothing_and_gaps_leave_out_what_they_touch():
     assert gone.sum() * 3 * DT == pytest.approx(2.0 * unknown, rel=0.1)
 
 
-def test_a_given_curve_is_not_free():
-    basis = LocalDynamics(AT, "command", DT, curve=False)
-    assert Coordinate.CURVE not in basis.free
-    assert basis.maps(AT[None]).shape[1] == 1 + 4
-    assert basis.nodes.tolist() == [AT.tolist()]
-
-
-def lagged_one_by_one(maker, driven):
-    """The states of motors, sample after sample."""
-    at = maker._basis.at
-    x, last, out = driven[0].copy(), driven[0], []
-    tau, up, down, p = maker._tau, maker._up, maker._down, maker._p
-    assert tau[0, 0] == at[Coordinate.LAG]
-    for now in driven:
-        v, last = 0.5 * (now + last), now
-        slow = (np.maximum(x, 0.3 * maker._hover) / maker._hover) ** p
-        x = v + (x - v) * np.exp(-DT / (tau * np.where(x < v, up, down)) * slow)
-        out.append(x)
-    return np.array(out)
-
-
-@pytest.mark.parametrize("of", LAGS_OF)
-@pytest.mark.parametrize(
-    ("lag", "asymmetry", "exponent"),
-    [(0.03, 0.3, 0.5), (0.002, 1.5, -1.5), (0.2, -1.5, 2.5), (0.01, -1.5, -1.5)],
-)
-def test_the_states_of_all_samples_at_once_are_those_of_one_after_the_other(
-    of, lag, asymmetry, exponent
-):
-    basis = LocalDynamics(np.array([0.0, lag, 0.4, asymmetry, exponent]), of, DT)
-    maker = MotorRows(GEOMETRY, DT, basis, HOVER)
-    rng = np.random.default_rng(5)
-    commands = flown(300)[0] + rng.normal(0.0, 0.1, (300, 4))
-    commands[100:140] = 0.0  # stopped, and to full thrust at once
-    commands[140:150] = 1.0
-    driven = maker._drive(np.clip(commands, 0.0, 1.0))
-    wanted = lagged_one_by_one(maker, driven)
-    maker._state = maker._last = driven[0]
-    parts = [maker._lagged(part) for part in np.split(driven, [1, 2, 30, 31, 120, 290])]
-    np.testing.assert_allclose(np.concatenate(parts), wanted, rtol=0.0, atol=1e-13)
-    np.testing.assert_allclose(maker._state, wanted[-1], rtol=0.0, atol=1e-13)
-
-
 def test_noise_raises_the_thrust_of_motors_that_speed_up_faster():
     """Mean thrust over that with one time constant, and to first order elsewhere."""
     samples = flown()

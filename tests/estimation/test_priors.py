@@ -41,34 +41,6 @@ def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):
     return window_fit.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
 
 
-def test_a_prior_is_a_paraboloid():
-    known = prior_of({IZZ: (140.0, 5.0), Unknown.DELAY: (0.01, 0.002)})
-    assert np.flatnonzero(known.known).tolist() == [IZZ, Unknown.DELAY]
-    at = np.zeros((2, N_UNKNOWNS))
-    at[0, [IZZ, Unknown.DELAY]] = 150.0, 0.01  # two deviations
-    at[1, [IZZ, Unknown.DELAY, RATIO]] = 135.0, 0.016, 9.0  # one and three
-    np.testing.assert_allclose(known.cost(at), [4.0, 10.0])
-    assert known.cost(at[0]) == pytest.approx(4.0)
-    assert known.cost(at[None]).shape == (1, 2)
-    # Downhill of half the cost: towards the mean.
-    pull = known.pull(at)
-    np.testing.assert_allclose(pull[:, IZZ], [-0.4, 0.2])
-    np.testing.assert_allclose(pull[:, Unknown.DELAY], [0.0, -1500.0])
-    assert np.count_nonzero(pull) == 3
-    # Of the thrust curve: what is left where other unknowns it goes with are open.
-    assert known.thrust_curve[1] == np.inf
-    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    both = np.array([[0.04, 0.06], [0.06, 0.25]])
-    information[np.ix_([Unknown.LAG, Unknown.CURVE], [Unknown.LAG, Unknown.CURVE])] = np.linalg.inv(
-        both
-    )
-    curve = Prior(np.full(N_UNKNOWNS, 0.3), information).thrust_curve
-    assert curve == pytest.approx((0.3, 0.5))
-    # However vague, it is known; and by how much is in nothing else.
-    assert prior_of({IZZ: (1.0, 1e4)}).known[IZZ]
-    assert not Prior(np.ones(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))).known.any()
-
-
 def test_a_known_moment_ratio_makes_the_yaw_inertia_known():
     """Yaw alone tells their quotient and nothing else."""
     alone = fit(1, tumbling=False)
@@ -95,17 +67,20 @@ def test_a_prior_that_says_next_to_nothing_changes_nothing():
 
 @pytest.mark.parametrize("color", [1, 12])
 def test_prior_and_flight_are_weighed_by_what_they_know(color):
-    """Intervals hold as many as they say, by colored rows or not."""
+    """Intervals hold as many as they say, one by one and jointly, by colored rows or not."""
     size = fit(0, color=color).std
-    inside, tightened = [], []
+    inside, squares, tightened = [], [], []
     for seed in range(40):
         rng = np.random.default_rng(100 + seed)
         mean = np.append(THETA + size * rng.standard_normal(rb.N_THETA), 0.0)
         prior = prior_of({i: (mean[i], size[i]) for i in range(rb.N_THETA)})
         found = fit(seed, prior, color=color)
-        inside.append(np.abs(found.theta - THETA) < 1.96 * found.std)
+        error = found.theta - THETA
+        inside.append(np.abs(error) < 1.96 * found.std)
+        squares.append(error @ np.linalg.solve(found.covariance, error) / rb.N_THETA)
         tightened.append(found.std / found.data_std)
     assert 0.9 < np.mean(inside) < 0.99
+    assert 0.6 < np.mean(squares) < 1.6
     assert np.max(tightened) < 0.95
 
 

@@ -8,7 +8,6 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.estimation.fit import translation, window_fit
-from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
@@ -35,13 +34,6 @@ def noisy(samples, sigma, seed):
 def row_maker(truth, smoother):
     basis = ActuatorDynamics(smoother.delays)
     return RowMaker(RotorPath(truth.geometry, DT, basis), basis, smoother)
-
-
-def rows_of(truth, samples, smoother):
-    """Rows [x, y] without delay."""
-    basis = ActuatorDynamics(smoother.delays)
-    plain = basis.maps(np.array([[0.0, 0.0, 1.0]]))[0, 0]
-    return row_maker(truth, smoother).update(samples).rotation[0] @ plain.T
 
 
 def bank_of(truth, samples, smoother, memory=0.0):
@@ -83,18 +75,6 @@ def test_rotation_is_recovered_without_noise(truth, flight, smoother, bar, memor
     np.testing.assert_allclose(fit.r_squared, 1.0, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_damping_and_rotor_inertia_matter_in_this_flight(truth, flight):
-    """Else the recovery above would not show that they are carried."""
-    Q = rb.forward_matrix(np.where(np.arange(rb.N_THETA) < rb.DAMPING, truth.theta, 0.0))
-    rows = rows_of(truth, flight, WindowSmoother(DT, 20))
-    x, y = rows[:, : rb.N_SIGNALS], rows[:, rb.N_SIGNALS :]
-    exact = y - x @ rb.forward_matrix(truth.theta).T
-    without = y - x @ Q.T
-    assert np.abs(exact).max() < 1e-5
-    assert np.all(np.std(without, axis=0) > 0.02)
-
-
 def test_intervals_hold_the_truth_with_noise(truth, flight):
     inside = []
     for seed in range(12):
@@ -134,13 +114,12 @@ def test_no_fit_without_data_or_response(truth, flight):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [0.1, 0.37])
-def test_grouping_of_samples_does_not_matter(truth, flight, step):
+def test_grouping_of_samples_does_not_matter(truth, flight):
     estimators = [OnlineEstimator(truth.geometry, DT, EstimatorTuning()) for _ in range(2)]
     n, measured = len(flight.gyro), noisy(flight, 0.02, 1)
     estimators[0].update(measured)
-    for k in range(0, n, round(step / DT)):
-        estimators[1].update(measured.part(slice(k, k + round(step / DT))))
+    for k in range(0, n, 74):
+        estimators[1].update(measured.part(slice(k, k + 74)))
     whole, parts = (e.fit() for e in estimators)
     assert whole.seconds == parts.seconds > 25.0
     # Sums in another order; the minimizer stops at a small fraction of a standard deviation.
@@ -190,27 +169,6 @@ def test_momentum_balance_is_recovered_without_noise(truth, flight):
     assert fit.kappa_std >= translation.TILT_ERROR_SHARE * fit.kappa
 
 
-@pytest.mark.parametrize(("tilt", "share"), [(0.005, 2.5e-5), (0.01, 1e-4), (0.05, 5e-4)])
-def test_attitude_errors_count_as_far_as_the_horizontal_axes_show_them(tilt, share):
-    rng = np.random.default_rng(1)
-    n, kappa = 3000, 1.4e-4
-    thrust = 9.8 / kappa * rng.uniform(0.9, 1.1, n)
-    true = np.column_stack([0.1 * rng.standard_normal((n, 2)), np.ones(n)])
-    seen = true + np.column_stack([tilt * rng.standard_normal((n, 2)), np.zeros(n)])
-    true, seen = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (true, seen))
-    rows = np.zeros((3, n, 4))
-    rows[..., 0] = seen.T * thrust
-    rows[..., 1] = rng.standard_normal((3, n))
-    rows[..., 2] = 1.0
-    rows[..., 3] = -kappa * thrust * true.T
-    moments = NormalEquations((3, 4, 4), 40)
-    moments.add(rows)
-    fit = translation.fit_momentum(moments.batches, moments.counts)
-    assert fit.kappa_std == pytest.approx(share * kappa, rel=0.15)
-    if tilt < 0.03:
-        assert abs(fit.kappa - kappa) < 1.2 * fit.kappa_std
-
-
 @pytest.mark.parametrize("late", [0.0, 0.01])
 def test_a_late_attitude_looks_like_so_much_drag(late):
     rng, t, kappa = np.random.default_rng(2), np.arange(0.0, 120.0, 0.02), 1.4e-4
@@ -252,43 +210,6 @@ def test_without_velocity_the_accelerometer_serves(truth, flight):
     # A bias and the drag along z of a drifting vehicle are not in its model, but in its std.
     assert abs(fit.kappa - kappa) < 2.0 * fit.kappa_std
     assert fit.kappa_std < 0.03 * kappa
-
-
-def test_accelerometer_fit_is_least_squares():
-    rng = np.random.default_rng(1)
-    thrust = rng.uniform(5e4, 9e4, 400)
-    rows = np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, -1.4e-4 * thrust])
-    moments = NormalEquations((4, 4), 40)
-    moments.add(rows)
-    few = translation.fit_accelerometer(moments.batches[:9], moments.counts[:9])
-    assert few.kappa == pytest.approx(1.4e-4, rel=1e-9)
-    # A bias over the mean of f, of nine batches.
-    bias = translation.ACCELEROMETER_BIAS_STD
-    assert few.kappa_std == pytest.approx(bias / thrust[:360].mean(), rel=1e-6)
-    # Thrust that varies tells a bias, of which kappa is then free.
-    fit = translation.fit_accelerometer(moments.batches, moments.counts)
-    assert fit.kappa == pytest.approx(1.4e-4, rel=1e-9)
-    assert fit.kappa_std < 0.25 * few.kappa_std
-
-
-@pytest.mark.parametrize("spread", [0.0, 0.02, 0.2])
-def test_an_accelerometers_bias_is_within_the_interval(spread):
-    """0.3 m/s^2, 3 % of gravity; the more thrust varies, the less of it is left."""
-    rng = np.random.default_rng(2)
-    thrust = 7e4 * (1.0 + spread * rng.normal(size=2000))
-    f = -1.4e-4 * thrust + 0.3 + 0.05 * rng.normal(size=2000)
-    moments = NormalEquations((4, 4), 40)
-    moments.add(np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, f]))
-    fit = translation.fit_accelerometer(moments.batches, moments.counts)
-    assert abs(fit.kappa - 1.4e-4) < 1.96 * fit.kappa_std
-    assert fit.kappa_std < {0.0: 0.022, 0.02: 0.01, 0.2: 0.004}[spread] * 1.4e-4
-    assert fit.unbiased == pytest.approx(1.4e-4 - 0.3 / 7e4, rel=5e-3)
-
-
-def test_too_few_rows_make_no_translation():
-    moments = NormalEquations((4, 4), 40)
-    moments.add(np.ones((49, 4)))
-    assert translation.fit_accelerometer(moments.batches, moments.counts) is None
 
 
 def article_fit(truth, samples, method, every=10):
@@ -351,31 +272,8 @@ def test_a_delay_of_the_rotors_is_found(truth, flight, delay):
     assert np.all(np.abs(fit.theta - truth.theta) < 4.0 * fit.std + 0.02 * SIZE)
     if delay > 0.02:  # which matters: without it the estimate is far off
         plain = rotation_fit(truth, samples, WindowSmoother(DT, 20))
-        assert (np.abs(plain.theta - truth.theta) / plain.std).max() > 5.0
+        assert abs(plain.theta[2] / truth.theta[2] - 1.0) > 0.05
         assert abs(fit.theta[2] / truth.theta[2] - 1.0) < 0.02
-
-
-def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
-    """2 rad/s on every rotor: the moments' surplus is what SpeedNoise says it is."""
-    rng = np.random.default_rng(1)
-    smoother = WindowSmoother(DT, 20)
-    clean = rows_of(truth, flight, smoother)
-    speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
-    follower = SpeedNoise(truth.geometry, DT)
-    follower.update(speeds[:1000])
-    follower.update(speeds[1000:])
-    np.testing.assert_allclose(follower.std, 2.0, rtol=0.05)  # 6000 samples, correlated fourfold
-    surplus = np.zeros((WIDTH, WIDTH))
-    runs = 20
-    for _ in range(runs):
-        speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
-        rows = rows_of(truth, replace(flight, speeds=speeds), WindowSmoother(DT, 20))
-        moved = rows - clean
-        surplus += moved.T @ moved / len(moved) / runs
-    said = follower.row_moments(PLAIN, smoother, 0.0)
-    torques = [0, 1, 2, 3, rb.SIGNALS.index("dH")]
-    # 20 flights of 1200 rows, half of them independent: a few percent.
-    np.testing.assert_allclose(np.diag(said)[torques], np.diag(surplus)[torques], rtol=0.1)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.05])
@@ -405,19 +303,3 @@ def test_rounding_of_the_speeds_is_the_least_noise(truth):
     follower.update(np.full((500, 4), 100.0))
     # A whole number of revolutions a minute: 0.105 rad/s, uniform.
     np.testing.assert_allclose(follower.std, 2 * np.pi / 60 / np.sqrt(12))
-
-
-def test_of_fits_that_are_nearly_as_certain_the_first_is_taken():
-    def fit(std, leak):
-        covariance = np.diag(np.full(rb.N_THETA, std**2))
-        return RotationFit(
-            np.ones(rb.N_THETA), covariance, np.eye(3), np.ones(3), 100, converged=True, leak=leak
-        )
-
-    def taken(*stds):
-        return window_fit.most_certain([fit(std, leak) for leak, std in enumerate(stds)]).leak
-
-    assert taken(1.3, 1.0, 0.95) == 1
-    assert taken(1.3, 1.0, 0.85) == 2
-    assert taken(1.05, 1.0, 1.0) == 0
-    assert taken(2.0) == 0

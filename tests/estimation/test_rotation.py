@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit import inference, window_fit
-from gcs_sysid.estimation.fit.inference import Outcome, follow_rotation
+from gcs_sysid.estimation.fit import window_fit
+from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, prior_of
-from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
@@ -119,24 +118,6 @@ def test_a_long_step_is_searched_not_taken_blindly(prior):
     assert np.abs(found.theta - fit.theta)[0] < 6e-3 * fit.theta[0]
 
 
-@pytest.mark.parametrize(("sigmas", "searched"), [(2.3, False), (3.7, True)])
-def test_a_step_of_up_to_three_deviations_is_taken_without_a_search(monkeypatch, sigmas, searched):
-    # The deviations are the likelihood's, those of the fit are up to 1.2 times as wide.
-    batches, counts, _ = moments_of(rows_per_batch=20, sigma=0.1)
-    fit = fit_rotation(batches, counts, PLAIN, NONE)
-    searches, minimize = [], inference.minimize
-    monkeypatch.setattr(
-        inference, "minimize", lambda *args: searches.append(args) or minimize(*args)
-    )
-    # Along the ridge, where a move of one unknown's deviations is as many of the likelihood's.
-    unknowns = fit.warm_start.unknowns.copy()
-    unknowns[: rb.N_THETA] += sigmas * fit.covariance[0] / fit.std[0]
-    start = replace(fit, warm_start=replace(fit.warm_start, unknowns=unknowns))
-    (found,) = follow_rotation(batches.sum(axis=0), np.array([ROWS]), PLAIN, NONE, start)
-    assert bool(searches) is searched
-    assert np.all(np.abs(found.theta - fit.theta) < 0.25 * fit.std)
-
-
 def test_intervals_of_few_batches_are_students():
     # Eight batches of equal weight: 64 / 15.6 = 4.1 degrees of freedom, 2.74 for 1.96.
     few = fit_rotation(*moments_of(rows_per_batch=ROWS // 8)[:2], PLAIN, NONE)
@@ -177,20 +158,6 @@ def test_the_shortest_memory_of_those_alike_is_taken(stds, chosen):
     assert window_fit.most_certain(fits) is fits[chosen]
 
 
-def test_damping_and_rotor_inertia_do_not_choose_the_memory():
-    sharp = replace(fit_of(1.0), covariance=np.diag(np.append(np.ones(rb.DAMPING), 1e-7 * OTHERS)))
-    assert window_fit.uncertainty(sharp) == pytest.approx(0.0)
-    assert window_fit.uncertainty(fit_of(np.e)) == pytest.approx(1.0)
-
-
-def test_too_few_rows_give_no_fit():
-    batches, _, _ = moments_of(rows_per_batch=1)
-    enough = 3 * rb.N_THETA  # three outputs a row: nine numbers for each unknown
-    for rows, there in ((enough - 1, False), (enough, True)):
-        counts = np.ones(rows, dtype=np.int64)
-        assert (fit_rotation(batches[:rows], counts, PLAIN, NONE) is not None) is there
-
-
 def test_what_axes_explain_is_told_by_axis():
     rng = np.random.default_rng(6)
     x = inputs(rng)
@@ -204,22 +171,6 @@ def test_what_axes_explain_is_told_by_axis():
     # 4000 rows tell a variance to 2.2 %, one standard deviation.
     np.testing.assert_allclose(np.diag(fit.residual_covariance), sigma**2, rtol=0.09)
     assert fit.rows == ROWS
-
-
-def test_a_fit_by_hand_has_what_it_was_given():
-    fit = fit_of(2.0)
-    np.testing.assert_array_equal(fit.data_std, fit.std)
-    assert fit.full_covariance.shape == (N_UNKNOWNS, N_UNKNOWNS)
-    np.testing.assert_array_equal(fit.full_covariance[: rb.N_THETA, : rb.N_THETA], fit.covariance)
-    assert not fit.full_covariance[rb.N_THETA :].any()
-    np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0, 0.0, 0.0])
-    assert (fit.leak, fit.warm_start) == (0, None)
-    assert np.isnan(fit.disturbance).tolist() == [True] * 3
-    full = fit.full_covariance.copy()
-    full[rb.N_THETA, rb.N_THETA] = 4e-6
-    late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5, 0.0, 0.0]), full_covariance=full)
-    assert (late.delay, late.delay_std) == (0.01, pytest.approx(2e-3))
-    np.testing.assert_allclose(late.coordinates_std, [2e-3, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_a_start_in_a_worse_valley_is_not_gone_on_from():
@@ -277,32 +228,3 @@ def test_instants_are_followed_as_each_would_be_alone():
         np.testing.assert_allclose(fit.theta, alone.theta, rtol=1e-9)
         np.testing.assert_allclose(fit.covariance, alone.covariance, rtol=1e-6, atol=1e-12)
         assert fit.rows == rows[i]
-
-
-@pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
-def test_factors_on_deviations_are_on_them_once_with_a_prior_too(prior):
-    batches, _, _ = moments_of()
-    problem = JointProblem(batches.sum(axis=0), ROWS, PLAIN, prior)
-    made, p = (
-        Outcome(problem, problem.evaluate(np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None]), NONE),
-        problem.p,
-    )
-    factors = np.linspace(1.0, 3.0, p)
-    plain, wide = (made.fits(np.eye(p), f, [True], [0])[0] for f in (np.ones(p), factors))
-    # The prior is ten times as wide as what it says: it takes a little of the widest.
-    np.testing.assert_allclose(wide.std, plain.std * factors, rtol=0.01)
-
-
-def test_what_deviations_leave_open_is_what_knowing_them_would_take_away():
-    rng = np.random.default_rng(10)
-    mixed = rng.normal(size=(N_UNKNOWNS + 2, 40))
-    every = mixed @ mixed.T
-    n = rb.N_THETA
-    fit = replace(
-        fit_of(1.0), deviations=np.zeros(2), covariance=every[:n, :n], extended_covariance=every
-    )
-    both = np.r_[0:n, N_UNKNOWNS : N_UNKNOWNS + 2]
-    # Known: the covariance of theta is the inverse of its part of the information.
-    known = np.linalg.inv(np.linalg.inv(every[np.ix_(both, both)])[:n, :n])
-    np.testing.assert_allclose(fit.open_covariance, fit.covariance - known, atol=1e-8)
-    assert not fit_of(1.0).open_covariance.any()

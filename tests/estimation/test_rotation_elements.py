@@ -75,39 +75,6 @@ def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
     np.testing.assert_allclose(again.theta, fit.theta, atol=1e-3 * fit.std.min())
 
 
-def test_a_search_that_gets_nowhere_is_begun_again_four_times(monkeypatch):
-    batches, counts = moments_of_elements(COMMANDS, AT)
-    off = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS)).warm_start.unknowns.copy()
-    off[0] *= 1.1
-    nowhere, begun = astray(off[None]), []
-    monkeypatch.setattr(window_fit, "search", nowhere)
-    monkeypatch.setattr(
-        window_fit, "minimize", lambda problem, at, _: begun.append(at) or nowhere(problem, at)
-    )
-    fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
-    assert len(begun) == 4
-    assert fit.warm_start.stuck
-    assert not fit.converged
-
-
-def test_away_from_the_minimum_the_common_pull_is_no_scatter():
-    """Scores of batches sum up to nothing, each without its share by rows."""
-    batches, counts = moments_of_elements(COMMANDS, AT)
-    counts = np.where(np.arange(len(counts)) < 10, 2, 1) * counts
-    unknowns = np.append(1.1 * THETA, AT)[None]
-    problem = JointProblem(batches.sum(axis=0), int(counts.sum()), COMMANDS, None)
-    outcome = Outcome(problem, problem.evaluate(unknowns))
-    scores = outcome.scores(0, batches, counts)
-    alone = outcome.scores(0, batches[:1], counts[:1])
-    np.testing.assert_allclose(scores.sum(axis=0), 0.0, atol=1e-9 * np.abs(scores).max())
-    # Of one batch the pull is all that there is.
-    np.testing.assert_allclose(alone, 0.0, atol=1e-9 * np.abs(scores).max())
-    twice = outcome.scores(0, np.repeat(batches[:2], 2, axis=0), np.array([3, 1, 1, 1]))
-    pull = (twice[1] - twice[0]) / (2.0 / 6.0)
-    np.testing.assert_allclose(twice[2] - twice[3], 0.0, atol=1e-9 * np.abs(pull).max())
-    np.testing.assert_allclose(twice.sum(axis=0), 0.0, atol=1e-9 * np.abs(pull).max())
-
-
 @pytest.mark.parametrize("bad", [0, 1])
 def test_a_memory_whose_search_got_stuck_is_not_chosen(monkeypatch, bad):
     batches, counts = moments_of_elements(COMMANDS, AT)
@@ -162,24 +129,3 @@ def test_a_delay_at_the_end_of_its_range_holds_with_a_prior_too(delay):
     for fit in (alone, given):
         assert fit.warm_start.unknowns[Unknown.DELAY] == np.copysign(0.01, delay)
     assert np.all(np.abs(given.theta - alone.theta) < 0.1 * alone.std)
-
-
-def test_batches_share_what_they_know_of_the_coordinates():
-    """Curvature of each row's own cost by a coordinate, by differences of its residuals."""
-    rng = np.random.default_rng(9)
-    rows = rng.normal(size=(20, COMMANDS.width))
-    each = rows[:, :, None] * rows[:, None, :]
-    problem = JointProblem(each.sum(axis=0)[None], 20, COMMANDS, None)
-    unknowns = np.append(THETA, AT)
-    point = problem.evaluate(unknowns[None])
-    shares = Outcome(problem, point).shares(0, each[:, None])[:, rb.N_THETA :]
-    Q = rb.forward_matrix(THETA)
-    for i, step in enumerate((1e-6, 1e-6, 1e-5)):
-        move = step * np.eye(5)[i]
-        ends = [rows @ COMMANDS.map_at(AT + way * move).T for way in (1.0, -1.0)]
-        ahead, behind = (z[:, -3:] - z[:, : rb.N_SIGNALS] @ Q.T for z in ends)
-        slope = (ahead - behind) / (2.0 * step)
-        expected = np.einsum("ki,ij,kj->k", slope, point.W[0], slope)
-        np.testing.assert_allclose(
-            shares[:, i] / shares[:, i].sum(), expected / expected.sum(), rtol=1e-4, atol=1e-9
-        )

@@ -65,11 +65,6 @@ def test_a_flight_that_does_not_tell_leaves_what_was_given(flight):
     assert resolve_scale(added, flight, {}).mass is None
 
 
-def test_a_thrust_just_known_to_its_size_counts():
-    barely = TranslationFit(KAPPA, 0.99 * KAPPA, 0.1, 0.01, "momentum")
-    assert resolve_scale(ScaleReference("mass", MASS), barely, {}).thrust == pytest.approx(THRUST)
-
-
 @pytest.mark.parametrize(("kind", "known"), [("mass", "k_T"), ("k_T", "mass")])
 def test_measured_and_known_are_weighed_by_their_variances(kind, known):
     value = MASS if kind == "mass" else THRUST

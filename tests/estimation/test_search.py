@@ -11,7 +11,7 @@ from gcs_sysid.estimation.fit.priors import (
     Unknown,
     prior_of,
 )
-from gcs_sysid.estimation.fit.problem import JointProblem, residual_maker
+from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.search import (
     MAX_ITERATIONS,
     first_guess,
@@ -21,7 +21,6 @@ from gcs_sysid.estimation.fit.search import (
 from gcs_sysid.estimation.fit.solver import Iterate, minimize, scales, vanish
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     BODY,
-    N_COORDINATES,
     PLAIN,
     WIDTH,
     ActuatorDynamics,
@@ -118,17 +117,6 @@ def test_gradient_and_curvature_are_those_of_the_rows(dynamics, at):
     np.testing.assert_allclose(point.hessian[0] / scale, hessian / scale, atol=1e-5)
 
 
-def test_several_hypotheses_are_as_many_problems():
-    one, other = (rows_of(SPEEDS, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), seed) for seed in (1, 2))
-    bank = np.stack([one.T @ one, other[:300].T @ other[:300]])
-    unknowns = np.append(1.02 * THETA, [0.002, 0.0, 1.0, 0.0, 0.0])
-    both = JointProblem(bank, np.array([N, 300]), SPEEDS, None).evaluate(unknowns[None])
-    for i, rows in enumerate((N, 300)):
-        alone = JointProblem(bank[i : i + 1], rows, SPEEDS, None).evaluate(unknowns[None])
-        for name, value in vars(alone).items():
-            np.testing.assert_allclose(vars(both)[name][i], value[0], rtol=1e-9, err_msg=name)
-
-
 def test_a_prior_costs_its_squared_distance_a_row():
     prior = prior_of({2: (150.0, 5.0), Unknown.DELAY: (0.003, 0.001)})
     problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0], prior)
@@ -142,65 +130,6 @@ def test_a_prior_costs_its_squared_distance_a_row():
     pull = problem.prior_pull(unknowns)
     np.testing.assert_allclose(pull[[2, rb.N_THETA]], [-away / 5.0, -1e3])
     assert np.count_nonzero(pull) == 2
-
-
-def test_known_noise_is_in_the_cost_and_not_in_the_gradient():
-    at = np.array([0.0, 0.03, 0.4, 0.0, 0.0])
-    rows = rows_of(COMMANDS, at)
-    noise = np.zeros((COMMANDS.width, COMMANDS.width))
-    rotors = COMMANDS.width - BODY
-    noise[:rotors, :rotors] = np.diag(np.full(rotors, 2.0))
-    bank = (rows.T @ rows)[None]
-    unknowns = np.append(1.02 * THETA, at)[None]
-    with_noise = bank + N * noise
-    told = JointProblem(with_noise, N, COMMANDS, None, noise[None]).evaluate(unknowns)
-    raw = JointProblem(with_noise, N, COMMANDS, None).evaluate(unknowns)
-    np.testing.assert_allclose(told.cost, raw.cost)
-    np.testing.assert_allclose(told.W, raw.W)
-    # Gradient and curvature: of rows without it, weighed as those with it.
-    clean = JointProblem(bank, N, COMMANDS, None)
-    P = clean.maps(unknowns)[0]
-    TP = residual_maker(told.Q[0]) @ P
-    M = bank[0]
-    downhill = told.WG[0].reshape(rb.N_THETA, -1) @ (TP[0] @ M @ P[0].T)[:, : rb.N_SIGNALS].ravel()
-    np.testing.assert_allclose(told.gradient[0, : rb.N_THETA], downhill, rtol=1e-8)
-    slopes = np.array([np.sum((told.W[0] @ TP[0]) * (t @ M)) for t in TP[1:]])
-    free = slice(N_COORDINATES - 2)
-    away = ((unknowns[0, COORDINATES] - COORDINATE_MEAN) * COORDINATE_STD**-2.0)[free]
-    np.testing.assert_allclose(told.gradient[0, rb.N_THETA :], -slopes - away, rtol=1e-7)
-    bends = np.array([[np.sum((told.W[0] @ s) * (t @ M)) for t in TP[1:]] for s in TP[1:]])
-    bends += np.diag(COORDINATE_STD[free] ** -2.0)
-    np.testing.assert_allclose(told.hessian[0, rb.N_THETA :, rb.N_THETA :], bends, rtol=1e-7)
-
-
-def test_a_step_along_several_coordinates_keeps_its_way_within_the_range():
-    problem, _, unknowns = problem_at(COMMANDS, [0.004, 0.03, 0.4, 0.0, 0.0])
-    step = np.zeros(problem.p)
-    step[0] = 4.0
-    # 6 ms to the edge of delays, and twice as long a way to that of lags.
-    step[rb.N_THETA :] = 0.012, 0.02, 0.1
-    moved = problem.moved(unknowns, step)
-    share = 0.9 * 0.5
-    np.testing.assert_allclose((moved - unknowns)[problem.free], share * step, atol=1e-12)
-    back = problem.moved(unknowns, -step)
-    # Now 14 ms and 30 ms are free: as far as it goes.
-    np.testing.assert_allclose((back - unknowns)[problem.free], -step, atol=1e-12)
-    # At the edge itself a coordinate is held, and the others go on.
-    edge = unknowns.copy()
-    edge[COORDINATES] = 0.01, 0.03, 0.4, 0.0, 0.0
-    held = problem.moved(edge, step)
-    np.testing.assert_allclose(held[COORDINATES], [0.01, 0.05, 0.5, 0.0, 0.0])
-    assert held[0] == pytest.approx(edge[0] + 4.0)
-
-
-def test_a_single_coordinate_is_cut_off_at_its_range():
-    problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0])
-    step = np.zeros(problem.p)
-    step[:] = 1e-3
-    step[-1] = 0.02
-    moved = problem.moved(unknowns, step)
-    assert moved[Unknown.DELAY] == 0.01
-    np.testing.assert_allclose(moved[: rb.N_THETA], unknowns[: rb.N_THETA] + 1e-3)
 
 
 @CASES
@@ -249,14 +178,6 @@ def test_the_search_goes_on_from_the_best_of_all_starts():
         np.testing.assert_allclose(best.unknowns, point.unknowns, rtol=1e-5)
 
 
-def test_starts_are_at_the_nodes_that_fit_best():
-    rows = rows_of(SPEEDS, np.array([0.006, 0.0, 1.0]), sigma=0.1)
-    problem = JointProblem((rows.T @ rows)[None], N, SPEEDS, None)
-    starts = scan(problem, np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None])
-    nodes = SPEEDS.nodes[:, 0]
-    assert starts[0, 0, Unknown.DELAY] == nodes[np.argmin(np.abs(nodes - 0.006))]
-
-
 def test_four_starts_where_lag_and_curve_are_unknown_too():
     rows = rows_of(COMMANDS, np.array([0.0, 0.05, 0.5, 0.0, 0.0]))
     bank = np.stack([rows.T @ rows, rows[:200].T @ rows[:200]])
@@ -292,22 +213,6 @@ def test_noise_that_is_told_is_undone():
     assert np.abs(found.gradient / d).max() < 0.1 * np.abs(raw.gradient / d).max()
 
 
-def test_a_first_guess_from_the_response_to_torques():
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=1e-3)
-    total = rows.T @ rows
-    at = np.array([0.01, 0.02, 0.3])
-    guess = first_guess(total, N, at, None)
-    np.testing.assert_array_equal(guess[COORDINATES], at)
-    # J^-1 with products of inertia: near the moments, exactly the CG's ratio of responses.
-    Q = rb.forward_matrix(THETA)
-    assert guess[:2] == pytest.approx([1.0 / Q[0, 0], 1.0 / Q[1, 1]], rel=1e-3)
-    assert guess[2] == pytest.approx(0.9 * (guess[0] + guess[1]))
-    assert guess[rb.CG_Y] == pytest.approx(Q[0, 2] / Q[0, 0], rel=0.01)
-    assert guess[rb.CG_X] == pytest.approx(-Q[1, 2] / Q[1, 1], rel=0.01)
-    assert guess[rb.MOMENT_RATIO] == pytest.approx(Q[2, 3] * guess[2], rel=0.01)
-    assert not guess[3:6].any()
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
     rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=1e-3)
@@ -320,32 +225,6 @@ def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
     np.testing.assert_array_equal(known, [*THETA[:6], *[0.0] * (rb.N_THETA - 6), *at])
     unphysical = prior_of({0: (1.0, 0.1), 1: (1.0, 0.1), 2: (9.0, 0.1)})
     assert first_guess(total, N, at, unphysical) is None
-
-
-@pytest.mark.parametrize(("factor", "taken"), [(1.0, True), (30.0, False)])
-def test_a_prior_is_started_from_where_it_fits_better(factor, taken):
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=0.5)
-    total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0, 0.0, 0.0])
-    vague = prior_of(
-        {i: (factor * THETA[i], 10.0 * (abs(THETA[i]) or 1.0)) for i in range(rb.N_THETA)}
-    )
-    guess = first_guess(total, N, at, vague)
-    assert np.allclose(guess[: rb.N_THETA], factor * THETA) is taken
-    impossible = prior_of({2: (900.0, 1e3)})
-    np.testing.assert_array_equal(
-        first_guess(total, N, at, impossible), first_guess(total, N, at, None)
-    )
-
-
-def test_what_makes_residuals_of_rows():
-    Q = np.random.default_rng(1).normal(size=(2, 3, rb.N_SIGNALS))
-    z = np.random.default_rng(2).normal(size=WIDTH)
-    np.testing.assert_allclose(residual_maker(Q) @ z, z[-3:] - Q @ z[: rb.N_SIGNALS])
-
-
-def test_scales_are_roots_of_the_curvature_or_one():
-    hessian = np.diag([4.0, 0.0, 1e-30, 1e-120])
-    np.testing.assert_allclose(scales(hessian), [2.0, 1.0, 1e-15, 1.0])
 
 
 def test_a_fit_without_any_noise_keeps_its_weights_finite():
@@ -376,13 +255,6 @@ def test_every_hypothesis_takes_the_best_of_its_own_starts():
     np.testing.assert_allclose(found.unknowns[:, Unknown.DELAY], [0.006, -0.004], atol=5e-4)
     np.testing.assert_allclose(found.unknowns[:, :3], np.tile(THETA[:3], (2, 1)), rtol=0.01)
     assert found.cost.shape == (2,)
-
-
-def test_the_ordinary_weighs_as_five_numbers_known_beforehand():
-    assert COORDINATE_MEAN.tolist() == [0.0, 0.05, 0.5, 0.0, 0.0]
-    assert COORDINATE_STD.tolist() == [0.03, 0.05, 0.5, 0.4, 0.5]
-    problem, _, unknowns = problem_at(COMMANDS, [0.03, 0.0, 1.5])
-    assert problem.weak_cost(unknowns) == pytest.approx(1.0 + 1.0 + 4.0)
 
 
 class Bent:

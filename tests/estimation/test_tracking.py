@@ -153,9 +153,10 @@ def test_blocks_and_how_often_others_look_do_not_matter(flights, tracked):
     t = np.arange(len(samples.gyro)) * DT
     for k in range(0, len(t), 47):
         looked.update(t[k : k + 47], samples.part(slice(k, k + 47)))
-        looked.fit(quick=True)
+        if k % 235 == 0:
+            looked.fit(quick=True)
     assert looked.events[0].detected == pytest.approx(plain.events[0].detected, abs=1e-9)
-    assert looked.fit().rotation.theta == pytest.approx(plain.fit().rotation.theta, rel=1e-6)
+    assert looked.fit().rotation.theta == pytest.approx(plain.fit().rotation.theta, rel=1e-9)
 
 
 @pytest.mark.slow

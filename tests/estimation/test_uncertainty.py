@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.noise.uncertainty import (
-    bartlett,
     inflation,
     meat,
     sandwich,
@@ -109,28 +108,6 @@ def test_a_watched_mean_stays_within_its_interval():
     assert 0.005 < watched < 0.05
 
 
-def test_watching_on_costs_little_and_never_ends():
-    assert watched_factor(0.0) == watched_factor(1.0)
-    assert watched_factor(3.0) == pytest.approx(1.60, abs=0.01)
-    assert watched_factor(60.0) == pytest.approx(1.63, abs=0.01)
-    assert 1.75 < watched_factor(600.0) < watched_factor(3600.0) < 2.1
-
-
-def test_the_first_look_is_as_wide_as_robbins_says():
-    # sqrt((1 + 1 / 1) (ln 2 - 2 ln 0.05)) = 3.656 standard deviations.
-    assert watched_factor(0.5) == watched_factor(1.0) == pytest.approx(3.6564 / 1.95996, rel=1e-4)
-    # After one and a half: sqrt((5 / 3) (ln 2.5 - 2 ln 0.05)) = 3.393.
-    assert watched_factor(1.5) == pytest.approx(3.3931 / 1.95996, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("batches", "weights"),
-    [(1, []), (2, []), (3, [0.5]), (8, [2 / 3, 1 / 3]), (27, [0.75, 0.5, 0.25])],
-)
-def test_neighbors_weigh_by_bartlett_up_to_the_cube_root(batches, weights):
-    np.testing.assert_allclose(bartlett(batches), weights)
-
-
 @pytest.mark.parametrize(
     ("scores", "expected"),
     [
@@ -148,47 +125,11 @@ def test_scatter_of_the_score_is_newey_and_wests(scores, expected):
     np.testing.assert_allclose(meat(np.array(scores)), expected)
 
 
-def test_more_unknowns_than_batches_magnify_by_no_more_than_their_number():
-    scores = np.random.default_rng(5).normal(size=(4, 30))
-    plain = scores.T @ scores
-    for lag, weight in enumerate(bartlett(4), 1):
-        lagged = weight * scores[lag:].T @ scores[:-lag]
-        plain += lagged + lagged.T
-    np.testing.assert_allclose(meat(scores), 4.0 * plain)
-
-
-def test_symmetric_roots_are_roots_of_the_matrix_and_its_inverse():
-    A = np.random.default_rng(7).normal(size=(3, 6, 4))
-    matrices = np.swapaxes(A, 1, 2) @ A
-    roots, inverse_roots = symmetric_roots(matrices)
-    np.testing.assert_allclose(roots @ roots, matrices, atol=1e-9)
-    np.testing.assert_allclose(inverse_roots @ inverse_roots, np.linalg.inv(matrices), rtol=1e-6)
-    np.testing.assert_allclose(roots, np.swapaxes(roots, 1, 2))
-    np.testing.assert_allclose(inverse_roots, np.swapaxes(inverse_roots, 1, 2))
-
-
 def test_an_unseen_direction_keeps_a_huge_finite_variance():
     # A million standard deviations of a direction that is seen; not more than was given as ridge.
     inverse_root = symmetric_roots(np.diag([1.0, 0.0]))[1]
     np.testing.assert_allclose(np.diag(inverse_root), [1.0, 1e6])
     assert np.all(np.isfinite(symmetric_roots(np.diag([1.0, -1e-18]), 0.0)[1]))
-
-
-def test_inflation_is_told_in_the_directions_of_the_scatter():
-    # Twice the information's standard deviation along (1, 1), none across it.
-    along, across = np.array([1.0, 1.0]) / np.sqrt(2), np.array([1.0, -1.0]) / np.sqrt(2)
-    root = np.diag([2.0, 2.0])  # the inverse root of an information of a quarter
-    scatter = 0.25 * (4.0 * np.outer(along, along))
-    np.testing.assert_allclose(
-        inflation(root, scatter), 4.0 * np.outer(along, along) + np.outer(across, across)
-    )
-
-
-def test_students_factor_does_not_depend_on_the_scale_of_shares():
-    shares = np.random.default_rng(8).uniform(size=(12, 3))
-    np.testing.assert_allclose(student_factor(1e-9 * shares), student_factor(shares))
-    # Who knows nothing has one degree of freedom: 12.706 for 1.96.
-    np.testing.assert_allclose(student_factor(np.zeros((5, 2))), 12.706 / 1.95996, rtol=1e-4)
 
 
 def normalized_errors(rho, shrunk, batches=57, runs=150, unknowns=12):
@@ -238,50 +179,3 @@ def test_few_batches_prove_little(batches):
     spread, told = shrunk_inflation(np.eye(12), scores)
     assert np.linalg.eigvalsh(spread).min() >= 1.0 - 0.5 * batches / 24.0
     assert (told >= 1.0 - batches / 24.0).all()
-
-
-def test_students_factor_is_of_the_share_that_scatter_tells():
-    shares = np.ones((10, 2))
-    whole = student_factor(shares, 2)
-    part = student_factor(shares, 2, np.array([1.0, 0.3]))
-    assert part[0] == whole[0]
-    assert 1.0 < part[1] < 1.0 + 0.2 * (whole[1] - 1.0)
-
-
-@pytest.mark.parametrize(
-    ("batches", "size", "p", "reach", "spiked"),
-    [
-        (24, 0.05, 3, 0, False),
-        (24, 3.0, 3, 0, False),
-        (5, 0.05, 3, 0, False),
-        (5, 3.0, 3, 0, False),
-        (57, 1.0, 12, 0, True),
-        (57, 1.0, 12, 2, True),
-    ],
-)
-def test_shrinking_goes_by_the_equations(batches, size, p, reach, spiked):
-    """Along the axes of the scatter: all directions alike but one that stands out."""
-    rng = np.random.default_rng(7)
-    scores = rng.standard_normal((batches, p)) * np.sqrt(size / batches)
-    scores[:, -1] *= 6.0
-    spread, by_scatter = shrunk_inflation(np.eye(p), scores, reach)
-    eigenvalues = np.maximum(np.linalg.eigvalsh(meat(scores, reach)), 0.0)
-    mu, trust = eigenvalues.mean(), min(1.0, batches / (2.0 * p))
-    # Of batches that correlate fewer count: Bartlett's weights are 2/3 and 1/3.
-    nu = batches / (1.0 + 2.0 * (4.0 + 1.0) / 9.0) if reach else batches
-    g = p / nu
-    # w = mu^2 (p + 1) / (nu d^2)
-    w = trust * min(1.0, mu**2 * (p + 1.0) / (nu * np.mean((eigenvalues - mu) ** 2)))
-    expected = (1.0 - w) * eigenvalues + w * mu
-    top = eigenvalues[-1]
-    apart = top > mu * (1.0 + np.sqrt(g)) ** 2
-    assert apart or batches == 5
-    if apart:
-        # lambda = l (1 + g mu / (l - mu)), solved for l
-        roots = np.roots([1.0, g * mu - mu - top, mu * top])
-        assert (roots.real.max() > expected[-1]) == spiked
-        expected[-1] = max(expected[-1], roots.real.max())
-    floor = 1.0 - trust * (1.0 - min(max(mu, 0.5), 1.0))
-    np.testing.assert_allclose(np.linalg.eigvalsh(spread), np.sort(np.maximum(expected, floor)))
-    known = np.maximum(1.0 - floor / np.diag(spread), 1.0 - trust)
-    np.testing.assert_allclose(by_scatter, known)
