@@ -336,7 +336,7 @@ def test_what_is_no_log_is_refused_in_one_line(read, data, said):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["LOG00259", "LOG00340"])
+@pytest.mark.parametrize("name", ["LOG00259", pytest.param("LOG00340", marks=pytest.mark.thorough)])
 def test_real_logs_give_what_their_tlogs_give(shared_logs, name):
     """There speeds were rounded to 1 rpm, and the first samples come before the heartbeat."""
     most = {Stream.IMU: 1e-5, Stream.ROTOR_SPEED: 0.06, Stream.VELOCITY: 1e-5}

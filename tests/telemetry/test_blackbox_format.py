@@ -102,7 +102,7 @@ def damaged(rng, data, first):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_logs_of_every_kind_are_read_as_a_plain_reader_reads_them(seed):
     rng = random.Random(seed)
     writer, data = drawn_log(rng)
@@ -294,7 +294,7 @@ class TestOrangebox:
         Field("e", 1, bbl.MINTHROTTLE, 0, bbl.STRAIGHT_LINE),
     )
 
-    @pytest.mark.parametrize("seed", range(12))
+    @pytest.mark.parametrize("seed", range(4))
     @pytest.mark.parametrize("every", [1, 2, 4])
     def test_equal_on_logs_of_our_own(self, tmp_path, seed, every):
         rng = random.Random(seed)
@@ -312,28 +312,7 @@ class TestOrangebox:
         found = frames_of(path.read_bytes()).main.values.tolist()
         assert [list(row[: len(self.FIELDS)]) for row in self.rows(path)] == found
 
-    def test_wrong_below_the_least_output(self, tmp_path):
-        """motor[0] below motorOutput[0] is written as an unsigned number that wraps."""
-        fields = (*bbl.CLOCK, Field("motor[0]", 0, bbl.MINMOTOR, bbl.UNSIGNED_VB, bbl.AVERAGE_2))
-        writer = BlackboxWriter(fields, {}, SETTINGS)
-        writer.intra([0, 0, 100])
-        writer.inter([1, 1000, 100])
-        path = tmp_path / "log.bbl"
-        path.write_bytes(writer.data + bbl.END)
-        assert frames_of(path.read_bytes()).main.values[:, 2].tolist() == [100, 100]
-        assert self.rows(path)[0][2] == 2**32 + 100
-
-    def test_wrong_in_the_fourth_width_of_tag2_3s32(self, tmp_path):
-        fields = (*bbl.CLOCK, *(Field(f"a[{i}]", 1, 0, 0, 1, bbl.TAG2_3S32) for i in range(3)))
-        writer = BlackboxWriter(fields, {}, SETTINGS)
-        writer.intra([0, 0, 0, 0, 0])
-        writer.inter([1, 1000, -(2**30), 1, 2])
-        path = tmp_path / "log.bbl"
-        path.write_bytes(writer.data + bbl.END)
-        assert frames_of(path.read_bytes()).main.values[1].tolist() == [1, 1000, -(2**30), 1, 2]
-        assert self.rows(path)[1][2] == 3 * 2**30
-
-    @pytest.mark.slow
+    @pytest.mark.thorough
     def test_equal_on_a_real_log(self, shared_logs, caplog):
         path = shared_logs / "real" / "LOG00259.BFL"
         rows = self.rows(path)

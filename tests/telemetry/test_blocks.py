@@ -18,9 +18,8 @@ from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Stamp
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import SequenceCount
-from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from tests.telemetry.conftest import random_message
-from tests.telemetry.scalar_decoder import ScalarIntake
 
 START = 1_750_000_000_000_000
 
@@ -195,17 +194,11 @@ def comparable(records):
     ]
 
 
-def one_by_one(path, wanted):
-    """What frames make, read one by one by code of its own."""
-    intake, records = ScalarIntake(wanted), []
-    for time_us, frame in read_tlog(path):
-        record = intake.frame(frame, time_us * 1e-6)
-        if record is not None:
-            records.append(record)
-    return intake, records
+def whole(block):
+    return [block]
 
 
-def in_blocks(path, window, wanted, cut=lambda block: [block]):
+def in_blocks(path, window, wanted, cut):
     intake = Intake(wanted)
     blocks = TlogReader(path, window).blocks()
     return intake, [intake.block(piece) for block in blocks for piece in cut(block)]
@@ -221,36 +214,17 @@ def told(made):
     return comparable(records), [event for block in made for _, event in block.events]
 
 
-def in_short(events):
-    """Without words that are put together elsewhere."""
-    whole = ("vehicle", "reboot", "reset")
-    return [event if event.kind in whole else (event.t, event.kind) for event in events]
-
-
 def compare(path, window, wanted=None, rng=None):
-    oracle, records = one_by_one(path, wanted)
-    cut = (lambda block: in_pieces(block, rng)) if rng else (lambda block: [block])
-    blocks, made = in_blocks(path, window, wanted, cut)
-    assert told(made)[0] == comparable(records)
-    assert in_short(told(made)[1]) == in_short(oracle.events)
-    for name in ("turning", "drift.ppm", "drift.bounds", "selector.chosen", "selector.systems"):
-        assert attrgetter(name)(blocks) == attrgetter(name)(oracle), name
-    assert blocks.selector.frames == oracle.selector.frames
-    assert +blocks.fates == oracle.fates
-    assert blocks.decoder.dropped == oracle.decoder.dropped
-    assert blocks.parameters == oracle.decoder.parameters
-    assert vars(blocks.decoder.clock) == vars(oracle.decoder.clock)
-    return made
-
-
-def compare_singly(path, wanted=None):
-    """Each frame a block of its own, against the whole: with what no oracle tells."""
-    blocks, made = in_blocks(path, 1 << 20, wanted)
+    """Each frame a block of its own, against windows, cut at random places where there is `rng`."""
+    blocks, made = in_blocks(path, window, wanted, partial(in_pieces, rng=rng) if rng else whole)
     single, made_singly = in_blocks(path, 1 << 20, wanted, singly)
     assert told(made_singly) == told(made)
     assert blocks.as_dict() == single.as_dict()
     assert blocks.health() == single.health()
     assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
+    for name in ("turning", "fates", "decoder.dropped", "drift.bounds"):
+        assert attrgetter(name)(blocks) == attrgetter(name)(single), name
+    return made
 
 
 def seeds(first, count):
@@ -267,14 +241,6 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     rng = random.Random(seed) if seed % 4 == 3 else None
     window = [3000, 30_000, 1 << 20, 1 << 20][seed % 4]
     compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(9))
-def test_frames_that_come_one_at_a_time_make_the_same(tmp_path, make_sender, seed):
-    path = tmp_path / "odd.tlog"
-    path.write_bytes(log_of(make_sender, 100 + seed, [0.0, 0.003, 0.02][seed % 3], 800))
-    compare_singly(path, [None, (2, None), (9, 1)][seed // 3])
 
 
 @pytest.mark.slow
@@ -314,13 +280,9 @@ def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path
         ]
     path = tmp_path / "doubt.tlog"
     path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
-    (whole,) = TlogReader(path, 1 << 20).blocks()
-    single, blocks = ScalarIntake(), Intake()
-    records = [record for frame in frames if (record := single.frame(frame)) is not None]
-    made = [blocks.block(piece) for piece in (whole.part(0, 302), whole.part(302, len(whole)))]
-    assert [record for block in made for _, record in block.records()] == records
-    assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
-    assert single.decoder.clock.doubted == 2
+    compare(path, 1 << 20, rng=random.Random(1))
+    intake, _ = in_blocks(path, 1 << 20, None, lambda b: (b.part(0, 302), b.part(302, len(b))))
+    assert intake.decoder.clock.doubted == 2
 
 
 @pytest.mark.slow

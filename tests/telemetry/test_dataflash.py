@@ -126,12 +126,12 @@ def test_velocity_is_that_of_the_estimator_in_use(path, of):
     assert of(open_log(path), Stream.VELOCITY)[0].values == (2.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
 
-def test_a_log_that_begins_on_arming_was_armed_and_landing_is_not_flying(path, of):
+def test_a_log_that_begins_on_arming_was_armed_and_landing_by_itself_is_flight(path, of):
     armed = {r.t: r.values[0] for r in of(open_log(path), Stream.ARMED)}
     assert (armed[5.0], armed[7.8]) == (1.0, 0.0)
     flies = of(open_log(path), Stream.IN_AIR)
-    assert [r.t for r in flies if r.values == (1.0,)] == pytest.approx([5.5, 6.0])
-    assert [r.t for r in flies if r.values == (0.0,)] == pytest.approx([5.0, 7.0, 7.5])
+    assert [r.t for r in flies if r.values == (1.0,)] == pytest.approx([5.5, 6.0, 7.0])
+    assert [r.t for r in flies if r.values == (0.0,)] == pytest.approx([5.0, 7.5])
 
 
 def test_vehicle_parameters_and_losses_are_told(path):
@@ -201,37 +201,6 @@ def test_damaged_stamps_and_values_are_left_out_and_counted(tmp_path, flight, pa
     assert len(of(log, Stream.IMU)) == 300
     assert log.as_dict()["dropped"] == {"no time": 1, "not finite": 1}
     assert log.as_dict()["duration"] < 5.0
-
-
-@pytest.mark.slow
-def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
-    data = flight.bytes()
-    path = tmp_path / "hurt.bin"
-    whole, told = 0, []
-    for seed in range(120):
-        rng = random.Random(seed)
-        hurt = bytearray(data)
-        for _ in range(rng.randrange(1, 8)):
-            at = rng.randrange(3, len(hurt))
-            match rng.randrange(3):
-                case 0:
-                    hurt[at] ^= 1 << rng.randrange(8)
-                case 1:
-                    del hurt[at : at + rng.randrange(1, 300)]
-                case _:
-                    hurt[at:at] = rng.randbytes(rng.randrange(1, 300))
-        if rng.random() < 0.3:
-            del hurt[rng.randrange(8, len(hurt)) :]
-        path.write_bytes(hurt)
-        try:
-            records = records_of(open_log(path))
-        except InputError as error:
-            told.append(str(error))
-        else:
-            whole += len(records) > 400
-            assert all(math.isfinite(sum(r.values)) for r in records)
-    assert whole > 60
-    assert not any("\n" in line for line in told)
 
 
 def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight, of):

@@ -11,7 +11,6 @@ from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.track_collector import TrackCollector
-from tests.telemetry.scalar_decoder import ScalarDecoder
 
 ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 NAN = float("nan")
@@ -36,9 +35,9 @@ class OneByOne:
         return next((record for _, record in out.block().records()), None)
 
 
-@pytest.fixture(params=[OneByOne, ScalarDecoder], ids=["blocks", "oracle"])
-def decoder(request):
-    return request.param()
+@pytest.fixture
+def decoder():
+    return OneByOne()
 
 
 def esc(sender, t, rpm, index=0):
@@ -155,6 +154,32 @@ def test_actuator_outputs_are_cut_to_those_active(decoder, sender):
         (1100.0, 1200, 1300, 1400, 900, 900),
         source="ACTUATOR_OUTPUT_STATUS",
     )
+
+
+def test_setpoints_of_the_rate_loop_take_the_latest_time(decoder, sender):
+    decoder.decode(sender.imu(2.0))
+    frame = sender.frame(
+        mavlink.MAVLink_attitude_target_message(1500, 0, [1, 0, 0, 0], 0.5, -0.25, 2.0, 0.5)
+    )
+    assert decoder.decode(frame) == Record(Stream.RATE_SETPOINT, 2.0, (0.5, -0.25, 2.0))
+
+
+def test_voltage_is_the_systems_or_where_that_is_missing_the_sum_of_the_cells(decoder, sender):
+    def battery(number, *cells):
+        cells = [*cells, *[0xFFFF] * (10 - len(cells))]
+        return decoder.decode(
+            sender.frame(
+                mavlink.MAVLink_battery_status_message(number, 0, 1, 20, cells, 0, 0, 0, 50)
+            )
+        )
+
+    decoder.decode(sender.imu(2.0))
+    record = battery(0, 3912, 3871)
+    assert (record.stream, record.t, record.values) == (Stream.VOLTAGE, 2.0, (7.783,))
+    assert battery(1, 3912) is None
+    system = mavlink.MAVLink_sys_status_message(0, 0, 0, 9, 15_432, *[0] * 8)
+    assert decoder.decode(sender.frame(system)).values == (15.432,)
+    assert battery(0, 3912, 3871) is None
 
 
 def test_servo_outputs_and_actuator_outputs_are_told_apart(decoder, sender):

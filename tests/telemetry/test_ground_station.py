@@ -4,7 +4,6 @@ import hashlib
 
 import pytest
 
-from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.ground_station import GroundStation
@@ -275,8 +274,3 @@ def test_a_key_kept_beside_its_time(key_file):
     state = key_file.with_name("vehicle.key.time")
     assert int(state.read_text()) > 0
     assert key_file.read_bytes() == KEY
-
-
-def test_a_file_without_a_key_gives_its_line(tmp_path):
-    with pytest.raises(InputError, match="cannot read the signing key"):
-        Transceiver(Ether(), signing_key=tmp_path / "none")

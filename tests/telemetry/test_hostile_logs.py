@@ -187,7 +187,10 @@ def as_pyulog(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["px4-sih-default.ulg", "public/px4-sitl.ulg"])
+@pytest.mark.parametrize(
+    "name",
+    ["public/px4-sitl.ulg", pytest.param("px4-sih-default.ulg", marks=pytest.mark.thorough)],
+)
 def test_a_log_is_read_as_by_pyulog(shared_logs, name):
     path = shared_logs / name
     topics, initial, changed, dropouts = as_pyulog(path)

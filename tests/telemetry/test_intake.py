@@ -121,16 +121,6 @@ def test_a_vehicle_that_tells_something_stays_the_vehicle_and_the_other_is_named
     )
 
 
-@pytest.mark.parametrize(("messages", "told"), [(12, False), (13, True)])
-def test_another_that_sends_more_than_three_times_as_much_is_a_problem(make_sender, messages, told):
-    """Four of the chosen one's: up to twelve of the other's may be a slow link."""
-    intake, vehicle, other = Intake(), make_sender(1, 1), make_sender(2, 1)
-    frames = [vehicle.heartbeat(), *(vehicle.imu(1.0 + 0.1 * i) for i in range(3))]
-    frames += [other.heartbeat(), *(other.imu(9.0 + 0.1 * i) for i in range(messages - 1))]
-    intake.frames(frames)
-    assert bool(intake.problems) is told
-
-
 def test_a_vehicle_that_the_user_chose_stays_the_vehicle(make_sender):
     intake = Intake((66, None))
     intake.frames(stray_and_vehicle(make_sender, 5.0))
@@ -327,13 +317,16 @@ def test_a_recording_gives_the_live_sessions_records_and_counts(tmp_path, sender
     [
         # Its parameters come at the end.
         ("px4-esc-cg.tlog", "PX4 quadrotor 1:1", set(Stream) - {Stream.PARAMETER}),
-        ("px4-sih-default.tlog", "PX4 quadrotor 1:1", set(Stream) - {Stream.ROTOR_SPEED}),
+        pytest.param(
+            *("px4-sih-default.tlog", "PX4 quadrotor 1:1", set(Stream) - {Stream.ROTOR_SPEED}),
+            marks=pytest.mark.thorough,
+        ),
         ("ardupilot-sitl.tlog", "ArduPilot quadrotor 1:1", set(Stream) - {Stream.RATE_SETPOINT}),
     ],
 )
 def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name, vehicle, streams):
     intake = Intake()
-    frames = (f for _, (_, f) in zip(range(50_000), read_tlog(shared_logs / name), strict=False))
+    frames = (f for _, (_, f) in zip(range(20_000), read_tlog(shared_logs / name), strict=False))
     records = intake.frames(frames)
     assert str(intake.vehicle) == vehicle
     assert {record.stream for record in records} == streams

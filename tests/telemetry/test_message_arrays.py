@@ -131,7 +131,13 @@ def test_windows_joined_are_the_whole(tmp_path, stream):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(first, first + 20) for first in range(0, 200, 20)])
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        range(20),
+        *(pytest.param(range(k, k + 20), marks=pytest.mark.thorough) for k in range(20, 200, 20)),
+    ],
+)
 def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
     damage, tmp_path, stream, pymavlink_reads, seeds
 ):

@@ -121,15 +121,6 @@ def test_what_is_written_is_read(tmp_path, flight):
 
 
 @pytest.mark.slow
-def test_flushed_frames_are_in_the_file_while_it_is_open(tmp_path, flight):
-    path = tmp_path / "flight.tlog"
-    with TlogWriter(path) as writer:
-        writer.write(START, [flight[0][1]])
-        writer.flush()
-        assert len(list(read_tlog(path))) == 1
-
-
-@pytest.mark.slow
 def test_an_existing_file_is_not_overwritten(tmp_path, flight):
     path = tmp_path / "flight.tlog"
     path.write_bytes(b"precious")
@@ -300,15 +291,6 @@ def test_a_slow_sync_does_not_hold_up_the_writing(tmp_path, flight, monkeypatch)
         writer.flush()
         assert list(read_tlog(path)) == flight
         go_on.set()
-
-
-def test_it_is_synced_while_it_goes_on(tmp_path, flight, monkeypatch):
-    synced = threading.Semaphore(0)
-    monkeypatch.setattr(TlogWriter, "SYNC_EVERY", 0.001)
-    monkeypatch.setattr(tlog_writer, "sync", lambda _: synced.release())
-    with TlogWriter(tmp_path / "flight.tlog"):
-        for _ in range(5):
-            assert synced.acquire(timeout=PATIENCE)
 
 
 def test_a_sync_that_fails_begins_another_file(tmp_path, flight, monkeypatch):

@@ -121,15 +121,6 @@ def test_the_vehicles_own_rates_are_restored_at_the_end(wire, requests):
     assert wire.take() == []
 
 
-def test_listening_only_asks_nothing(wire):
-    wire.gate.listen_only = True
-    requests = StreamRequests(wire.gate, 250.0)
-    requests.tick(0.0, VEHICLE, {})
-    requests.close()
-    assert wire.raws == []
-    assert requests.asked == {}
-
-
 def test_ardupilot_is_asked_for_its_own_messages_in_whole_milliseconds(wire):
     requests = StreamRequests(wire.gate, 300.0, rotors=6)
     requests.tick(0.0, ARDUPILOT, {})
@@ -266,11 +257,3 @@ def test_a_vehicle_that_changes_to_version_2_is_asked_for_what_that_carries(wire
     assert ("ESC_STATUS", 4000.0) in said
     assert ("SERVO_OUTPUT_RAW", 0.0) in said
     assert requests.asked == RATES
-
-
-def test_listening_only_tells_nothing_of_requests(wire):
-    wire.gate.listen_only = True
-    requests = StreamRequests(wire.gate, 250.0, baud=57600)
-    run(requests, wire, 60.0, {"HIGHRES_IMU": 4.0})
-    assert requests.take_events() == []
-    assert requests.problem == ""

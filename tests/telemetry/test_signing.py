@@ -67,24 +67,6 @@ def test_what_we_sign_pymavlink_believes(clock):
     assert {m.get_type() for m in attacker.parse_buffer(b"".join(sent))} == {"BAD_DATA"}
 
 
-def test_version_1_has_no_signatures(clock):
-    sent = []
-    gate = Gate(sent.append, signer=Signer(KEY, clock))
-    gate.version = 1
-    gate.heartbeat()
-    frame = read_frame(sent[0])
-    assert (frame.version, frame.signed, frame.valid) == (1, False, Validity.OK)
-
-
-def test_listening_only_signs_and_sends_nothing(clock):
-    sent = []
-    gate = Gate(sent.append, listen_only=True, signer=Signer(KEY, clock))
-    before = clock.time
-    gate.heartbeat()
-    assert sent == []
-    assert clock.time == before
-
-
 def test_the_key_is_never_sent(clock):
     gate = Gate(pytest.fail, signer=Signer(KEY, clock))
     for dialect in (common, mavlink):

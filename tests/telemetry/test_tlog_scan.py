@@ -4,10 +4,9 @@ import random
 import struct
 import tracemalloc
 
-import numpy as np
 import pytest
 
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, counts_of
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK
 from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog import ScanCounts, Scanner, TlogReader, _RecordChain
 
@@ -163,12 +162,6 @@ def test_a_long_log_is_read_in_little_memory(tmp_path, raws):
         tracemalloc.stop()
     assert frames == len(raws) * (20_000_000 // len(record))
     assert peak < 40_000_000
-
-
-def test_numbers_are_counted_however_large():
-    numbers = np.array([3, 70_000, 3, 16_777_215, 0], np.int32)
-    assert counts_of(numbers) == {0: 1, 3: 2, 70_000: 1, 16_777_215: 1}
-    assert counts_of(numbers[:0]) == {}
 
 
 def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
