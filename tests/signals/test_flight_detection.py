@@ -74,25 +74,6 @@ def test_forged_heartbeats_do_not_land_it():
     assert len(flown(armed=forged, in_air=turning["in_air"])) == 0  # nothing bears it out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("block", [1, 7, 100])
-def test_size_of_blocks_does_not_matter(block):
-    height = between(12.0, 20.0, 5.0)
-    told = np.where(T < 3.0, np.nan, between(5.0, 12.0))
-    for streams in (
-        {"in_air": told, "armed": between(4.0, 11.0), "speed": between(4.0, 10.0)},
-        {"armed": between(8.0, 25.0), "speed": between(9.0, 24.0, 500.0), "height": height},
-    ):
-        np.testing.assert_array_equal(flown(**streams, block=block), flown(**streams))
-
-
-@pytest.mark.parametrize(("height", "flies"), [(0.29, False), (0.31, True)])
-def test_a_third_of_a_meter_above_the_ground_is_flight(height, flies):
-    heights = 12.0 + between(12.0, 20.0, height)
-    found = flown(height=heights, armed=between(8.0, 25.0), speed=between(9.0, 24.0, 500.0))
-    assert bool(len(found)) is flies
-
-
 def test_commands_of_hardly_anything_are_rotors_that_turn():
     spans(flown(speed=between(10.0, 20.0, 0.05)), 11.0, 20.0)
 
@@ -104,10 +85,6 @@ def test_a_single_rotor_that_stands_is_no_landing_and_no_flight():
     unknown = np.full((len(T), 3), np.nan)
     assert not detector.update(T, UNKNOWN, UNKNOWN, speeds, unknown).any()
     assert FlightDetector().update(T, 0.0 * T + 1.0, UNKNOWN, speeds, unknown).all()
-
-
-def test_take_off_is_a_second():
-    assert TAKE_OFF == 1.0
 
 
 # --- with an IMU: rotors at zero are not the ground, rotors that turn are not flight
@@ -321,7 +298,13 @@ def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(told, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", AIR_TIMES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.thorough] if k % 4 else [])
+        for k, name in enumerate(AIR_TIMES)
+    ],
+)
 def test_real_flights_use_their_air_time(name, shared_logs):
     folder = shared_logs / "real"
     if not (folder / f"{name}.tlog").exists():

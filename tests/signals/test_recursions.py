@@ -32,24 +32,6 @@ def test_values_and_states_are_those_of_scipy(b, a, n):
         np.testing.assert_allclose(after, wanted_after, rtol=1e-12, atol=1e-13)
 
 
-def test_parts_give_what_the_whole_gives():
-    b, a = FILTERS["second order"]
-    x = np.random.default_rng(2).standard_normal((40, 2))
-    whole, end = lfilter(b, a, x)
-    parts, state = [], None
-    for part in np.split(x, [1, 2, 3, 10, 10, 39]):
-        y, state = lfilter(b, a, part, state)
-        parts.append(y)
-    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(state, end, rtol=1e-12, atol=1e-13)
-
-
-def test_the_input_is_left_alone():
-    x = np.ones((5, 2))
-    lfilter([1.0], [1.0, -0.5], x, np.ones((1, 2)))
-    assert (x == 1.0).all()
-
-
 @pytest.mark.parametrize("n", [0, 1, 2, 50])
 def test_coefficients_may_change_from_sample_to_sample(n):
     rng = np.random.default_rng(3)
@@ -75,17 +57,3 @@ def test_nothing_loads_scipys_signal_at_its_start(module):
     code = f"import sys, {module}; print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
-
-
-def test_a_signal_as_short_as_the_filter_or_shorter():
-    """States hand on what a single sample, or none, leaves of them."""
-    b, a = [0.2, 0.3, 0.1], [1.0, -0.5, 0.25]
-    x = np.array([1.0, -2.0, 0.5, 3.0])
-    whole, end = lfilter(b, a, x)
-    for size in (1, 2, 3):
-        state, parts = np.zeros(2), []
-        for k in range(0, len(x), size):
-            part, state = lfilter(b, a, x[k : k + size], state)
-            parts.append(part)
-        np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12)
-        np.testing.assert_allclose(state, end, atol=1e-12)

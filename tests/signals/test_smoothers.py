@@ -13,7 +13,6 @@ from gcs_sysid.signals.smoothers import (
     DifferentiatorSmoother,
     WindowSmoother,
     cosine_window,
-    leaky,
 )
 
 DT = 0.02
@@ -57,13 +56,6 @@ def test_grouping_of_samples_does_not_matter(kind, cuts, missing):
     v = signals(missing)
     for whole, parts in zip(rows_of(kind, v), rows_of(kind, v, cuts), strict=True):
         # Sums of the same terms, perhaps in another order.
-        np.testing.assert_allclose(parts, whole, rtol=0.0, atol=1e-11 * np.nanmax(np.abs(v)))
-
-
-@KINDS
-def test_one_sample_at_a_time(kind):
-    v = signals([(100, 0)])
-    for whole, parts in zip(rows_of(kind, v), rows_of(kind, v, range(N)), strict=True):
         np.testing.assert_allclose(parts, whole, rtol=0.0, atol=1e-11 * np.nanmax(np.abs(v)))
 
 
@@ -190,106 +182,3 @@ def test_noise_gains_are_those_of_white_noise(kind, memory):
         # 200 signals at one instant: their variance scatters by 10 %, over four instants by 5 %.
         late = found[[-1, -len(found) // 4, -len(found) // 3, -len(found) // 2]]
         assert np.var(late) == pytest.approx(gain, rel=0.25)
-
-
-@KINDS
-def test_how_many_rows_come_is_known_before(kind):
-    smoother, v = make(kind), signals()
-    for start, stop in ((0, 1), (1, 30), (30, 31), (31, 60), (60, 60), (60, 300)):
-        expected = smoother.count_after(stop - start)
-        rows = smoother.update(v[start:stop], 0)
-        assert len(rows.average) == len(rows.derivative) == expected
-        assert rows.late_average.shape == (1, expected, 0)
-
-
-@pytest.mark.parametrize(("half", "step"), [(2, 1), (3, 1), (7, 1), (8, 2), (20, 5)])
-def test_four_rows_come_in_half_a_window(half, step):
-    assert WindowSmoother(DT, half).step == step
-
-
-@pytest.mark.parametrize(("bandwidth", "step"), [(12.5, 1), (1.0, 12), (2.5, 5), (100.0, 1)])
-def test_four_rows_come_in_a_time_constant(bandwidth, step):
-    assert DifferentiatorSmoother(DT, bandwidth).step == step
-
-
-def test_the_differentiator_is_critically_damped():
-    assert DAMPING == 2.0
-    step = DifferentiatorSmoother(DT, BANDWIDTH)
-    v = np.ones((200, 1))
-    v[:100] = 0.0
-    rows = step.update(v, 0).average[:, 0]
-    assert np.nanmax(rows) <= 1.0 + 1e-9  # no overshoot
-    assert rows[-1] == pytest.approx(1.0, abs=1e-3)
-
-
-@KINDS
-def test_late_taps_are_the_response_to_one_sample(kind):
-    """Averages of an impulse, row by row: the taps at every step, in the order of time."""
-    smoother = make(kind)
-    taps = smoother.late_taps
-    assert taps.shape[0] == len(smoother.delays) == 1
-    at = 150
-    impulse = np.zeros((N, 1))
-    impulse[at] = 1.0
-    settled = 0 if kind == "window" else LinearDifferentiator(DT, BANDWIDTH, DAMPING).settling
-    assert at > settled
-    found = make(kind).update(impulse, 1).late_average[0, :, 0]
-    first = taps.shape[1] - 1 if kind == "window" else 0
-    for row, value in enumerate(found):
-        age = first + row * smoother.step - at
-        if 0 <= age < taps.shape[1]:
-            assert value == pytest.approx(taps[0, age], abs=1e-12)
-        else:  # the differentiator's response is cut off where it has settled
-            assert np.isnan(value) or abs(value) < 1e-4
-    assert np.nanmax(found) > 0.0
-
-
-def test_late_taps_are_those_of_each_delay_in_the_order_of_time():
-    smoother = WindowSmoother(DT, HALF, DELAYS)
-    assert smoother.late_taps.shape == (3, 2 * (HALF + 2) + 1)
-    # A stamp 30 ms late: the window waits as long for it, so that it answers sooner in its row.
-    t = np.arange(smoother.late_taps.shape[1])
-    centers = smoother.late_taps @ t
-    np.testing.assert_allclose(centers, centers[1] - np.array(DELAYS) / DT, atol=1e-6)
-
-
-def test_an_empty_block_gives_no_rows():
-    for kind in ("window", "td"):
-        rows = make(kind).update(np.zeros((0, 3)), 2)
-        assert rows.average.shape == rows.derivative.shape == (0, 3)
-        assert rows.late_average.shape == rows.late_derivative.shape == (1, 0, 2)
-
-
-@pytest.mark.parametrize("rows", [8, 9])
-def test_few_rows_and_many_are_made_alike(rows):
-    """Up to eight by one product; a column that is missing throughout spoils no other."""
-    smoother = WindowSmoother(DT, HALF, DELAYS)
-    n = smoother._window.length + (rows - 1) * smoother.step
-    v = signals()[:n]
-    v[:, 2] = np.nan
-    assert smoother.count_after(n) == rows
-    found = smoother.update(v, 2)
-    for k in range(rows):
-        part = v[k * smoother.step : k * smoother.step + smoother._window.length, :2]
-        np.testing.assert_allclose(found.average[k, :2], smoother._window.average @ part)
-        np.testing.assert_allclose(found.derivative[k, :2], smoother._window.derivative @ part)
-        np.testing.assert_allclose(
-            found.late_average[:, k], smoother.late_taps[:, ::-1] @ part, atol=1e-12
-        )
-    assert np.isnan(found.average[:, 2]).all()
-
-
-@pytest.mark.parametrize("memory", [0.3, 1.0])
-def test_a_leaky_sum_of_responses_by_the_recursion(memory):
-    step, n = 3, 40
-    responses = np.random.default_rng(2).normal(size=(2, n))
-    found = leaky(responses, step, DT, memory)
-    # Every third row is added; each adds what the one before it holds, faded.
-    expected = np.zeros_like(found)
-    expected[:, :n] = responses
-    for k in range(step, found.shape[1]):
-        expected[:, k] += np.exp(-step * DT / memory) * expected[:, k - step]
-    # Twelve time constants and more are carried on: 1e-5 is left.
-    np.testing.assert_allclose(found[:, :-n], expected[:, :-n], atol=1e-12)
-    assert found.shape[1] * DT > 12.0 * memory
-    assert leaky(responses, step, DT, 0.0) is responses

@@ -140,16 +140,6 @@ def test_uneven_and_canted_rotors_pull_along_their_axes(hexa: Vehicle, tilt: flo
     np.testing.assert_allclose(dynamics.uneven.side_force(list(speeds)), force[:2], atol=1e-12)
 
 
-def test_rotors_that_are_all_alike_are_what_they_were(hexa: Vehicle) -> None:
-    v = replace(hexa, rotor_z=0.0)
-    even = replace(v, traits=RotorTraits((1.0,) * 6, (1.0,) * 6))
-    speeds = [300.0, 400.0, 500.0, 450.0, 350.0, 420.0]
-    targets = [s + 50.0 for s in speeds]
-    np.testing.assert_allclose(
-        Dynamics(even).wrench(speeds, targets), Dynamics(v).wrench(speeds, targets), rtol=1e-12
-    )
-
-
 def test_canted_rotors_are_allocated_as_built(hexa: Vehicle) -> None:
     v = Physics(tilt=0.07).of_vehicle(hexa, np.random.default_rng(0))
     wanted = np.array([20.0, 0.3, -0.2, 0.15])

@@ -1,6 +1,5 @@
 """How the emulated ArduCopter speaks: silent until asked, in whole milliseconds, filtered."""
 
-import json
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -93,17 +92,6 @@ def test_250_hz_come_as_steps_of_2500_and_5000_us(desk: Any) -> None:
     assert Counter(np.diff(stamps).tolist()) == {5000: 299, 2500: 200}
 
 
-def test_an_interval_is_switched_off_and_put_back(desk: Any) -> None:
-    desk.command(SET, IMU, 10_000)
-    assert desk.counts(0.5)["HIGHRES_IMU"] == 50
-    desk.command(SET, IMU, -1)
-    assert desk.counts(0.5)["HIGHRES_IMU"] == 0
-    assert desk.command(GET, IMU)[1].interval_us == -1
-    desk.command(SET, IMU, 10_000)
-    desk.command(SET, IMU, 0)  # its default: nothing
-    assert desk.counts(0.5)["HIGHRES_IMU"] == 0
-
-
 @pytest.mark.parametrize("name", ["ESC_STATUS", "ESC_INFO", "ACTUATOR_OUTPUT_STATUS"])
 def test_px4s_messages_are_denied(desk: Any, name: str) -> None:
     msgid = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
@@ -139,17 +127,6 @@ def test_groups_of_request_data_stream(desk: Any, group: str, names: set[str]) -
     assert counts == dict.fromkeys(names, 20)
     desk.ask(stream(number, 10, start=0))
     assert desk.counts(1.0) == {"HEARTBEAT": 1}
-
-
-def test_another_ground_stations_request_resets_the_rates(desk: Any) -> None:
-    desk.command(SET, SERVO, 4000)
-    desk.command(SET, IMU, 4000)
-    assert desk.counts(1.0)["SERVO_OUTPUT_RAW"] == 250
-    desk.ask(stream(mavlink.MAV_DATA_STREAM_ALL, 4))
-    counts = desk.counts(2.0)
-    assert counts["SERVO_OUTPUT_RAW"] == 8
-    # It is in no group: only an interval of its own moves it.
-    assert counts["HIGHRES_IMU"] == 500
 
 
 def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> None:
@@ -205,14 +182,6 @@ def test_parameters_travel_as_floats_nearest_to_them(desk: Any) -> None:
     assert desk.ask(mavlink.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, real)) == []
 
 
-def test_it_says_which_autopilot_it_is(desk: Any) -> None:
-    request = mavlink.MAV_CMD_REQUEST_MESSAGE
-    _, version = desk.command(request, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    assert version.flight_sw_version == 4 << 24 | 7 << 16
-    assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-    assert not version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-
-
 @pytest.mark.parametrize("cutoff", [5.0, 20.0, 80.0])
 def test_the_filter_is_a_second_order_butterworth(cutoff: float) -> None:
     signal = np.random.default_rng(0).standard_normal((400, 3)) + 2.0
@@ -266,13 +235,6 @@ def test_rotor_speeds_have_no_stamp_no_sign_and_lag_by_a_reading(make_desk: Any)
     assert errors[0.005] < 1.5  # half of the ESC's 14.3 rpm
 
 
-def test_in_calm_hover_rotor_speeds_repeat(make_desk: Any) -> None:
-    desk = make_desk()
-    desk.command(SET, mavlink.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4, 4000)
-    rpm = np.array([m.rpm for m in of_type(desk.notice(4.0), "ESC_TELEMETRY_1_TO_4")])
-    assert (np.diff(rpm, axis=0) == 0).all(axis=1).mean() > 0.4
-
-
 def test_outputs_begin_at_spin_min(make_desk: Any) -> None:
     for airframe in ("ardupilot-quad-x", "paper"):
         desk = make_desk(airframe)
@@ -284,15 +246,6 @@ def test_outputs_begin_at_spin_min(make_desk: Any) -> None:
         expected = vehicle.k_T * desk.simulation.targets[0] ** 2 / vehicle.T_max
         assert (1.0 - c) * u + c * u * u == pytest.approx(expected, abs=2e-3)
         assert servo.servo5_raw == 0
-
-
-def test_the_magnetic_field_of_highres_imu_is_a_million_times_too_large(desk: Any) -> None:
-    desk.command(SET, IMU, 4000)
-    desk.ask(stream(mavlink.MAV_DATA_STREAM_RAW_SENSORS, 50))
-    heard = desk.notice(0.2)
-    imu, raw = of_type(heard, "HIGHRES_IMU")[-1], of_type(heard, "RAW_IMU")[-1]
-    assert imu.zmag == pytest.approx(0.43e6, rel=0.01)
-    assert (raw.zmag, raw.zacc) == (430, -1000)
 
 
 @pytest.mark.parametrize(("airframe", "groups"), [("hexa", 2), ("octo", 2), ("quad", 1)])
@@ -307,18 +260,6 @@ def test_more_rotors_come_in_groups_of_four(make_desk: Any, airframe: str, group
     speeds = np.array(desk.simulation.state.speeds) * 30.0 / np.pi
     np.testing.assert_allclose(rpm[: len(speeds)], speeds, atol=15.0)
     assert not any(rpm[len(speeds) :])
-
-
-def test_a_file_holds_what_a_recording_station_asks_for(tmp_path: Path, read_tlog: Read) -> None:
-    path, truth = tmp_path / "f.tlog", tmp_path / "t.json"
-    options = ["--autopilot", "ardupilot", "--airframe", "ardupilot-quad-x", "--duration", "4"]
-    assert main([*options, "--tlog", str(path), "--truth", str(truth)]) == 0
-    counts = Counter(m.get_type() for _, m in read_tlog(path))
-    for name in ("HIGHRES_IMU", "ESC_TELEMETRY_1_TO_4", "SERVO_OUTPUT_RAW"):
-        assert counts[name] == 1000
-    assert counts["ATTITUDE"] == 400
-    assert counts["LOCAL_POSITION_NED"] == 200
-    assert json.loads(truth.read_text())["rotor_delay"] == 0.005
 
 
 def test_the_filter_is_set_by_its_parameter(tmp_path: Path, read_tlog: Read) -> None:

@@ -75,11 +75,3 @@ def test_one_flight_with_many_seeds(flights: dict[str, Flight]) -> None:
 def test_as_many_seeds_as_flights_are_needed(flights: dict[str, Flight]) -> None:
     with pytest.raises(ValueError, match="as many seeds"):
         flights["paper"].with_noise("none", 0.0, [1, 2])
-
-
-def test_samples_fall_on_the_physics_grid(paper_vehicle: Vehicle) -> None:
-    flight = fly_ensemble(paper_vehicle, MISSIONS["hover"], 160.0, duration=0.5)
-    ticks = flight.t * 1000.0
-    np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-9)
-    assert set(np.round(np.diff(ticks)).astype(int)) == {6, 7}
-    assert len(ticks) == 81

@@ -150,28 +150,6 @@ def test_requests_and_answers_over_udp(start: Start) -> None:
 
 
 @pytest.mark.slow
-def test_ardupilot_over_udp_is_silent_until_asked(start: Start) -> None:
-    with udp_socket() as s:
-        port = s.getsockname()[1]
-        start("--autopilot", "ardupilot", "--connect", f"udpout:127.0.0.1:{port}")
-        station = peer_station(s)
-        beats = itertools.count()
-        got = station.until(lambda m: is_a(m, "HEARTBEAT") and next(beats) == 2)
-        assert {m.get_type() for m in got} == {"STATUSTEXT", "HEARTBEAT"}
-        set_interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-        ack = station.command(set_interval, mavlink.MAVLINK_MSG_ID_ESC_STATUS, 4000)
-        assert ack.result == mavlink.MAV_RESULT_DENIED
-        ack = station.command(set_interval, mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 4000)
-        assert ack.result == mavlink.MAV_RESULT_ACCEPTED
-        first = station.until(lambda m: is_a(m, "HIGHRES_IMU"))[-1].time_usec
-        got = station.until(lambda m: is_a(m, "HIGHRES_IMU") and m.time_usec >= first + 200_000)
-        stamps = [first, *(m.time_usec for m in got if is_a(m, "HIGHRES_IMU"))]
-        assert set(map(int.__sub__, stamps[1:], stamps)) == {2500, 5000}
-        station.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 50, 1))
-        station.until(lambda m: is_a(m, "ATTITUDE"))
-
-
-@pytest.mark.slow
 def test_a_signed_link_takes_its_key_and_no_other(start: Start, tmp_path: Path) -> None:
     key = bytes(range(32))
     (tmp_path / "key").write_text(key.hex())

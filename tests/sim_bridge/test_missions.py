@@ -1,12 +1,10 @@
 """What the missions make the vehicle do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from sim_bridge.ensemble import Flight, fly_ensemble
-from sim_bridge.missions import MISSIONS, PITCH, ROLL, YAW, Leg
+from sim_bridge.missions import MISSIONS, PITCH, ROLL, YAW
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import mass_step
 from sim_bridge.vehicle_files import load_vehicle, vehicle_names
@@ -77,12 +75,6 @@ def test_all_axes_moves_all_axes(flights: dict[str, Flight]) -> None:
     assert (got < 1.1).all()
 
 
-def test_hover_only_wobbles(flights: dict[str, Flight]) -> None:
-    got = rms(flights["hover"].gyro[0])
-    assert (got < 0.04).all()
-    assert (got[:2] > 0.01).all()
-
-
 def test_excitation_of_the_axes_is_uncorrelated(flights: dict[str, Flight]) -> None:
     flight = flights["all-axes"]
     correlation = np.corrcoef(flight.gyro[0, flight.t > 3.0].T)
@@ -102,11 +94,6 @@ def test_multisines_stay_in_their_band_and_are_scaled(multisine) -> None:  # typ
         np.testing.assert_allclose(slope[:3], multisine(at)[1:], rtol=1e-5, atol=1e-5)
 
 
-def test_no_tone_is_on_two_axes() -> None:
-    tones = [f for m in (ROLL, PITCH, YAW) for f in m.frequencies]
-    assert len(set(tones)) == len(tones)
-
-
 @pytest.mark.parametrize("name", ["paper", "all-axes"])
 @pytest.mark.parametrize("around", [1.0, 2.5, 12.0, 22.4, 31.0, 61.9, 62.3, 90.0])
 def test_set_points_are_derivatives_of_each_other(name: str, around: float) -> None:
@@ -120,20 +107,6 @@ def test_set_points_are_derivatives_of_each_other(name: str, around: float) -> N
     ):
         slope = np.subtract(getattr(after, low), getattr(before, low)) / (2 * h)
         np.testing.assert_allclose(slope, getattr(here, high), atol=1e-4)
-
-
-def test_a_leg_covers_its_length() -> None:
-    leg = Leg(2.0, 8.0, 1.5, 3.0)
-    assert leg.at(100.0) == (pytest.approx(leg.length), 0.0, 0.0)
-    assert leg.at(0.0) == (0.0, 0.0, 0.0)
-
-
-def test_a_longer_flight_repeats_the_modes(paper_vehicle: Vehicle) -> None:
-    mission = MISSIONS["paper"]
-    for t in (5.0, 30.0, 50.0):
-        first, second = mission.reference(t), mission.reference(t + 60.0)
-        np.testing.assert_allclose(first.rate, second.rate, atol=1e-9)
-        np.testing.assert_allclose(first.velocity, second.velocity, atol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [1.2, 0.7])
@@ -150,7 +123,14 @@ def test_a_mass_step_leaves_the_vehicle_stable(paper_vehicle: Vehicle, factor: f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in vehicle_names() if n != "paper"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[] if "hexa" in n else pytest.mark.thorough)
+        for n in vehicle_names()
+        if n != "paper"
+    ],
+)
 def test_every_vehicle_flies_the_hardest_mission(name: str) -> None:
     vehicle = load_vehicle(name)
     flight = fly_ensemble(vehicle, MISSIONS["all-axes"], 50.0, duration=12.0)
@@ -170,9 +150,3 @@ def test_turbulence_follows_its_seed(paper_vehicle: Vehicle) -> None:
     assert (one == again).all()
     assert (one != other).any()
     assert abs(calm).max() < 1e-9
-
-
-def test_the_controller_copes_with_an_imu_off_the_cg(paper_vehicle: Vehicle) -> None:
-    moved = replace(paper_vehicle, imu_x=0.1, imu_z=-0.05)
-    flight = fly_ensemble(moved, MISSIONS["paper"], 50.0, duration=4.0)
-    assert tilt(flight).max() < 30.0

@@ -15,7 +15,6 @@ from sim_bridge.sensors import (
     LowPass,
     White,
     make_channels,
-    noise_model,
 )
 
 RATE = 20.0
@@ -109,22 +108,3 @@ def test_the_cut_into_blocks_changes_no_value(model: str) -> None:
     for sensor in SENSORS:
         block = whole[sensor].block(1300)
         np.testing.assert_array_equal([single[sensor].next() for _ in range(1300)], block)
-
-
-def test_a_new_sample_time_keeps_the_sigma() -> None:
-    c = channel(HighPass(0.02), LowPass(0.02), width=2000)
-    for _ in range(10):
-        c.next()
-    c.retime(0.004)
-    assert np.std([c.next() for _ in range(20)]) == pytest.approx(0.02 * math.sqrt(2), rel=0.05)
-
-
-def test_no_noise_is_none() -> None:
-    assert noise_model("none", 0.02) == {}
-    channels = make_channels("none", 0.02, dict.fromkeys(SENSORS, DT), 6, np.random.SeedSequence(0))
-    assert channels["rotor"].next() == [0.0] * 6
-
-
-def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(ValueError, match="pink"):
-        noise_model("pink", 0.02)

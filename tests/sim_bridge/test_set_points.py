@@ -19,19 +19,3 @@ def test_set_points_are_those_of_the_mission(mission: Mission) -> None:
     for tick in ticks:
         for got, expected in zip(set_points.at(tick), mission.reference(tick * 0.001), strict=True):
             np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_a_mission_is_looked_up_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    mission = MISSIONS["paper"]
-    asked: list[int] = []
-    look_up = type(mission).references
-
-    def counted(self: Mission, times: list[float]) -> object:
-        asked.append(len(times))
-        return look_up(self, times)
-
-    monkeypatch.setattr(type(mission), "references", counted)
-    set_points = SetPoints(mission, 0.001, 4)
-    for tick in range(0, 4 * 2 * AHEAD, 4):
-        set_points.at(tick)
-    assert asked == [AHEAD, AHEAD]

@@ -116,11 +116,6 @@ def test_a_vehicle_from_an_airframe_file(tmp_path: Path) -> None:
     assert (vehicle.motor_lag, vehicle.imu_x, vehicle.Ixy) == (0.04, 0.02, 0.0)
 
 
-def test_arm_scales_the_layout(paper_vehicle: Vehicle) -> None:
-    rotor = load_vehicle("px4-quad-x", arm=0.5).rotors[0]
-    assert np.hypot(rotor.x, rotor.y) == pytest.approx(0.5)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
