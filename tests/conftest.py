@@ -16,6 +16,9 @@ from typing import Any
 import hypothesis
 import pytest
 
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result import Result
+from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -138,6 +141,12 @@ def paper_flight(fly: FlyFunction) -> Flight:
 def paper_records(paper_flight: Flight) -> list[Record]:
     """Its records."""
     return paper_flight.records()
+
+
+@pytest.fixture(scope="session")
+def paper_result(paper_flight: Flight) -> Result:
+    """Its analysis, which many tests look at."""
+    return analyze_log(paper_flight.tlog, load_airframe("paper"))
 
 
 class UlogFile:

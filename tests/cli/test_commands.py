@@ -100,9 +100,13 @@ def test_json_on_standard_output_is_the_contract_and_nothing_else(analyze, paper
 
 
 @pytest.mark.slow
-def test_table_shows_truth_and_error(analyze, paper_flight):
-    status, out, err = analyze(paper_flight.tlog, *PAPER, "--truth", paper_flight.truth_file)
+def test_table_shows_truth_and_error_beside_json_in_a_file(analyze, paper_flight, tmp_path):
+    path = tmp_path / "result.json"
+    truth = ("--truth", paper_flight.truth_file)
+    status, out, err = analyze(paper_flight.tlog, *PAPER, *truth, "--json", path)
     assert (status, err) == (0, "")
+    assert out.startswith("identified: ")
+    check_contract(read_strict(path.read_text()))
     head, *rows = out.splitlines()[2:]
     assert head.split()[0] == "parameter"
     assert "truth" in head
@@ -144,21 +148,14 @@ def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
 
 
 @pytest.mark.slow
-def test_json_in_a_file_comes_beside_the_table(analyze, paper_flight, tmp_path):
-    path = tmp_path / "result.json"
-    status, out, _ = analyze(paper_flight.tlog, *PAPER, "--json", path)
-    assert status == 0
-    assert out.startswith("identified: ")
-    check_contract(read_strict(path.read_text()))
-
-
-@pytest.mark.slow
-def test_two_logs_make_a_list(analyze, paper_flight):
-    status, out, _ = analyze(paper_flight.tlog, paper_flight.tlog, *PAPER, "--json", "-")
+def test_parts_of_two_logs_make_a_list(analyze, paper_flight):
+    part = ("--start", "20", "--end", "40")
+    status, out, _ = analyze(paper_flight.tlog, paper_flight.tlog, *PAPER, *part, "--json", "-")
     results = read_strict(out)
     assert status == 0
     assert results[0] == results[1]
     check_contract(results[1])
+    assert 10.0 < results[0]["telemetry"]["used_seconds"] <= 20.0
 
 
 def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
@@ -177,13 +174,12 @@ def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
 
 
 @pytest.mark.slow
-def test_scale_and_size_from_the_command_line(analyze, paper_flight):
+def test_scale_and_size_from_the_command_line(analyze, paper_flight, paper_result):
     px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "1.5")
     by_size = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
-    plain = read_strict(analyze(paper_flight.tlog, *PAPER, "--json", "-")[1])
     heavy = read_strict(analyze(paper_flight.tlog, *PAPER, "--mass", "3", "--json", "-")[1])
     for name in ("Ixx", "Izz", "k_T", "k_M"):
-        value = plain["parameters"][name]["value"]
+        value = paper_result.parameters[name].value
         # The same layout, but not given as exact: the flight then shows how the IMU is turned.
         assert by_size["parameters"][name]["value"] == pytest.approx(value, rel=5e-3)
         assert heavy["parameters"][name]["value"] == pytest.approx(2 * value, rel=1e-9)
@@ -191,7 +187,10 @@ def test_scale_and_size_from_the_command_line(analyze, paper_flight):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["forward-td", "article", "article-stepwise"])
+@pytest.mark.parametrize(
+    "method",
+    ["forward-td", "article", pytest.param("article-stepwise", marks=pytest.mark.thorough)],
+)
 def test_methods_for_study(analyze, paper_flight, method):
     status, out, _ = analyze(paper_flight.tlog, *PAPER, "--method", method, "--json", "-")
     result = read_strict(out)
@@ -202,13 +201,6 @@ def test_methods_for_study(analyze, paper_flight, method):
     else:  # drawn to zero, and not claimed
         assert abs(izz["value"]) < 0.5 * paper_flight.truth["Izz"]
         assert izz["status"] != "identified"
-
-
-@pytest.mark.slow
-def test_start_and_end(analyze, paper_flight):
-    argv = (paper_flight.tlog, *PAPER, "--start", "20", "--end", "40", "--json", "-")
-    result = read_strict(analyze(*argv)[1])
-    assert 10.0 < result["telemetry"]["used_seconds"] <= 20.0
 
 
 def program(*argv):

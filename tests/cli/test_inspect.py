@@ -164,7 +164,15 @@ SHARED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "expected"), SHARED.items(), ids=SHARED.keys())
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        pytest.param(
+            *item, marks=[pytest.mark.thorough] if item[0].startswith("px4") else [], id=item[0]
+        )
+        for item in SHARED.items()
+    ],
+)
 def test_real_logs(inspect, name, expected, shared_logs):
     status, out, _ = inspect(shared_logs / name, "--json")
     assert status == 0

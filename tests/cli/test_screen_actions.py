@@ -12,12 +12,11 @@ from gcs_sysid.exports.exported_vehicle import MissingError
 from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus
-from gcs_sysid.session.analysis import analyze_log
 
 
-@pytest.fixture(scope="module")
-def result(paper_flight):
-    return analyze_log(paper_flight.tlog, load_airframe("paper"))
+@pytest.fixture
+def result(paper_result):
+    return paper_result
 
 
 @pytest.fixture

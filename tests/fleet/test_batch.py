@@ -80,10 +80,17 @@ def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
 
 
 @pytest.mark.slow
-def test_other_settings_are_other_results(batch, flights, tmp_path):
+def test_damaged_results_are_made_again_and_other_settings_are_others(batch, flights, tmp_path):
     out = tmp_path / "out"
     batch(flights[0], "-o", out, *PAPER)
-    (first,) = documents(out)
+    (path,) = (out / "results").iterdir()
+    whole = path.read_text()
+    path.write_text(whole[:100])
+    status, err = batch(flights[0], "-o", out, *PAPER)
+    assert status == 0
+    assert "done before" not in err
+    assert path.read_text() == whole
+    first = path.name
     batch(flights[0], "-o", out, *PAPER, "--mass", "3")
     both = documents(out)
     assert first in both
@@ -96,24 +103,17 @@ def test_other_settings_are_other_results(batch, flights, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_damaged_result_is_made_again(batch, flights, tmp_path):
-    out = tmp_path / "out"
-    batch(flights[0], "-o", out, *PAPER)
-    (path,) = (out / "results").iterdir()
-    whole = path.read_text()
-    path.write_text(whole[:100])
-    status, err = batch(flights[0], "-o", out, *PAPER)
-    assert status == 0
-    assert "done before" not in err
-    assert path.read_text() == whole
-
-
-@pytest.mark.slow
-def test_every_log_takes_the_nearest_airframe(batch, logs, airframe_file, tmp_path):
+def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
+    batch, logs, airframe_file, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     airframe_file(logs / "one" / "airframe.toml", "quad-1")
     airframe_file(logs / "airframe.toml", "others", mass=2.0)
-    status, _ = batch(logs, "-o", tmp_path / "out", "--workers", "1")
+    status, err = batch(logs, "-o", tmp_path / "out", "--workers", "1")
     assert status == 0
+    lines = re.split(r"\r *\r", err)
+    assert any(line.startswith("1 of 5 logs: 1 ") and line.endswith(" left") for line in lines)
+    assert lines[-1].startswith("gcs-sysid: 5 of 5 logs: 4 identified, 1 failed")
     found = {
         Path(row["path"]).parent.name: (row["vehicle"], row["scale"]["value"])
         for row in read_table(tmp_path / "out" / "fleet.parquet")
@@ -177,15 +177,6 @@ def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     assert "pip install pyarrow" in err
 
 
-@pytest.mark.slow
-def test_a_terminal_sees_how_far_it_is(batch, logs, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    _, err = batch(logs, "-o", tmp_path / "out", *PAPER)
-    lines = re.split(r"\r *\r", err)
-    assert any(line.startswith("1 of 5 logs: 1 ") and line.endswith(" left") for line in lines)
-    assert lines[-1].startswith("gcs-sysid: 5 of 5 logs: 4 identified, 1 failed")
-
-
 class DeadlyAirframe(Airframe):
     """Ends the process that its job comes to."""
 
@@ -226,11 +217,11 @@ def start(logs, out):
 
 @pytest.fixture
 def many(flights, tmp_path):
-    """Nine logs of different content: a flight, and so many of its last bytes less."""
+    """Six logs of different content: a flight, and so many of its last bytes less."""
     folder = tmp_path / "many"
     folder.mkdir()
     whole = flights[0].read_bytes()
-    for n in range(9):
+    for n in range(6):
         (folder / f"{n:02d}.tlog").write_bytes(whole[: len(whole) - 400 * n])
     return folder
 
@@ -252,17 +243,17 @@ def wait_for_results(process, out, count):
 def test_killed_in_the_middle_and_started_again(many, tmp_path):
     out = tmp_path / "out"
     with start(many, out) as process:
-        wait_for_results(process, out, 3)
+        wait_for_results(process, out, 2)
         process.kill()
         process.communicate(timeout=60)
     before = times(out)
-    assert 3 <= len(before) < 9
+    assert 2 <= len(before) < 6
     assert not (out / "fleet.parquet").exists()
     with start(many, out) as process:
         _, err = process.communicate(timeout=300)
     assert process.returncode == 0
     whole = {name: time for name, time in before.items() if name.endswith(".json")}
-    assert f"9 of 9 logs ({len(whole)} done before)" in err
+    assert f"6 of 6 logs ({len(whole)} done before)" in err
     after = times(out)
     assert whole.items() <= after.items()
     table = read_table(out / "fleet.parquet")
@@ -280,7 +271,7 @@ def test_interrupted_keeps_what_is_done(many, tmp_path):
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     done = read_table(out / "fleet.parquet")
-    assert 2 <= len(done) < 9
+    assert 2 <= len(done) < 6
     assert len(done) == len(times(out))
-    assert f"interrupted; run the same command again for the other {9 - len(done)}" in err
+    assert f"interrupted; run the same command again for the other {6 - len(done)}" in err
     assert "Traceback" not in err

@@ -20,7 +20,6 @@ from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -86,7 +85,9 @@ def is_running(pid):
 
 
 @pytest.mark.slow
-def test_a_session_and_its_recording_give_the_same_numbers(receiver, paper_flight, tmp_path):
+def test_a_session_gives_the_numbers_of_its_recording(
+    receiver, paper_flight, paper_result, tmp_path
+):
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
     source, sent = receiver(record_to=path, listen_only=True), threading.Event()
     session = LiveSession(source, airframe, LISTEN, path, sender_gone=sent.is_set)
@@ -96,7 +97,7 @@ def test_a_session_and_its_recording_give_the_same_numbers(receiver, paper_fligh
     assert session.join(LONGEST)
     assert session.problem is None
     assert raws_of(path) == raws_of(paper_flight.tlog)
-    assert_same_numbers(session.final, analyze_log(path, airframe))
+    assert_same_numbers(session.final, paper_result)
     assert session.latest().link.state is LinkState.ENDED
     assert session.recordings() == [f"recorded to {path}"]
     told = session.final.telemetry["receiver"]
@@ -105,7 +106,7 @@ def test_a_session_and_its_recording_give_the_same_numbers(receiver, paper_fligh
 
 @pytest.mark.slow
 def test_a_busy_session_loses_nothing_says_so_and_catches_up(
-    receiver, paper_flight, tmp_path, monkeypatch
+    receiver, paper_flight, paper_result, tmp_path, monkeypatch
 ):
     """It learns when it can: the result is that of the recording, whatever was put off."""
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
@@ -130,7 +131,7 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     sent.set()
     assert session.join(LONGEST)
     assert raws_of(path) == raws_of(paper_flight.tlog)
-    assert_same_numbers(session.final, analyze_log(path, airframe))
+    assert_same_numbers(session.final, paper_result)
     receiver_told = session.final.telemetry["receiver"]
     assert receiver_told["longest_wait"] > 1.0
     assert receiver_told["too_slow_seconds"] > 0.0
@@ -220,7 +221,7 @@ _SESSION = textwrap.dedent(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGSTOP"])
+@pytest.mark.parametrize("how", ["SIGKILL", pytest.param("SIGSTOP", marks=pytest.mark.thorough)])
 def test_a_session_that_dies_leaves_a_whole_recording_and_the_vehicle_as_it_was(
     how, paper_flight, tmp_path
 ):

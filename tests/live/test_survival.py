@@ -13,7 +13,6 @@ import pytest
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.changes import tracking
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.live_estimate import Duty, LiveOptions
 from gcs_sysid.live.live_session import LiveSession
@@ -140,7 +139,6 @@ def scraps(rng, n):
     return whole[: rng.randrange(1, len(whole))]
 
 
-FLOODS = [senders, types, parameters, texts, stamps, crowded, rotors, landings, garbage, scraps]
 # Some cost more to take, and more to make.
 COUNTS = {"senders": 66_000, "parameters": 6000}
 
@@ -181,7 +179,13 @@ def flood(session, link, make, count, rng):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
-    [pytest.param(senders, marks=pytest.mark.thorough), *FLOODS[1:]],
+    [
+        *(
+            pytest.param(make, marks=pytest.mark.thorough)
+            for make in (senders, types, crowded, landings, garbage)
+        ),
+        *(parameters, texts, stamps, rotors, scraps),
+    ],
     ids=lambda make: make.__name__,
 )
 def test_memory_stays_flat_whatever_comes(session, make):
@@ -219,19 +223,6 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
     session._turn(session._source.next_items(0.0), time.monotonic())
     assert session.toggle_recording().endswith("stopped")
     session._source.close()
-
-
-def test_changes_are_kept_up_to_a_number():
-    tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.EstimatorTuning())
-    for n in range(3 * tracking.TRACKING.most_passing):
-        ended = n if n % 50 == 0 else None
-        tracker._add(tracking.TrackingEvent(float(n), float(n), None, None, ended))
-    passing = [event.onset for event in tracker.events if event.segment is None]
-    assert len(passing) == tracking.TRACKING.most_passing
-    assert passing[-1] == 3 * tracking.TRACKING.most_passing - 1
-    assert [event.onset for event in tracker.events] == sorted(e.onset for e in tracker.events)
-    assert sum(event.segment is not None for event in tracker.events) == 12
-    assert tracker.forgotten + len(tracker.events) == 3 * tracking.TRACKING.most_passing
 
 
 def recorded(path):

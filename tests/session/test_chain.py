@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results import history as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.sampling import SampleBlock
@@ -37,8 +34,13 @@ def rounded(result):
 
 
 @pytest.fixture(scope="module")
-def whole(paper_records):
-    return run(paper_records)[1]
+def flown(paper_records):
+    return run(paper_records)
+
+
+@pytest.fixture(scope="module")
+def whole(flown):
+    return flown[1]
 
 
 @pytest.mark.slow
@@ -55,7 +57,7 @@ def test_it_identifies_the_flight(whole, paper_flight):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tick", [0.001, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("tick", [0.001, 1.0])
 def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
     _, other = run(paper_records, replace(END_ONLY, tick=tick))
     for name, estimate in whole.parameters.items():
@@ -65,7 +67,8 @@ def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
 
 
 @pytest.mark.slow
-def test_course_does_not_move_the_final_result(paper_records, whole):
+def test_course_does_not_move_the_final_result(paper_records, flown, whole):
+    assert flown[0].history.t.size == 0
     chain, result = run(paper_records, ChainOptions(history_interval=0.5))
     assert values(result) == rounded(whole)
     history = chain.history
@@ -77,17 +80,6 @@ def test_course_does_not_move_the_final_result(paper_records, whole):
     # The last point is the quick fit of nearly all data: well within its own interval.
     last = history.value["Ixx"][-1]
     assert last == pytest.approx(whole.parameters["Ixx"].value, abs=whole.parameters["Ixx"].std)
-    assert run(paper_records)[0].history.t.size == 0
-
-
-@pytest.mark.slow
-def test_start_and_end_cut_the_records(paper_records):
-    first = paper_records[0].t
-    cut = [r for r in paper_records if 20.0 <= r.t - first <= 50.0]
-    _, asked = run(paper_records, replace(END_ONLY, start=20.0, end=50.0))
-    _, given = run(cut)
-    assert 20.0 < asked.telemetry["used_seconds"] <= 30.0
-    assert values(asked) == rounded(given)
 
 
 def without(records, *streams):
@@ -113,22 +105,6 @@ def test_without_attitude_the_accelerometer_gives_the_scale(paper_records, whole
     _, result = run(without(paper_records, Stream.ATTITUDE))
     assert result.parameters["linear_drag"].value is None
     assert result.parameters["k_T"].std > whole.parameters["k_T"].std
-    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
-
-
-def test_no_records_at_all():
-    chain = Chain(load_airframe("paper"))
-    result = chain.finish()
-    assert result.verdict == "refused"
-    assert result.reasons
-    assert chain.sampler.attitude is None
-    result.dumps()
-
-
-@pytest.mark.slow
-def test_velocity_is_not_needed(paper_records):
-    _, result = run(without(paper_records, Stream.VELOCITY))
-    assert result.parameters["linear_drag"].value is None
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
 
 
@@ -165,32 +141,16 @@ def test_less_than_three_seconds_claim_nothing(paper_records):
 
 
 @pytest.mark.slow
-def test_reset_forgets_and_goes_on(paper_records):
-    chain = Chain(load_airframe("paper"))
-    half = len(paper_records) // 2
-    feed(chain, paper_records[:half])
-    assert chain.used_seconds > 20.0
-    chain.reset()
-    assert chain.used_seconds == 0.0
-    assert chain.history.t.size == 0
-    assert chain.events[-1].text == "estimate reset"
-    assert "Ixx" not in values(chain.result())
-    feed(chain, paper_records[half:])
-    result = chain.finish()
-    assert 20.0 < result.telemetry["used_seconds"] < 35.0
-    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("boot", [0.0, 1000.0])
-def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
-    """The vehicle's clock starts again, below or above where the log began."""
+def test_a_reboot_in_the_middle_costs_little(paper_records):
+    """The vehicle's clock starts again, below where the log began."""
     first = paper_records[0].t
     half = len(paper_records) // 2
     second = [r._replace(t=r.t - paper_records[half].t + 0.5) for r in paper_records[half:]]
-    before = [r._replace(t=r.t - first + boot) for r in paper_records[:half]]
+    before = [r._replace(t=r.t - first + 1000.0) for r in paper_records[:half]]
     chain, result = run([*before, *second])
     assert result.telemetry["restarts"] == 1
+    assert result.segments == ()
+    assert result.parameters["mass"].status == "given"
     # 64 samples to learn the step again, and two windows.
     assert result.telemetry["used_seconds"] > 55.0
     assert chain.t == pytest.approx(paper_records[-1].t - first, abs=4.0)
@@ -201,12 +161,11 @@ def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1.0, 1.2])
-def test_who_reboots_has_landed_and_may_have_been_changed(paper_records, ratio):
+def test_who_reboots_has_landed_and_may_have_been_changed(paper_records):
     """Though nothing of the ground was recorded: a payload would be a disturbance, or missed."""
     half = len(paper_records) // 2
     back = paper_records[half].t - 0.5
-    faster = np.sqrt(ratio)  # what a mass and an inertia larger by the ratio take
+    faster = np.sqrt(1.2)  # what a mass and an inertia larger by a fifth take
     second = [
         r._replace(t=r.t - back, values=tuple(np.multiply(r.values, faster)))
         if r.stream is Stream.ROTOR_SPEED
@@ -214,10 +173,10 @@ def test_who_reboots_has_landed_and_may_have_been_changed(paper_records, ratio):
         for r in paper_records[half:]
     ]
     _, result = run([*paper_records[:half], *second])
-    assert [event["channel"] for event in result.events] == ["landing"] * (ratio != 1.0)
+    assert [event["channel"] for event in result.events] == ["landing"]
     mass = result.parameters["mass"]
-    assert mass.value == pytest.approx(ratio * 1.5, rel=0.005)
-    assert (mass.status == "given") == (ratio == 1.0)
+    assert mass.value == pytest.approx(1.2 * 1.5, rel=0.005)
+    assert mass.status != "given"
 
 
 @pytest.mark.slow
@@ -232,14 +191,6 @@ def test_a_gap_is_bridged(paper_records, whole):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("smoother", ["window", "td"])
-def test_both_smoothers_identify(paper_records, paper_flight, smoother):
-    _, result = run(paper_records, replace(END_ONLY, tuning=EstimatorTuning(smoother=smoother)))
-    for name in ("Ixx", "Iyy", "Izz", "k_M"):
-        assert result.parameters[name].value == pytest.approx(paper_flight.truth[name], rel=0.06)
-
-
-@pytest.mark.slow
 def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
     k_T = whole.parameters["k_T"].value
     _, result = run(paper_records, airframe=load_airframe("paper").with_anchor("k_T", k_T))
@@ -251,51 +202,6 @@ def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
 def test_an_airframe_without_scale_is_refused():
     with pytest.raises(ValueError, match="no scale reference"):
         Chain(load_airframe("px4-quad-x"))
-
-
-@pytest.mark.slow
-def test_course_and_events_are_bounded(paper_records, monkeypatch):
-    monkeypatch.setattr(course_module, "MAX_POINTS", 32)
-    chain, _ = run(paper_records, ChainOptions(history_interval=0.5))
-    history = chain.history
-    assert 16 <= len(history.t) <= 32
-    assert np.all(np.diff(history.t) > 0.0)
-    assert history.t[-1] > 55.0  # it still covers the whole flight
-    assert history.t[0] < 10.0
-    for k in range(2000):
-        chain.note(f"mark {k}")
-    assert len(chain.events) <= 500
-    assert chain.events[-1].text == "mark 1999"
-
-
-def test_a_course_given_out_does_not_change(monkeypatch):
-    monkeypatch.setattr(course_module, "MAX_POINTS", 8)
-    recorder = course_module.HistoryRecorder()
-    shown = []
-    for k in range(20):
-        recorder.append(float(k), {"mass": Estimate(1.0 + k, 0.1, status="identified")})
-        shown.append((recorder.history(), recorder.history().t.copy()))
-    recorder.clear()
-    recorder.append(99.0, {})
-    for history, times in shown:
-        assert np.array_equal(history.t, times)
-        assert np.array_equal(history.value["mass"], 1.0 + times)
-        with pytest.raises(ValueError, match="read-only"):
-            history.value["mass"][0] = 0.0
-
-
-@pytest.mark.slow
-def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
-    split = []
-    for r in paper_records:
-        if r.stream is Stream.ROTOR_SPEED:
-            split += [
-                Record(r.stream, r.t, r.values[:2], 0),
-                Record(r.stream, r.t, r.values[2:4], 2),
-            ]
-        else:
-            split.append(r)
-    assert values(run(split)[1]) == rounded(whole)
 
 
 @pytest.mark.slow
@@ -345,11 +251,11 @@ def test_an_estimate_from_a_dead_reading_is_discarded(never_moved):
 
 
 @pytest.mark.slow
-def test_a_refused_result_identifies_nothing(paper_records):
+def test_a_refused_result_identifies_nothing(flown, monkeypatch):
     """As where a flight is long enough for thrust over mass, and not for the rotation."""
-    chain, whole = run(paper_records)
+    chain, whole = flown
     assert whole.parameters["k_T"].status == "identified"
-    chain.fit = replace(chain.fit, rotation=None)
+    monkeypatch.setattr(chain, "fit", replace(chain.fit, rotation=None))
     result = chain.result()
     assert result.verdict == "refused"
     assert result.parameters["k_T"].value == pytest.approx(whole.parameters["k_T"].value)

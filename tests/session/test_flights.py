@@ -1,6 +1,5 @@
 """Emulated flights through telemetry and chain: how good the numbers are, and the verdicts."""
 
-import dataclasses
 import shutil
 
 import numpy as np
@@ -19,11 +18,6 @@ AS_THE_ARTICLE = ("--noise", "paper", "--sigma", "0.02", "--rate", "20")
 @pytest.fixture(scope="module")
 def airframe():
     return load_airframe("paper")
-
-
-@pytest.fixture(scope="module")
-def paper_result(paper_flight, airframe):
-    return analyze_log(paper_flight.tlog, airframe)
 
 
 def errors(result, truth):
@@ -84,18 +78,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
 
 
 @pytest.mark.slow
-def test_progress_rises_to_one(paper_flight, airframe):
-    shares = []
-    analyze_log(paper_flight.tlog, airframe, progress=shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-    assert len(shares) > 1
-
-
-@pytest.mark.slow
-def test_another_vehicle_may_be_asked_for(paper_flight, paper_result, airframe):
-    same = analyze_log(paper_flight.tlog, airframe, wanted=(1, 1))
-    assert same.parameters == paper_result.parameters
+def test_another_vehicle_may_be_asked_for(paper_flight, airframe):
     other = analyze_log(paper_flight.tlog, airframe, wanted=(7, None))
     assert other.verdict == "refused"
     assert other.vehicle == {}
@@ -110,18 +93,15 @@ def test_a_cut_and_damaged_recording_still_serves(paper_flight, paper_result, ai
     data = bytearray(path.read_bytes())
     data[200_000:200_500] = b"\xfd" * 500
     path.write_bytes(data[:-7])
-    result = analyze_log(path, airframe)
+    shares = []
+    result = analyze_log(path, airframe, wanted=(1, 1), progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert len(shares) > 1
     assert result.telemetry["garbage_bytes"] > 0
     assert result.verdict == "identified"
     whole = paper_result.parameters["Izz"]
     assert result.parameters["Izz"].value == pytest.approx(whole.value, abs=whole.std)
-
-
-def test_results_are_values(paper_result):
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        paper_result.verdict = "refused"
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        paper_result.parameters["Ixx"].value = 1.0
 
 
 def test_a_flight_is_validated_in_its_result(paper_result):
@@ -213,8 +193,8 @@ def test_another_vehicle_after_a_landing_is_a_segment(changed, paper_records, pa
     assert "differs since the landing" in chain.events[-1].text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("second", [pytest.param(None, marks=pytest.mark.thorough), heavier])
+@pytest.mark.thorough
+@pytest.mark.parametrize("second", [None, heavier])
 def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, joined, changed, second):
     _, one = changed if second else joined
     _, other = follow(after_a_landing(paper_records, second=second), tick=0.7)

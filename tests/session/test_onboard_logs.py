@@ -77,14 +77,14 @@ def as_dataflash(log, records):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ulg", "bin"])
 def test_an_onboard_log_gives_what_the_tlog_gives(
-    kind, paper_flight, paper_records, airframe, ulog_file, dataflash_file, tmp_path
+    kind, paper_result, paper_records, airframe, ulog_file, dataflash_file, tmp_path
 ):
     path = tmp_path / f"flight.{kind}"
     if kind == "ulg":
         path.write_bytes(as_ulog(ulog_file, paper_records))
     else:
         path.write_bytes(as_dataflash(dataflash_file, paper_records))
-    expected = analyze_log(paper_flight.tlog, airframe)
+    expected = paper_result
     shares = []
     result = analyze_log(path, airframe, progress=shares.append)
     assert result.verdict == expected.verdict == "identified"

@@ -31,22 +31,22 @@ PRODUCTS = {"Ixy": 1e-4, "Iyz": 1e-4, "Ixz": 1e-4}
 CASES = [
     ("px4-sih-default.tlog", "command", {**SIH, "T_max": 0.02}, {**PRODUCTS, "thrust_curve": 0.1}),
     ("px4-esc-cg.tlog", "speed", {**SIH, "k_T": 0.01}, {**PRODUCTS, "cg_x": 5e-4, "cg_y": 5e-4}),
-    *(
-        (
-            f"ardupilot-sitl.{kind}",
-            "speed",
-            {"Ixx": 0.02, "Iyy": 0.02, "k_T": 0.01},
-            {"cg_x": 5e-4, "cg_y": 5e-4},
-        )
-        for kind in ("tlog", "bin")
+    (
+        "ardupilot-sitl.tlog",
+        "speed",
+        {"Ixx": 0.02, "Iyy": 0.02, "k_T": 0.01},
+        {"cg_x": 5e-4, "cg_y": 5e-4},
     ),
 ]
 
 
-THE_SAME_ON_BOARD = pytest.param("px4-sih-default.ulg", *CASES[0][1:], marks=pytest.mark.thorough)
+THE_SAME_ON_BOARD = (
+    pytest.param("px4-sih-default.ulg", *CASES[0][1:], marks=pytest.mark.thorough),
+    pytest.param("ardupilot-sitl.bin", *CASES[2][1:], marks=pytest.mark.thorough),
+)
 
 
-@pytest.mark.parametrize(("log", "kind", "relative", "absolute"), [*CASES, THE_SAME_ON_BOARD])
+@pytest.mark.parametrize(("log", "kind", "relative", "absolute"), [*CASES, *THE_SAME_ON_BOARD])
 def test_recorded_flights_reach_the_bars(log, kind, relative, absolute):
     result, truth = analyzed(log), truth_of(LOGS / log)
     assert result.rotor_input == kind
@@ -61,10 +61,8 @@ def test_recorded_flights_reach_the_bars(log, kind, relative, absolute):
         assert result.timing["motor_lag"].value == pytest.approx(truth["motor_lag"], abs=0.004)
 
 
-@pytest.mark.parametrize(
-    "log",
-    ["px4-esc-cg.tlog", pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough)],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("log", ["px4-esc-cg.tlog", "px4-sih-default.tlog"])
 def test_a_known_thrust_gives_the_mass(log):
     result = analyzed(log, "k_T" if "esc" in log else "T_max")
     assert result.parameters["mass"].value == pytest.approx(truth_of(LOGS / log)["mass"], rel=0.02)
@@ -102,7 +100,9 @@ def test_slow_logs_are_refused_with_reasons():
     assert any("too slow to follow the rotors" in reason for reason in result.reasons)
 
 
-@pytest.mark.parametrize("log", ["px4-sih-default.tlog", "px4-esc-cg.tlog"])
+@pytest.mark.parametrize(
+    "log", ["px4-sih-default.tlog", pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough)]
+)
 def test_a_slow_and_lossy_link_still_tells_the_inertia(log, tmp_path):
     """50 Hz with 5 % of the messages lost: commands between samples are not known."""
     path = LOGS / log
@@ -153,9 +153,9 @@ def test_a_second_flight_on_commands_goes_on(name):
     ("name", "airframe"),
     [
         ("real/LOG00264", "real/cinerat"),  # a landing in the log
-        ("real/LOG00281", "real/cinerat"),  # full throttle
+        pytest.param("real/LOG00281", "real/cinerat", marks=pytest.mark.thorough),  # full throttle
         ("foreign/aclimb_0", "foreign/aclimb_0"),  # a climb of 2 m
-        ("foreign/rp1_4", "foreign/rp1_4"),  # aerodynamics
+        pytest.param("foreign/rp1_4", "foreign/rp1_4", marks=pytest.mark.thorough),  # aerodynamics
     ],
 )
 def test_what_changes_no_vehicle_cuts_no_flight(name, airframe):

@@ -6,7 +6,7 @@ import gcs_sysid
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", ["0", "1"])
+@pytest.mark.parametrize("seed", ["0", pytest.param("1", marks=pytest.mark.thorough)])
 def test_what_slow_samples_miss_of_doublets_is_in_the_intervals(fly, seed):
     flight = fly(
         *("--airframe", "px4-quad-x", "--rate", "25", "--mission", "doublets"),
