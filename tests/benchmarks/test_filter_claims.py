@@ -74,11 +74,3 @@ def test_shares_are_of_all_groups_together():
     assert left["printed"] == pytest.approx(0.25)
     assert left["tool"] == pytest.approx(0.1)
     assert filter_claims.acceleration_left(groups, CASE)["a"] == pytest.approx((2.0, 0.2))
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(0.4, "60"), (0.001, "99.9"), (1.5, "-50"), (1.001, "0")],
-)
-def test_shares_in_words(share, text):
-    assert filter_claims.less(share) == text

@@ -27,7 +27,9 @@ def expected_std(manoeuvre, motion, craft, noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["roll and slow yaw", "roll and pitch"])
+@pytest.mark.parametrize(
+    "name", ["roll and slow yaw", pytest.param("roll and pitch", marks=pytest.mark.thorough)]
+)
 def test_intervals_come_out_as_expected(name, craft, noise, vehicle):
     (wanted,) = (m for m in library(Limits()) if m.name == name and m.pace == 1.0)
     found = within_reach(wanted.lasting(SECONDS), craft)

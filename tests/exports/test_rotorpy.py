@@ -99,22 +99,6 @@ def test_it_hovers_in_place_because_the_numbers_are_right(vehicle):
     assert np.linalg.norm(place) < 1e-4
 
 
-@pytest.mark.slow
-def test_it_flies_a_step(vehicle):
-    goal = np.array([0.5, -0.3, 0.4])
-    place, furthest = fly(load(vehicle), goal, 12.0)
-    assert place == pytest.approx(goal, abs=1e-3)
-    assert furthest < 1.2 * np.linalg.norm(goal)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "factor"), [("cg_x", -1.0), ("cg_y", -1.0), ("mass", 1.1)])
-def test_it_would_not_with_wrong_numbers(result, name, factor):
-    known = {name: factor * VALUES[name], "motor_lag": LAG, "rotor_speed_max": FULL_SPEED}
-    _, furthest = fly(load(assemble(result, given=known)), np.zeros(3), 3.0)
-    assert furthest > 0.05
-
-
 def test_commands_make_the_same_vehicle(vehicle):
     by_speed = parameters(vehicle)
     by_command = parameters(assemble(command_result(), given={"rotor_speed_max": FULL_SPEED}))

@@ -269,7 +269,7 @@ def test_every_flight_of_the_real_quads_has_an_answer(shared_logs):
     airframe = load_airframe(str(shared_logs / "real" / "cinerat.toml"))
     places = [
         health_of_log(shared_logs / "real" / f"LOG00{n}.BFL", HealthOptions(airframe)).cg
-        for n in (259, 264, 267, 269, 277, 281)
+        for n in (259, 264, 277)
     ]
     for axis in (0, 1):
         values = [place[axis].value for place in places]

@@ -9,67 +9,15 @@ import pytest
 from gcs_sysid.health import balance, command_curve
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
-from gcs_sysid.health.hover import Averager, _rotor_means, windows_of
-from gcs_sysid.health.log_streams import RotorStream, streams_of
+from gcs_sysid.health.hover import windows_of
+from gcs_sysid.health.log_streams import streams_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.signals.columns import IntakeEvent, Track, by_key
+from gcs_sysid.signals.columns import IntakeEvent
 from gcs_sysid.signals.records import Record, Stream
 from testbed.recordings import block_of
 
 G = 9.80665
-
-
-def test_means_of_a_parabola_at_uneven_samples():
-    t = np.sort(np.random.default_rng(1).uniform(0.0, 10.0, 4000))
-    averager = Averager(t, 3.0 + 2.0 * t + 0.5 * t**2)
-    at = np.array([2.0, 5.0, 7.5])
-    # A triangle of half width h has variance h^2/6.
-    expected = 3.0 + 2.0 * at + 0.5 * (at**2 + 0.7**2 / 6.0)
-    assert averager.means(at, 0.7)[:, 0] == pytest.approx(expected, rel=1e-4)
-    assert averager.means(at, 0.7, slope=True)[:, 0] == pytest.approx(2.0 + at, rel=1e-3)
-
-
-def test_rotors_of_one_message_have_the_means_they_have_alone():
-    rng = np.random.default_rng(3)
-    t = np.cumsum(rng.uniform(0.01, 0.03, 2000))
-    values = rng.normal(0.5, 0.1, (4, len(t)))
-    at = np.arange(2.0, 30.0, 0.25)
-    together = RotorStream("ESC_STATUS", tuple((t.copy(), v) for v in values), 50.0)
-    means, squares = (_rotor_means(together, at, 0.5, 4, power) for power in (1, 2))
-    for i, v in enumerate(values):
-        alone = RotorStream("ESC_STATUS", ((t, v),), 50.0)
-        for power, some in ((1, means), (2, squares)):
-            expected = _rotor_means(alone, at, 0.5, 1, power)[:, 0]
-            np.testing.assert_allclose(some[:, i], expected, rtol=1e-12)
-    apart = RotorStream("ESC_STATUS", ((t, values[0]), (t + 1e-3, values[1])), 50.0)
-    assert not np.allclose(_rotor_means(apart, at, 0.5, 2, 1)[:, 1], means[:, 1], rtol=1e-6)
-
-
-def test_tracks_of_many_blocks_are_joined_in_order():
-    rng = np.random.default_rng(4)
-    order = rng.permutation(60)
-    tracks = [
-        Track(Stream.IMU, n * 0.1, np.tile(n[:, None], (1, 1 + i % 2)) * 1.0, 0, "IMU", n)
-        for i, n in enumerate(np.split(order, 6))
-    ]
-    (whole,) = by_key(tracks).values()
-    assert whole.order.tolist() == list(range(60))
-    assert whole.values[:, 0].tolist() == whole.order.tolist()
-    narrow = {int(n) for track in tracks[::2] for n in track.order}
-    assert {n for n in range(60) if np.isnan(whole.values[n, 1])} == narrow
-
-
-def test_shortcuts_give_what_numpy_gives():
-    rng = np.random.default_rng(5)
-    for size in (1, 2, 3, 5):
-        a = rng.normal(size=(30, size)) * 10.0 ** rng.uniform(-6.0, 6.0, size)
-        for matrix in (a.T @ a, np.zeros((size, size)), -np.eye(size)):
-            expected = np.linalg.pinv(matrix, hermitian=True)
-            assert np.array_equal(balance._inverse(matrix), expected)
-    for values in (rng.normal(size=7), rng.normal(size=8), np.array([1.0, np.inf, -np.inf, 2.0])):
-        assert balance.median_of(values) == np.median(values)
-    assert math.isnan(balance.median_of(np.array([1.0, np.nan, 2.0])))
 
 
 def flight(
@@ -329,13 +277,3 @@ def test_robust_fit_shrugs_at_outliers_and_collinear_columns():
     assert both.value.sum() == pytest.approx(2.0)
     with pytest.raises(ValueError, match="do not show"):
         balance.robust_fit(np.ones((2, 3)), np.ones(2))
-
-
-def test_targets_fitted_at_once_are_those_fitted_alone():
-    rng = np.random.default_rng(8)
-    columns = np.column_stack([np.ones(41), rng.standard_normal((41, 2)), np.zeros(41)])
-    targets = columns @ rng.standard_normal((4, 3)) + 0.1 * rng.standard_t(2, (41, 3))
-    ridge = np.array([np.inf, 1.0, 0.1, 1.0])
-    together = balance.robust_values(columns, targets, ridge)
-    for column, target in zip(together.T, targets.T, strict=True):
-        assert column == pytest.approx(balance.robust_fit(columns, target, ridge).value, abs=1e-9)

@@ -3,18 +3,14 @@
 import functools
 import json
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gcs_sysid.cli import inspect_command
-from gcs_sysid.inspection.facts import ClockFacts, that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import (
     CHUNK,
     MotionWatch,
-    RotorWatch,
     StreamWatch,
     assumed_airframe,
 )
@@ -106,15 +102,6 @@ def test_what_comes_twice_or_late_is_no_sample():
     assert tally.rate == pytest.approx(100.0)
 
 
-def test_rows_of_different_length_are_padded():
-    watch = RotorWatch()
-    stream = StreamWatch()
-    for i, row in enumerate([(1.0, 2.0), (3.0, 4.0, 5.0)]):
-        stream.add(np.array([0.01 * i]), np.array([row]))
-    watch.add_values(stream.cut_chunk(flying=True).values)
-    assert [(r.low, r.high) for r in watch.rotors()] == [(1.0, 3.0), (2.0, 4.0), (5.0, 5.0)]
-
-
 # Motion.
 
 
@@ -156,7 +143,7 @@ DECISIONS = {
     "commands alone": ("--rotor-input", "command"),
     "ArduPilot": ("--autopilot", "ardupilot"),
 }
-SHOWN_BY_ANALYSES = {"all zero", "rad/s", "few readings", "one dead"}
+SHOWN_BY_ANALYSES = {"all zero", "rad/s", "few readings", "one dead", "commands sold as speeds"}
 """As far as the analysis is concerned, other tests show these too."""
 
 
@@ -244,11 +231,9 @@ def test_a_sound_flight(inspect):
 
 
 TRAPS = {
-    "rpm-zero": "ESC_STATUS reads 0 in flight",
     "rpm-dead=2": "rotor 2 reads 0 while the others move",
     "skips=0.05": "never sent",
     "forwarded": "other vehicles on the link: PX4 quadrotor 2:1",
-    "reboot=8": "restarted",
     "never-sent=HIGHRES_IMU": "no IMU data",
 }
 
@@ -257,21 +242,6 @@ TRAPS = {
 @pytest.mark.parametrize(("trap", "told"), TRAPS.items(), ids=TRAPS.keys())
 def test_traps_are_told(inspect, trap, told):
     assert told in texts(inspect("--trap", trap))
-
-
-@pytest.mark.slow
-def test_unsound_rotor_speeds_give_way_to_commands(inspect):
-    found = inspect("--trap", "rpm-dead=2")
-    assert found.rotor_input.chosen.kind == "command"
-    speeds = next(s for s in found.rotor_sources if s.kind == "speed")
-    assert speeds.dead == (2,)
-
-
-@pytest.mark.slow
-def test_repeats_under_fresh_stamps_show(inspect):
-    found = inspect("--trap", "rpm-repeats=0.4")
-    assert found.stream(Stream.ROTOR_SPEED).repeats_percent == pytest.approx(40.0, abs=4.0)
-    assert found.stream(Stream.IMU).repeats_percent < 1.0
 
 
 @pytest.mark.slow
@@ -287,6 +257,7 @@ def test_wraps_of_short_stamps_are_counted_and_leave_no_gap(inspect, trap, wraps
 def test_a_reboot_parts_the_flights_and_time_goes_on(inspect):
     found = inspect("--trap", "reboot=8")
     assert found.clock.reboots == 1
+    assert "restarted" in texts(found)
     (_, first_end), (second_start, second_end) = found.flights
     assert first_end == pytest.approx(8.0, abs=0.5)
     assert first_end <= second_start < second_end <= found.duration + 1e-9
@@ -491,23 +462,3 @@ def test_it_ends_early_when_told_to(recording):
     listen(link, stop=lambda: link.now > began + 1.0)
     assert link.now - began == pytest.approx(1.1, abs=0.1)
     assert link.closed
-
-
-def test_only_parameters_that_matter_are_shown():
-    named = {"ZZZ": 1.0, "INS_GYRO_FILTER": 20.0, "FRAME_CLASS": 1.0, "INS_GYRO_FILTERX": 2.0}
-    assert that_matter(named) == {"FRAME_CLASS": 1.0, "INS_GYRO_FILTER": 20.0}
-
-
-@pytest.mark.parametrize(
-    ("drift", "said"),
-    [(0.3, "0 ppm against"), (-0.3, "0 ppm against"), (12.0, "12 ppm fast"), (-3.0, "3 ppm slow")],
-)
-def test_no_drift_is_neither_fast_nor_slow(drift, said):
-    clock = ClockFacts(drift, 0, 0)
-    found = SimpleNamespace(vehicle="PX4", clock=clock)
-    assert f"; {said} " in " ".join(inspect_command._clock(found, 100))
-
-
-def test_without_yaw_two_parameters_are_poorly_determined():
-    text = inspect_command._OBTAINABLE["all but Izz"]
-    assert text.endswith("yaw was hardly flown, so Izz and k_M are poorly determined")

@@ -136,7 +136,14 @@ def test_a_simulator_may_keep_its_own_time(parameters, simulated):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.tlog", "ardupilot-sitl.tlog"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ardupilot-sitl.tlog",
+        pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough),
+        pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough),
+    ],
+)
 def test_recorded_simulators_are_not_doubted(name, shared_logs):
     log = open_log(shared_logs / name)
     for _ in log.blocks():

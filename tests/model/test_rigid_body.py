@@ -120,20 +120,6 @@ def test_jacobian_is_the_complex_step_derivative():
             np.testing.assert_allclose(G[k], expected, rtol=0.0, atol=1e-11 * np.abs(G[k]).max())
 
 
-def test_signals_take_any_leading_shape():
-    rng = np.random.default_rng(4)
-    geometry = Vehicle(rng, 6).geometry
-    speeds, rates = rng.uniform(100, 500, (5, 7, 6)), rng.normal(size=(5, 7, 3))
-    rotors, H = rb.rotor_signals(geometry, speeds)
-    of_rates, slopes = rb.rate_signals(rates), rb.rate_slopes(rates)
-    n = len(rb.RATE_SIGNALS)
-    assert (rotors.shape, H.shape) == ((5, 7, 4), (5, 7))
-    assert (of_rates.shape, slopes.shape) == ((5, 7, n), (5, 7, 3, n))
-    np.testing.assert_allclose(rotors[2, 3], rb.rotor_signals(geometry, speeds[2, 3])[0])
-    np.testing.assert_array_equal(of_rates[2, 3], rb.rate_signals(rates[2, 3]))
-    np.testing.assert_array_equal(slopes[2, 3], rb.rate_slopes(rates[2, 3]))
-
-
 def test_signals_of_the_rates_have_their_names_and_slopes():
     rates = np.array([3.0, -5.0, 7.0])
     named = dict(zip(rb.SIGNALS[rb.OF_RATES], rb.rate_signals(rates), strict=True))
@@ -181,11 +167,3 @@ def test_every_cloud_of_points_is_physical():
     for _ in range(100):
         J = random_inertia(rng)
         assert rb.is_physical(np.array([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[1, 2], J[0, 2]]))
-
-
-def test_inertia_matrix_and_its_basis_agree():
-    elements = np.arange(1.0, 7.0)
-    J = rb.inertia_matrix(elements)
-    np.testing.assert_array_equal(J, J.T)
-    np.testing.assert_array_equal(J, np.tensordot(elements, rb.INERTIA_BASIS, 1))
-    np.testing.assert_array_equal(J[[0, 1, 0], [1, 2, 2]], [4.0, 5.0, 6.0])

@@ -58,7 +58,7 @@ def test_agrees_with_the_validation(fly, flight):
     assert share == pytest.approx(1.0 - told["fitted_share"], abs=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
     airframe = load_airframe("ardupilot-quad-x").with_arm(0.24).with_anchor("mass", 1.6)
     data = analyzed(shared_logs / "ardupilot-sitl.tlog", airframe)

@@ -5,7 +5,6 @@ import pytest
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.number_format import clock, clock_tenths, duration
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.snapshot_view import converged
 
 from . import fake
 
@@ -46,19 +45,6 @@ def test_digits_follow_the_interval(value, std, exponent, texts):
 def test_decimal_points_stand_in_one_column():
     values = [fmt.aligned(v, d) for v, d in ((16.553, 3), (-1.67, 2), (205.12, 1))]
     assert {value.index(".") for value in values} == {fmt.WHOLE_WIDTH}
-
-
-def test_bar_fills_in_eighths_and_keeps_its_width():
-    assert fmt.bar(0.0, 4) == "    "
-    assert fmt.bar(1.7, 4) == "████"
-    assert fmt.bar(0.5, 3) == "█▌ "
-
-
-@pytest.mark.parametrize(
-    ("relative", "fraction"), [(None, 0.0), (2.0, 0.0), (1.0, 0.0), (0.1, 0.5), (0.001, 1.0)]
-)
-def test_converged_is_logarithmic(relative, fraction):
-    assert converged(relative, 0.01) == pytest.approx(fraction)
 
 
 def test_times():

@@ -131,12 +131,6 @@ async def test_help_opens_and_closes(run_screen):
         assert s.source.calls == []
 
 
-async def test_keys_of_the_main_screen_do_nothing_behind_the_help(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("question_mark", "r", "m", "o")
-        assert s.source.calls == []
-
-
 @pytest.mark.slow
 async def test_tab_goes_through_the_pages_and_back(run_screen):
     async with run_screen(fake.snapshot()) as s:
@@ -245,13 +239,6 @@ async def test_the_command_palette_knows_the_actions(run_screen):
         assert "Plot k_T" in titles
         await s.press("ctrl+p")
         assert isinstance(s.app.screen, CommandPalette)
-
-
-async def test_a_command_of_the_palette_chooses_a_parameter(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        commands = {c.title: c.callback for c in s.app.get_system_commands(s.app.screen)}
-        commands["Plot k_T"]()
-        assert s.app.selected == "k_T"
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from gcs_sysid.screen.bars import advice_lines, verdict_lines
 from gcs_sysid.screen.panels import (
     HORIZON_WIDTH,
     WINGS,
-    deflection,
     facts,
     health_lines,
     horizon,
@@ -20,7 +19,6 @@ from gcs_sysid.screen.panels import (
 )
 from gcs_sysid.screen.pilot_view import blocks
 from gcs_sysid.screen.plots import (
-    nice_limit,
     overlay,
     reduced_history,
     shade,
@@ -36,7 +34,7 @@ from gcs_sysid.screen.snapshot_view import (
     shares,
     standing_of,
 )
-from gcs_sysid.screen.text_drawing import HEIGHT, big
+from gcs_sysid.screen.text_drawing import HEIGHT
 from gcs_sysid.screen.view import View
 
 from . import fake
@@ -61,20 +59,6 @@ def test_decimation_keeps_a_single_spike():
     assert curve.low.min() == -3.0
 
 
-def test_decimation_spans_the_course():
-    curve = reduced_history(history(np.arange(1000.0)), "m", 40)
-    assert curve.t[0] == 0.0
-    assert curve.t[-1] == pytest.approx(10.0)
-    assert curve.low[0] == 0.0
-    assert curve.high[-1] == 999.0
-
-
-def test_decimation_scales_value_and_band():
-    curve = reduced_history(history(np.full(10, 2.0), std=0.5), "m", 5, scale=1000.0)
-    assert curve.high.max() == pytest.approx(2000.0)
-    assert curve.band_high.max() == pytest.approx(2000.0 + 1.96 * 500.0, rel=1e-4)
-
-
 def test_gaps_and_unknown_values_are_left_out():
     value = np.ones(100)
     value[:50] = np.nan
@@ -82,15 +66,6 @@ def test_gaps_and_unknown_values_are_left_out():
     assert curve.t[0] >= 5.0
     assert np.isnan(curve.band_low).all()
     assert not shade(curve, (0.0, 10.0), (0.0, 2.0), (20, 10)).any()
-
-
-@pytest.mark.parametrize("value", [[], [np.nan, np.nan]])
-def test_no_values_no_curve(value):
-    assert reduced_history(history(value), "m", 20) is None
-
-
-def test_an_unknown_name_has_no_curve():
-    assert reduced_history(history([1.0]), "Ixx", 20) is None
 
 
 def range_of(values, std, *also):
@@ -103,24 +78,6 @@ def test_range_follows_the_later_half_and_the_truth():
     low, high = range_of(value, 0.01, 1.5)
     assert 0.5 < low < 1.0
     assert 1.5 < high < 2.0
-
-
-def test_range_of_a_constant_is_not_empty():
-    low, high = range_of([0.0, 0.0], 0.0)
-    assert low < 0.0 < high
-
-
-def test_a_vast_band_does_not_hide_the_value():
-    low, high = range_of([1.0, 1.1], 1e9)
-    assert high - low < 20.0
-
-
-def test_the_band_covers_its_cells_and_no_others():
-    curve = reduced_history(history(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
-    covered = shade(curve, (0.0, 10.0), (0.0, 10.0), (8, 10))
-    # Three instants: the band from 4 to 6 is there from edge to edge, and nowhere else.
-    assert np.flatnonzero(covered.all(axis=1)).tolist() == [4, 5]
-    assert np.flatnonzero(covered.any(axis=1)).tolist() in ([4, 5], [3, 4, 5, 6])
 
 
 def test_the_band_has_no_stripes_where_instants_are_few():
@@ -176,19 +133,6 @@ def test_measured_and_predicted_lie_where_they_belong():
     drawn = overlay(curve, t, np.full(400, -1.0), 0.0, 10.0, 1.0)
     assert {len(line) for line in drawn} == {60}
     assert [line.count("•") for line in drawn] == [0, 0, 0, 30]
-
-
-@pytest.mark.parametrize(("largest", "limit"), [(0.0, 1.0), (18.0, 20.0), (20.0, 20.0), (0.3, 0.5)])
-def test_limits_are_round(largest, limit):
-    assert nice_limit(largest) == pytest.approx(limit)
-
-
-def test_big_letters_have_their_lines():
-    lines = big("PARTIAL 7/11")
-    assert len(lines) == HEIGHT
-    assert len({len(line) for line in lines}) == 1
-    for word in ("IDENTIFIED", "NOT YET", "NO ANSWER", "ENOUGH", "WAITING", "0123456789"):
-        assert "".join(big(word)).strip()
 
 
 def test_standing_counts_what_a_complete_identification_consists_of():
@@ -306,20 +250,8 @@ def test_horizon_sinks_when_the_nose_rises():
     assert ground(horizon(0.0, -0.3, 7)) > ground(horizon(0.0, 0.0, 7))
 
 
-def test_ground_rises_on_the_side_of_the_low_wing():
-    right_down = horizon(math.radians(30.0), 0.0, 7)
-    assert right_down[1][-1] == "█"
-    assert right_down[1][0] == " "
-
-
 def test_horizon_upside_down():
     assert set(horizon(math.pi, 0.0, 7)[0]) == {"█"}
-
-
-def test_deflection_shows_the_side():
-    assert deflection(45.0, 45.0, 10) == "     │━━━━━"
-    assert deflection(-18.0, 45.0, 10) == "   ━━│     "
-    assert deflection(900.0, 45.0, 10) == "     │━━━━━"
 
 
 def test_a_slow_message_is_marked_by_a_sign():
@@ -329,12 +261,6 @@ def test_a_slow_message_is_marked_by_a_sign():
     assert write(249.0).endswith("✓")
     assert write(120.0).endswith("!")
     assert len(write(249.0)) == 36
-
-
-def test_a_long_message_name_is_cut():
-    line = "".join(text for text, _ in message_line(MessageRate("X" * 40, 1.0, None), 36))
-    assert len(line) == 34  # two columns less: nothing was asked, so there is no sign
-    assert "…" in line
 
 
 def test_a_drift_that_no_clock_has_is_unknown():
