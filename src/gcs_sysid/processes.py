@@ -1,6 +1,9 @@
 """Processes of our own, and how many threads they compute in."""
 
+import contextlib
 import os
+import threading
+from collections.abc import Callable
 from typing import Any
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -19,6 +22,17 @@ def compute_in_one_thread() -> None:
 def one_thread_environment() -> dict[str, str]:
     """Of a process whose linear algebra takes one thread, but for what the user says."""
     return {**dict.fromkeys(ONE_THREAD, "1"), **os.environ}
+
+
+def end_after(wait: Callable[[], object]) -> None:
+    """Have this process end as soon as a wait is over: for the end of the one that started it."""
+
+    def end() -> None:
+        with contextlib.suppress(EOFError, OSError, ValueError):
+            wait()
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
 
 
 def apart() -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import contextlib
 import logging
 import multiprocessing
-import os
 import signal
 import threading
 from collections import deque
@@ -22,7 +21,7 @@ from typing import Any, Protocol
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import Document, Task, analyze
-from gcs_sysid.processes import ONE_THREAD
+from gcs_sysid.processes import compute_in_one_thread, end_after
 
 _GONE = "the Dask scheduler is gone; run the same command again for the rest"
 
@@ -54,13 +53,11 @@ class LocalPool:
     def __init__(self, workers: int, work: Callable[[Any], Any] = analyze) -> None:
         self._workers, self._work = workers, work
         self._context = multiprocessing.get_context("spawn")
-        self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
         self._executor: ProcessPoolExecutor | None = None
         self._leash: Connection | None = None
 
     def _start(self) -> ProcessPoolExecutor:
-        for name in ONE_THREAD:
-            os.environ.setdefault(name, "1")
+        compute_in_one_thread()
         ours, self._leash = self._context.Pipe(duplex=False)
         executor = ProcessPoolExecutor(
             self._workers, self._context, initializer=_obey, initargs=(ours,)
@@ -96,21 +93,12 @@ class LocalPool:
         self._leash.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        for name, value in self._environment.items():
-            if value is None:
-                os.environ.pop(name, None)
 
 
 def _obey(leash: Connection) -> None:
     """Make a new process end as soon as the other end of the leash is closed or gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows does not inherit that
-
-    def end() -> None:
-        with contextlib.suppress(EOFError, OSError):
-            leash.recv()
-        os._exit(1)
-
-    threading.Thread(target=end, daemon=True).start()
+    end_after(leash.recv)
 
 
 class ClusterPool:

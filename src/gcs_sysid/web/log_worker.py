@@ -5,11 +5,8 @@ standard output. When standard input closes the process ends at once, so that no
 page that wanted it or the server.
 """
 
-import contextlib
 import json
-import os
 import sys
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
+from gcs_sysid.processes import end_after
 from gcs_sysid.results.health_view import no_answer, short_facts
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.strict_json import json_text
@@ -110,7 +108,7 @@ def run(job: Mapping[str, Any], on_progress: OnProgress) -> Any:
 def main() -> int:
     """Do the job on standard input; 2 where it cannot be done."""
     line = sys.stdin.readline()
-    threading.Thread(target=_end_with_input, daemon=True).start()
+    end_after(sys.stdin.read)
     job = json.loads(line)
     try:
         _say({"done": run(job, Progress().show)})
@@ -124,13 +122,6 @@ def main() -> int:
 
 def _say(document: Mapping[str, Any]) -> None:
     print(json_text(document), flush=True)
-
-
-def _end_with_input() -> None:
-    with contextlib.suppress(OSError, ValueError):
-        while sys.stdin.read(1):
-            pass
-    os._exit(1)
 
 
 if __name__ == "__main__":
