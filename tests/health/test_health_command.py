@@ -91,7 +91,7 @@ def test_parameters_for_mission_planner(ardupilot, tmp_path, capsys):
     # MAVProxy's own reader, whose format Mission Planner's is.
     loaded = mavparm.MAVParmDict()
     assert loaded.load(str(file))
-    assert {name: f"{value:.6f}" for name, value in loaded.items()} == values
+    assert dict(loaded.items()) == {name: float(value) for name, value in values.items()}
     capsys.readouterr()
     # What is there is not written over.
     assert run(["health", str(ardupilot.tlog), *options]) == 2

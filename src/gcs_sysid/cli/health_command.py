@@ -12,7 +12,7 @@ from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
-from gcs_sysid.health.autopilot_parameters import format_of, parameter_file, suggested
+from gcs_sysid.health.autopilot_parameters import check_suffix, parameter_file, suggested
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
@@ -31,7 +31,8 @@ def run(options: argparse.Namespace) -> int:
             check_target(
                 Path(target), replace=options.force, sources=tuple(map(Path, options.logs))
             )
-    form = None if options.params is None else format_of(Path(options.params))
+    if options.params is not None:
+        check_suffix(Path(options.params))
     found: list[Health] = []
     one_by_one = OneByOne(options.logs)
     for log in options.logs:
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
             if not health.available:
                 output.say(f"gcs-sysid: {log}: no result: {'; '.join(health.reasons)}")
     usable = [health for health in found if health.available]
-    _deliver(options, found, usable, form)
+    _deliver(options, found, usable)
     if one_by_one.failed:
         return 2
     return 0 if len(usable) == len(found) else 1
@@ -70,9 +71,7 @@ def given_of(options: argparse.Namespace) -> HealthOptions:
     )
 
 
-def _deliver(
-    options: argparse.Namespace, found: list[Health], usable: list[Health], form: str | None
-) -> None:
+def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Health]) -> None:
     """Texts and files; parameters and picture are of the longest hover."""
     best = max(usable, key=lambda health: health.seconds, default=None)
     texts = [health_text(health) for health in usable]
@@ -82,8 +81,9 @@ def _deliver(
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
         files.append((options.json, lambda: output.as_json(document)))
-    if best is not None and form is not None:
-        files.append((options.params, lambda: parameter_file(best, form)))
+    if best is not None and options.params is not None:
+        suffix = Path(options.params).suffix.lower()
+        files.append((options.params, lambda: parameter_file(best, suffix)))
     if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 

@@ -30,7 +30,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, complete
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameter_file import mission_planner_lines, qgroundcontrol_lines
+from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
 
 
@@ -497,12 +497,7 @@ def parameter_text(tuning: TuningStudy, suffix: str) -> str:
         )
     head += [f"# Note: {note}" for note in tuning.notes]
     head = ["".join(c if c.isprintable() else " " for c in line) for line in head]
-    rows = (
-        qgroundcontrol_lines(values, notes)
-        if suffix == ".params"
-        else mission_planner_lines(values, notes)
-    )
-    return "\n".join([*head, "#", *rows]) + "\n"
+    return "\n".join([*head, "#", *parameter_lines(values, notes, suffix)]) + "\n"
 
 
 def with_deviations(vehicle: ExportedVehicle, deviations: Mapping[str, float]) -> ExportedVehicle:

@@ -23,12 +23,11 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameter_file import REAL32
+from gcs_sysid.model.parameter_file import SUFFIXES, parameter_lines
 
 _FULL, _EMPTY = 4.2, 3.3
 """V of a LiPo cell: what MOT_BAT_VOLT_MAX and MIN are a pack's multiple of."""
 _CELLS = 24
-_SUFFIXES = {".params": "qgroundcontrol", ".param": "mission-planner", ".parm": "mission-planner"}
 
 
 @dataclass(frozen=True)
@@ -170,26 +169,24 @@ def _less(place: float, offset: Estimate) -> Estimate:
     return Estimate(place - offset.value, offset.std, "m", std_given=offset.std_given)
 
 
-def format_of(path: Path) -> str:
-    """The format that a name's ending stands for.
+def check_suffix(path: Path) -> None:
+    """See that a name's ending stands for a format.
 
     Raises:
         InputError: it stands for none.
     """
-    try:
-        return _SUFFIXES[path.suffix.lower()]
-    except KeyError:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path}: end its name with .params (QGroundControl) or .param (Mission Planner)"
-        ) from None
+        )
 
 
-def parameter_file(health: Health, form: str) -> str:
+def parameter_file(health: Health, suffix: str) -> str:
     """The file's text.
 
     Args:
         health: of a flight.
-        form: "qgroundcontrol" or "mission-planner".
+        suffix: of the file: ".params" is QGroundControl's, others are Mission Planner's.
 
     Raises:
         InputError: the flight suggests no parameter.
@@ -200,31 +197,22 @@ def parameter_file(health: Health, form: str) -> str:
             f"{health.source}: this flight suggests no parameters of its autopilot"
             + ("" if health.available else ": nothing hovers in it")
         )
-    system = int(health.vehicle.get("sysid") or 1)
-    component = int(health.vehicle.get("compid") or 1)
-    lines = [
-        f"# Suggested by gcs-sysid health from {Path(health.source).name}, "
-        f"{health.seconds:.0f} s of hover.",
-        "# Values with 95 % intervals; review each before writing it to the vehicle.",
-        *(f"# Assumed: {text}" for text in health.assumptions),
-        "#",
-    ]
-    if form == "qgroundcontrol":
-        lines += [
-            f"# Onboard parameters for Vehicle {system}",
-            "#",
-            "# Vehicle-Id Component-Id Name Value Type",
-        ]
+    address = int(health.vehicle.get("sysid") or 1), int(health.vehicle.get("compid") or 1)
+    values: dict[str, float] = {}
+    notes: dict[str, str] = {}
     for one in found:
         value = one.quantity.value
         assert value is not None
         half = one.quantity.half or 0.0
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
-        lines.append(f"# {one.name}: {interval} ({one.note}{now})")
-        number = f"{value:.6f}"
-        if form == "qgroundcontrol":
-            lines.append(f"{system}\t{component}\t{one.name}\t{number}\t{REAL32}")
-        else:
-            lines.append(f"{one.name},{number}")
+        values[one.name], notes[one.name] = round(value, 6), f"{interval} ({one.note}{now})"
+    lines = [
+        f"# Suggested by gcs-sysid health from {Path(health.source).name}, "
+        f"{health.seconds:.0f} s of hover.",
+        "# Values with 95 % intervals; review each before writing it to the vehicle.",
+        *(f"# Assumed: {text}" for text in health.assumptions),
+        "#",
+        *parameter_lines(values, notes, suffix, address),
+    ]
     return "\n".join(lines) + "\n"

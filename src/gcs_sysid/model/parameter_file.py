@@ -46,24 +46,25 @@ def read_parameter_file(path: Path) -> dict[str, float]:
     return found
 
 
-def qgroundcontrol_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
-    """Lines of a .params file: each parameter, a real number, below what is said of it.
+def parameter_lines(
+    values: Mapping[str, float],
+    notes: Mapping[str, str],
+    suffix: str,
+    address: tuple[int, int] = (1, 1),
+) -> list[str]:
+    """Lines of a file: each parameter, a real number, below what is said of it.
 
     Args:
         values: name -> value.
         notes: name -> words, for some or all of them.
+        suffix: of the file: ".params" is QGroundControl's, others are Mission Planner's.
+        address: system and component of the vehicle.
     """
-    lines = ["# Vehicle-Id Component-Id Name Value Type"]
+    named = suffix == ".params"
+    lines = ["# Vehicle-Id Component-Id Name Value Type"] if named else []
+    system, component = address
     for name, value in values.items():
         lines += [f"# {name}: {notes[name]}"] if name in notes else []
-        lines.append(f"1\t1\t{name}\t{value:.9g}\t{REAL32}")
-    return lines
-
-
-def mission_planner_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
-    """Lines of a .param file: each parameter, below what is said of it; as above."""
-    lines = []
-    for name, value in values.items():
-        lines += [f"# {name}: {notes[name]}"] if name in notes else []
-        lines.append(f"{name},{value:.9g}")
+        row = f"{system}\t{component}\t{name}\t{value:.9g}\t{REAL32}"
+        lines.append(row if named else f"{name},{value:.9g}")
     return lines
