@@ -27,25 +27,24 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     # No clock drifts by a hundredth; a computer that falls behind makes it seem so.
     known = drift is not None and abs(drift) <= 1e4
     clock = f"{drift:+.0f} ppm" if known else "unknown"
-    return [
+    received = grouped(link.received)
+    if link.bytes_per_second:  # a log has none
+        received += f", {data_rate(link.bytes_per_second)}"
+    some = [
         ("link", f"{LINK_SIGN[link.state]} {link.url}", ""),
-        ("received", f"{grouped(link.received)}, {data_rate(link.bytes_per_second)}", ""),
+        ("received", received, ""),
         ("lost", lost, _WARNING if link.lost_percent >= 1.0 or link.rejected else ""),
         ("IMU gaps", gaps, _WARNING if link.gaps else ""),
         ("clock", clock, ""),
-        *(
-            [("computer", f"too slow: {link.waiting:.1f} s wait", _WARNING)]
-            if link.too_slow
-            else []
-        ),
-        *(
-            [("dropped", f"{grouped(link.dropped)} by the system", _WARNING)]
-            if link.dropped
-            else []
-        ),
-        *([("unknown", f"{grouped(link.unknown)} frames", "")] if link.unknown else []),
-        ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
     ]
+    if link.too_slow:
+        some.append(("computer", f"too slow: {link.waiting:.1f} s wait", _WARNING))
+    if link.dropped:
+        some.append(("dropped", f"{grouped(link.dropped)} by the system", _WARNING))
+    if link.unknown:
+        some.append(("unknown", f"{grouped(link.unknown)} frames", ""))
+    record = link.recording or "off"
+    return [*some, ("record", record, "bold $text-error" if link.recording else "")]
 
 
 def message_line(message: MessageRate, width: int) -> Line:
