@@ -81,6 +81,26 @@ def test_the_time_between_new_readings_is_noted():
     assert choice.interval == pytest.approx(4.0 * (t[1] - t[0]), rel=0.05)
 
 
+def test_readings_that_only_rounding_repeats_are_new_as_often_as_they_come():
+    t, u, v = signals()
+    calm = np.where(t[:, None] < 0.3 * t[-1], v, v[0] + np.sin(0.5 * t[:, None]))
+    choice = judged(commands(u, t), speeds(np.round(calm), t)).choice
+    assert choice.kind == "speed"
+    assert choice.interval == pytest.approx(t[1] - t[0], rel=0.05)
+
+
+@pytest.mark.parametrize(("slows", "speed"), [(True, 0.0), (False, np.nan)])
+def test_a_speed_of_0_is_a_rotor_that_stands_where_it_has_slowed_down(slows, speed):
+    t, _, v = signals()
+    v[100:, 2] *= np.exp(-np.maximum(np.arange(len(t) - 100), 0) / 3.0) if slows else 1.0
+    v[120:140, 2] = 0.0
+    v[140:, 2] = v[:-140, 2]
+    choice = judged(speeds(v, t)).choice
+    assert choice.stops == slows
+    np.testing.assert_equal(choice.read(v)[130, 2], speed)
+    assert np.isfinite(choice.read(v)[130, 1])
+
+
 def test_no_decision_before_enough_flight_and_none_from_the_ground():
     rotor_selector = RotorSourceSelector(PAPER, MASS)
     assert not rotor_selector.fly(0.9 * STRETCH)

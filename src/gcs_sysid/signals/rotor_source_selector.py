@@ -297,7 +297,7 @@ class RotorSourceSelector:
         if not any(v.any() for v in values):
             return "reads 0 in flight"
         if stretch.stream is Stream.ROTOR_SPEED:
-            fresh = [_readings(v) / seconds for v in values]
+            fresh = [_readings(*rotor) for rotor in rotors]
             if max(fresh) < MIN_RATE:
                 return f"repeats old readings, {max(fresh):.0f} new ones a second"
             fresh = [new if np.ptp(v) else math.inf for new, v in zip(fresh, values, strict=True)]
@@ -358,7 +358,14 @@ class RotorSourceSelector:
             if name not in DEFINED_SPEEDS and self._too_slow(stretch):
                 why += ", read as rad/s in an rpm field, by the thrust needed"
                 scale = 1.0 / _RPM
-            return RotorSource(RotorInput.SPEED, name, why, scale=scale, interval=_apart(stretch))
+            return RotorSource(
+                RotorInput.SPEED,
+                name,
+                why,
+                scale=scale,
+                interval=_apart(stretch),
+                stops=_stops(stretch.rotors(count)),
+            )
         for name in commands if wanted in (None, RotorInput.COMMAND) else ():
             range_ = self._range(name, stretches[name])
             if isinstance(range_, str):
@@ -447,17 +454,36 @@ def _apart(stretch: Stretch) -> float:
     t, values = stretch.rotors(1)[0]
     if len(t) < 2:
         return 0.0
-    sent, new = float(np.median(np.diff(t))), float(t[-1] - t[0]) / _readings(values)
+    sent, new = float(np.median(np.diff(t))), 1.0 / _readings(t, values)
     return new if new > _STALE * sent else sent  # some readings are the same by chance
 
 
-def _readings(values: Array) -> float:
-    """How many readings there are, repeats apart; infinite where rounding alone may repeat them."""
-    jumps = np.abs(np.diff(values))
-    jumps = jumps[jumps > 0.0]
-    if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
+def _readings(t: Array, values: Array) -> float:
+    """Readings a second while they change; infinite where rounding alone may repeat them.
+
+    What moves little is repeated by rounding, so that each counts as much as it changed.
+    """
+    new = np.flatnonzero(np.diff(values)) + 1
+    if len(new) < 2:
         return math.inf
-    return float(len(jumps))
+    jumps, apart = np.abs(values[new] - values[new - 1])[1:], np.diff(t[new])
+    if float(np.median(jumps)) <= 2.0 * _step(values):
+        return math.inf
+    order = np.argsort(apart)
+    moved = np.cumsum(jumps[order])
+    usual = float(apart[order][np.searchsorted(moved, 0.5 * moved[-1])])
+    return 1.0 / usual if usual > 0.0 else math.inf
+
+
+_SLOW = 0.1
+"""Of the greatest speed, below which a rotor hardly has any thrust."""
+
+
+def _stops(rotors: Sequence[tuple[Array, Array]]) -> bool:
+    """Whether readings of 0 are of rotors that stand: each has slowed down before."""
+    before = [v[:-1][(v[:-1] > 0.0) & (v[1:] == 0.0)] / max(v.max(), 1e-9) for _, v in rotors]
+    last = np.concatenate(before)
+    return bool(len(last) and (last < _SLOW).all())
 
 
 def _standing(values: Sequence[Array]) -> set[tuple[int, float]]:

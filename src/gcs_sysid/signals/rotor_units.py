@@ -214,6 +214,7 @@ class RotorSource:
         interval: s between readings; 0 where that does not matter.
         order: of motors among outputs, by which the stream is sorted.
         assumed: of its unit, in words; empty where that is known.
+        stops: whether speeds of 0 are rotors that stand, which have been seen to slow down.
     """
 
     kind: RotorInput
@@ -225,6 +226,7 @@ class RotorSource:
     interval: float = 0.0
     order: MotorOrder = field(default_factory=MotorOrder)
     assumed: str = ""
+    stops: bool = False
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""
@@ -235,11 +237,13 @@ class RotorSource:
     def read(self, values: Array) -> Array:
         """(n, rotors) of the stream to rad/s, or to commands of 0 (stopped) to 1 (full).
 
-        A speed of 0 is missing: in flight no rotor stands still, but an ESC may not answer.
+        A speed of 0, or what a curve through one passes below, is missing unless rotors stop: few
+        do in flight, but an ESC may not answer.
         """
         if self.range is not None:
             return normalized(values, self.range)
-        speeds: Array = np.where(values > 0.0, values * self.scale, np.nan)
+        stands = 0.0 if self.stops else np.nan
+        speeds: Array = np.where(values <= 0.0, stands, values * self.scale)
         return speeds
 
 

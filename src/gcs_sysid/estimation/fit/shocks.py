@@ -1,7 +1,7 @@
 """Batches that hold a collision or a bump in the air.
 
 That is no stationary noise of any kind: batches of a quarter of a second whose innovations are far
-stronger than the median are left out.
+stronger than the median, and more than the rotors explain of their motion, are left out.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +20,9 @@ from gcs_sysid.model import rigid_body as rb
 
 SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
+_OWN = 0.5
+"""Share of a batch's motion that the fit does not explain, up to which it is no shock."""
+_AXES = np.arange(3)
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _JUDGED_ALIKE = 12
@@ -49,7 +52,9 @@ def find_shocks(TP: Array, variance: Array, batches: Array, counts: NDArray[np.i
         counts: (k,) rows in each.
     """
     relative = _relative(TP, variance, batches, counts)
-    shocks: Mask = relative > SHOCK * np.median(relative)
+    motion = (batches[:, _AXES, _AXES - 3, _AXES - 3] / counts[:, None] / variance).mean(axis=1)
+    # What rotors explain for the most part, they did: most of a flight may be far calmer.
+    shocks: Mask = relative > np.maximum(SHOCK * np.median(relative), _OWN * motion)
     return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)
 
 

@@ -61,6 +61,15 @@ class WhitenedMoments:
         """Index of each part's first batch, and of the end."""
         return np.cumsum([0, *(len(part) for part in self.parts)])
 
+    @property
+    def motion(self) -> Array:
+        """(k,) share of the whole that each batch has of the angular acceleration's power, mean of
+        whiteners and axes.
+        """
+        power = np.concatenate([np.einsum("kbii->kbi", part)[..., -3:] for part in self.parts])
+        share: Array = (power / np.maximum(power.sum(axis=0), 1e-300)).mean(axis=(1, 2))
+        return share
+
     def total(self, kept: Mask) -> Array:
         """(bank, width, width) sum over the batches kept."""
         out = np.zeros(self.noise.shape)

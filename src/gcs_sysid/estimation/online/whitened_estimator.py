@@ -141,7 +141,8 @@ class WhitenedEstimator:
         if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
             return None
         # Held out now and then: maneuvers come one after the other, and a part must have its own.
-        stretch = (ends - 1e-9) // _HELD_OUT % 5
+        # By how much it has moved: a flight may turn for a second and hover for the rest.
+        stretch = (ends[-1] * np.cumsum(data.motion) - 1e-9) // _HELD_OUT % 5
         folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
         found = [
             fold
