@@ -15,18 +15,17 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.complementary import DEFAULT_K_P, ComplementaryFilter, complementary
+from gcs_sysid.signals.complementary import DEFAULT_K_P, ComplementaryFilter
 from gcs_sysid.signals.differentiator import (
     ARTICLE_R,
     DEFAULT_BANDWIDTH,
     LinearDifferentiator,
-    backward_difference,
-    central_difference,
     nonlinear_differentiator,
 )
 from gcs_sysid.signals.smoothers import DAMPING, cosine_window
 from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
+from testbed.article import backward_difference, central_difference, complementary
 from testbed.article_flights import PHYSICS_RATE, fly
 from testbed.study import arguments, markdown
 

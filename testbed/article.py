@@ -1,6 +1,9 @@
-"""What the article claims ("Parameter Identification for Quadrotor Drones")."""
+"""What the article claims ("Parameter Identification for Quadrotor Drones"), and its formulas."""
 
 import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.recursions import lfilter
 
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
 """The ten parameters of Table 2, in the order of every array here."""
@@ -19,3 +22,35 @@ TABLE_3 = {
 
 CONVERGENCE = 5.0
 """s, "The RLS algorithm converges within 5 seconds for all parameters"."""
+
+
+def complementary(y_u: Array, y_x: Array, dt: float, k_p: float) -> Array:
+    """The article's filter x' = y_u + k_p (y_x - x) on signals (n,) or (n, m).
+
+    Args:
+        y_u: measured rate, unit/s.
+        y_x: measured value, unit.
+        dt: s between samples.
+        k_p: 1/s.
+    """
+    a = np.exp(-k_p * dt)
+    error = np.empty_like(y_x)
+    error[0] = 0.0
+    # Trapezoid for the rate: the two samples around each step.
+    error[1:] = 0.5 * (y_u[1:] + y_u[:-1]) * dt - np.diff(y_x, axis=0)
+    filtered, _ = lfilter([1.0], [1.0, -a], error)
+    return y_x + filtered
+
+
+def backward_difference(v: Array, dt: float) -> Array:
+    """(n, m) v' by the last two samples; half a sample late."""
+    out = np.empty_like(v)
+    out[1:] = np.diff(v, axis=0) / dt
+    out[:1] = out[1:2]
+    return out
+
+
+def central_difference(v: Array, dt: float) -> Array:
+    """(n, m) v' by the neighbors on either side."""
+    out: Array = np.gradient(v, dt, axis=0)
+    return out

@@ -8,7 +8,8 @@ import select
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -326,3 +327,40 @@ def file_windows(file: BinaryIO, size: int, stop: int | None = None) -> Iterator
         yield window
         position += window.done
         rest = window.content[window.done :]
+
+
+class StretchSearch:
+    """Finds what begins in the bytes of a window, where a reader has lost its way.
+
+    A stretch is searched at once, however little of it is asked for: of garbage, every byte may
+    begin something.
+    """
+
+    _AT_ONCE = 2**16
+    """Bytes of a stretch."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Search again: the bytes, or what may begin there, are others."""
+        self._start = self._stop = 0
+        self._found: list[int] = []
+
+    def next(self, at: int, limit: int, found_in: Callable[[int, int], list[int]]) -> int | None:
+        """The first found from a position to before a limit; None when there is none.
+
+        Args:
+            at: the position.
+            limit: the limit.
+            found_in: all that begins in a stretch, rising, by where that begins and ends.
+        """
+        while at < limit:
+            if not self._start <= at < self._stop:
+                self._start, self._stop = at, min(at + self._AT_ONCE, limit)
+                self._found = found_in(self._start, self._stop)
+            index = bisect_left(self._found, at)
+            if index < len(self._found):
+                return self._found[index]
+            at = self._stop
+        return None

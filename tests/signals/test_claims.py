@@ -8,13 +8,10 @@ import pytest
 
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.complementary import ComplementaryFilter
-from gcs_sysid.signals.differentiator import (
-    LinearDifferentiator,
-    backward_difference,
-    central_difference,
-)
+from gcs_sysid.signals.differentiator import LinearDifferentiator
 from sim_bridge.missions import PITCH, ROLL, YAW
 from sim_bridge.sensors import SENSORS, make_channels
+from testbed.article import backward_difference, central_difference
 
 SIGMA = 0.02
 GAINS = (0.85, 0.2, 0.2)

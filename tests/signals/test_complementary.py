@@ -5,11 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.complementary import (
-    DEFAULT_K_P,
-    ComplementaryFilter,
-    complementary,
-)
+from gcs_sysid.signals.complementary import DEFAULT_K_P, ComplementaryFilter
+from testbed.article import complementary
 
 CORNER = 5.0
 """rad/s, of the article's noise."""

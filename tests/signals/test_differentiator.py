@@ -6,10 +6,9 @@ from scipy.signal import lsim
 
 from gcs_sysid.signals.differentiator import (
     LinearDifferentiator,
-    backward_difference,
-    central_difference,
     nonlinear_differentiator,
 )
+from testbed.article import backward_difference, central_difference
 
 
 @pytest.mark.parametrize(("R", "b"), [(10.0, 2.0), (40.0, 2.0), (10.0, 0.6), (25.0, 4.0)])

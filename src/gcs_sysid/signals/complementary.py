@@ -14,7 +14,6 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.recursions import lfilter
 
 DEFAULT_K_P = 0.7
 """1/s. Slow noise of the reference wants it lower, noise and drift of the gyro higher; what either
@@ -22,24 +21,6 @@ way costs is measured in benchmarks/filter_claims.py."""
 DEFAULT_K_I = 0.05
 """1/s^2 for the gyro bias: settles in about 15 s (until then the attitude is off by bias / k_p).
 With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
-
-
-def complementary(y_u: Array, y_x: Array, dt: float, k_p: float) -> Array:
-    """The article's filter x' = y_u + k_p (y_x - x) on signals (n,) or (n, m).
-
-    Args:
-        y_u: measured rate, unit/s.
-        y_x: measured value, unit.
-        dt: s between samples.
-        k_p: 1/s.
-    """
-    a = np.exp(-k_p * dt)
-    error = np.empty_like(y_x)
-    error[0] = 0.0
-    # Trapezoid for the rate: the two samples around each step.
-    error[1:] = 0.5 * (y_u[1:] + y_u[:-1]) * dt - np.diff(y_x, axis=0)
-    filtered, _ = lfilter([1.0], [1.0, -a], error)
-    return y_x + filtered
 
 
 class ComplementaryFilter:

@@ -152,17 +152,3 @@ def nonlinear_differentiator(
             z1 = np.clip(z1 + h * z2, -limit, limit)
         out1[k], out2[k] = z1, z2
     return out1, out2
-
-
-def backward_difference(v: Array, dt: float) -> Array:
-    """(n, m) v' by the last two samples; half a sample late."""
-    out = np.empty_like(v)
-    out[1:] = np.diff(v, axis=0) / dt
-    out[:1] = out[1:2]
-    return out
-
-
-def central_difference(v: Array, dt: float) -> Array:
-    """(n, m) v' by the neighbors on either side."""
-    out: Array = np.gradient(v, dt, axis=0)
-    return out

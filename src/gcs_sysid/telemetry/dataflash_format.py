@@ -11,9 +11,9 @@ import re
 import struct
 import tempfile
 from array import array
-from bisect import bisect_left
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import file_windows, reading_log
+from gcs_sysid.files import StretchSearch, file_windows, reading_log
 from gcs_sysid.telemetry.log_formats import TEXT_DATAFLASH
 
 HEAD = b"\xa3\x95"
@@ -135,8 +135,6 @@ class DataflashLog:
 
     _MOST_FMT = 4096
     """FMT entries looked into; there are 256 types."""
-    _SEARCHED = 2**16
-    """Bytes searched at once where the chain of entries is broken."""
     _WINDOW = 2**22
     """Bytes read at once."""
     _MARGIN = 2 * 256
@@ -153,8 +151,7 @@ class DataflashLog:
         self._rows = {_FMT: _EntryRows()}
         self._sizes = {_FMT: _FMT_SIZE}
         self._hunting = False  # whether the last window ended in garbage
-        self._found: list[int] = []  # entries in what was searched, and up to where that was
-        self._searched = 0
+        self._search = StretchSearch()
         with reading_log(path):
             self._read()
         if not any(rows.count for number, rows in self._rows.items() if number != _FMT):
@@ -238,9 +235,10 @@ class DataflashLog:
         stop = end - _HEADER if final else end - self._MARGIN
         places = {number: rows.places for number, rows in self._rows.items()}
         sizes = self._sizes
-        self._searched = at = 0
+        self._search.forget()
+        at = 0
         if self._hunting:
-            at = self._resync(data, 0, sizes, final=final)
+            at = self._resync(data, 0, final=final)
             self.garbage_bytes += at
         while at <= stop:
             number = data[at + 2]
@@ -248,7 +246,7 @@ class DataflashLog:
             if size is None or at + size > end:
                 if size is not None and data.find(HEAD, at + _HEADER) < 0:
                     return end  # the last entry is cut short
-                found = self._resync(data, at + 1, sizes, final=final)
+                found = self._resync(data, at + 1, final=final)
                 self.garbage_bytes += found - at
                 at = found
                 continue
@@ -258,37 +256,28 @@ class DataflashLog:
             at += size
         return min(at, end)
 
-    def _resync(self, data: bytes, at: int, sizes: dict[int, int], *, final: bool) -> int:
+    def _resync(self, data: bytes, at: int, *, final: bool) -> int:
         """Position of the next entry that another one, or the end, follows."""
-        end = len(data) if final else len(data) - self._MARGIN + 1
-        self._hunting = True
-        while at < end:
-            if at >= self._searched:
-                self._search(data, at, end, sizes, final=final)
-            index = bisect_left(self._found, at)
-            if index < len(self._found):
-                self._hunting = False
-                return self._found[index]
-            at = self._searched
-        return end
+        limit = len(data) if final else len(data) - self._MARGIN + 1
+        found = self._search.next(at, limit, partial(self._entries_in, data, final))
+        self._hunting = found is None
+        return limit if found is None else found
 
-    def _search(
-        self, content: bytes, start: int, end: int, sizes: dict[int, int], *, final: bool
-    ) -> None:
-        """Find all such entries in a stretch: of garbage, every third byte may begin one."""
-        self._searched = min(start + self._SEARCHED, end)
+    def _entries_in(self, content: bytes, final: bool, start: int, stop: int) -> list[int]:
+        """All such entries in a stretch."""
         last = len(content)
         data = np.frombuffer(content, np.uint8)
-        first = np.flatnonzero(data[start : min(self._searched, last - 2)] == HEAD[0]) + start
+        first = np.flatnonzero(data[start : min(stop, last - 2)] == HEAD[0]) + start
         first = first[data[first + 1] == HEAD[1]]
         size_of = np.zeros(256, np.int64)
-        size_of[list(sizes)] = list(sizes.values())
+        size_of[list(self._sizes)] = list(self._sizes.values())
         size = size_of[data[first + 2]]
         first, follows = first[size > 0], (first + size)[size > 0]
         next_head = np.minimum(follows, last - 2)
         headed = (data[next_head] == HEAD[0]) & (data[next_head + 1] == HEAD[1])
         headed &= follows < last - 1
-        self._found = first[headed | (final & (follows >= last))].tolist()
+        found: list[int] = first[headed | (final & (follows >= last))].tolist()
+        return found
 
     def _learn(self, data: bytes, at: int, places: "dict[int, array[int]]") -> None:
         """Take up a FMT entry, if it can be true."""
@@ -312,7 +301,7 @@ class DataflashLog:
         if width + _HEADER != size or len({*columns, ""}) != len(columns) + 1:
             return
         self._sizes[number] = size
-        self._searched = 0  # what was found was found without it
+        self._search.forget()  # what was found was found without it
         self._types[number] = EntryType(name, size, letters, columns)
         rows = self._rows[number] = _EntryRows(self._laid_out(self._types[number]))
         rows.columns = {column: bytearray() for column in rows.layout}

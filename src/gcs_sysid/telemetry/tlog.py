@@ -11,7 +11,6 @@ frames are taken together.
 - Else the chain is broken, and goes on with the next good frame.
 """
 
-from bisect import bisect_left
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular, file_windows
+from gcs_sysid.files import StretchSearch, check_regular, file_windows
 from gcs_sysid.telemetry.frame_block import (
     BAD_CRC,
     OK,
@@ -241,17 +240,12 @@ class _RecordChain:
         data: the piece as an array, with zeros behind it.
     """
 
-    _SEARCHED = 2**16
-    """Bytes searched together where the chain is broken."""
-
     def __init__(self, content: bytes, limit: int) -> None:
         self._content = content
         self._padded = content + bytes(LONGEST_FRAME + STAMP)
         self.data = np.frombuffer(self._padded, np.uint8)
         self._limit = limit
-        # Good frames of what was searched, and from where to where that was.
-        self._good: list[int] = []
-        self._searched = 0, 0
+        self._good = StretchSearch()
 
     def frames(self, *, hunting: bool) -> tuple[Array, dict[str, Array]]:
         """Where the frames begin, and what they say.
@@ -317,17 +311,12 @@ class _RecordChain:
 
     def next_good(self, start: int) -> int | None:
         """Where the first whole frame with a right checksum begins from a position on."""
-        while start < len(self._content):
-            first, stop = self._searched
-            if not first <= start < stop:
-                stop = min(start + self._SEARCHED, len(self._content))
-                at = np.flatnonzero(_is_magic(self.data[start:stop])) + start
-                self._searched, self._good = (start, stop), self._are_good(at).tolist()
-            index = bisect_left(self._good, start)
-            if index < len(self._good):
-                return self._good[index]
-            start = stop
-        return None
+        return self._good.next(start, len(self._content), self._good_in)
+
+    def _good_in(self, start: int, stop: int) -> list[int]:
+        at = np.flatnonzero(_is_magic(self.data[start:stop])) + start
+        good: list[int] = self._are_good(at).tolist()
+        return good
 
     def _are_good(self, at: Array) -> Array:
         """Those of (n,) magic bytes at which a whole frame with a right checksum begins."""

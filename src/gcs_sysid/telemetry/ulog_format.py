@@ -13,9 +13,9 @@ subscription or a SYNC must look like: in linear time whatever lies between.
 import math
 import struct
 from array import array
-from bisect import bisect_left
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import file_windows, reading_log
+from gcs_sysid.files import StretchSearch, file_windows, reading_log
 
 MAGIC = b"ULog\x01\x12\x35"
 _ZEROS_PIECE = 2**20
@@ -102,8 +102,6 @@ class UlogFile:
     """Bytes of an entry other than a row that others must follow: a length may be damaged."""
     _WINDOW = 2**22
     """Bytes read at once."""
-    _HUNTED = 2**16
-    """Bytes searched at once where the chain is broken."""
     _MARGIN = 4 * 2**16
     """Bytes that must follow an entry before it is decided, unless the file ends."""
 
@@ -134,8 +132,7 @@ class UlogFile:
         # (place, name, value) and (place, s) in this window, whose times are those of the rows.
         self._parameters: list[tuple[int, str, float]] = []
         self._pauses: list[tuple[int, float]] = []
-        self._found: list[int] = []  # entries in what was searched, and up to where that was
-        self._searched = 0
+        self._search = StretchSearch()
         self._hunting = False  # whether the last window ended in garbage
         self._names = sorted(name.encode() for name in self._wanted)
         with reading_log(path):
@@ -185,7 +182,7 @@ class UlogFile:
         """Find the entries of a window, which begins with one; the bytes that are done."""
         end = len(content)
         limit = end if final else max(end - self._MARGIN, 0)
-        self._searched, self._found = 0, []
+        self._search.forget()
         at = 0
         if self._hunting:
             at = self._hunt(content, 0, limit)
@@ -229,7 +226,7 @@ class UlogFile:
         if not can_be or not _follows(content, following):
             return None
         self._learned.add(number)
-        self._searched = 0  # what was found was found without it
+        self._search.forget()  # what was found was found without it
         return self._subscribe(number, size, size, None)
 
     def _subscribe(
@@ -302,7 +299,7 @@ class UlogFile:
         if subscribed >= self.MOST_SUBSCRIPTIONS or len(self.faults) >= self._MOST_FAULTS:
             self.damaged = True
             return
-        self._searched = 0  # what was found was found without it
+        self._search.forget()  # what was found was found without it
         try:
             size = self._formats.size(name) + 2
             padding = self._formats.padding(name)
@@ -335,18 +332,12 @@ class UlogFile:
     def _hunt(self, content: bytes, at: int, limit: int) -> int:
         """Where the next entry of a window begins, or `limit`."""
         self.damaged = self._hunting = True
-        while at < limit:
-            if not self._searched or at >= self._searched:
-                self._search(content, at, min(at + self._HUNTED, limit))
-            index = bisect_left(self._found, at)
-            if index < len(self._found):
-                self._hunting = False
-                return self._found[index]
-            at = self._searched
-        return limit
+        found = self._search.next(at, limit, partial(self._entries_in, content))
+        self._hunting = found is None
+        return limit if found is None else found
 
-    def _search(self, content: bytes, start: int, stop: int) -> None:
-        """Find what begins an entry in a stretch: rows of known topics and subscriptions."""
+    def _entries_in(self, content: bytes, start: int, stop: int) -> list[int]:
+        """What begins an entry in a stretch: rows of known topics and subscriptions."""
         data = np.frombuffer(content, np.uint8)
         count = max(min(stop, len(content) - 5) - start, 0)
         # The upper byte of a length is small, which spares looking at what only holds Ds.
@@ -364,7 +355,7 @@ class UlogFile:
         for name in self._names:
             mine = named[data[named] == 3 + len(name)]
             found += (_places_of(name, data, mine + 6) - 6).tolist()
-        self._found, self._searched = sorted(found), stop
+        return sorted(found)
 
     def _settle(self, content: bytes) -> None:
         """Copy the rows of a window, and give what has no time that of the rows before it."""
