@@ -5,7 +5,6 @@ import math
 import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
-from html import escape
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +22,7 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.report.drawing import line, picture, polyline, text
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of
 from gcs_sysid.setup_help.checks import can_show
@@ -141,42 +141,33 @@ def plan_svg(plan: Plan) -> str:
     ]
     height = top + lane * len(used) + 24.0 * (len(plan.steps) + 2) + 20.0
     scale = (width - left - 20.0) / max(plan.seconds, 1.0)
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        'font-family="sans-serif" font-size="13" fill="#222">',
-        '<rect width="100%" height="100%" fill="#fff"/>',
-        f'<text x="{left:.0f}" y="24" font-size="16">Flight plan for {escape(plan.airframe)}: '
-        f"every interval within {100.0 * plan.target:g} %, {plan.seconds:.0f} s</text>",
-    ]
+    title = f"Flight plan for {plan.airframe}: every interval within {100.0 * plan.target:g} %"
+    out = [text(left, 24.0, f"{title}, {plan.seconds:.0f} s", size=16)]
     for row, i in enumerate(used):
         middle = top + lane * (row + 0.5)
         most = max(getattr(step.manoeuvre, _AXES[i]) for step in plan.steps)
         unit = f"±{most:g} m" if _AXES[i] == "climb" else f"±{math.degrees(most):.0f}°"
-        out.append(f'<text x="8" y="{middle:.0f}">{_AXES[i]}</text>')
-        out.append(f'<text x="8" y="{middle + 16:.0f}" font-size="11">{unit}</text>')
-        points = " ".join(
-            f"{left + scale * t:.1f},{middle - 0.42 * lane * value / most:.1f}"
+        points = [
+            (left + scale * t, middle - 0.42 * lane * value / most)
             for t, value in _history(plan, i)
-        )
-        out.append(
-            f'<polyline points="{points}" fill="none" stroke="{_COLORS[i]}" stroke-width="1.2"/>'
-        )
+        ]
+        out += [
+            text(8.0, middle, _AXES[i], size=13),
+            text(8.0, middle + 16.0, unit, size=11),
+            polyline(points, _COLORS[i], 1.2),
+        ]
     under = top + lane * len(used)
     for number, step in enumerate(plan.steps, 1):
         x = left + scale * step.start
-        out.append(
-            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top - 14:.0f}" y2="{under:.0f}" '
-            'stroke="#999" stroke-dasharray="3 3"/>'
-        )
-        out.append(f'<text x="{x + 3:.1f}" y="{top - 4:.0f}">{number}</text>')
-        line = f"{number}.  {step.start:.0f} s: {motion_words(step.manoeuvre)}"
-        out.append(f'<text x="{left:.0f}" y="{under + 24 * number:.0f}">{escape(line)}</text>')
+        words = f"{number}.  {step.start:.0f} s: {motion_words(step.manoeuvre)}"
+        out += [
+            line(x, top - 14.0, x, under, "step", stroke="#999", stroke_dasharray="3 3"),
+            text(x + 3.0, top - 4.0, str(number), size=13),
+            text(left, under + 24.0 * number, words, size=13),
+        ]
     below = under + 24.0 * (len(plan.steps) + 1)
-    out.append(
-        f'<text x="{left:.0f}" y="{below:.0f}" font-size="11">expected: '
-        f"{escape(_widths(plan))}</text>"
-    )
-    return "\n".join([*out, "</svg>", ""])
+    out.append(text(left, below, f"expected: {_widths(plan)}", size=11))
+    return picture((width, height), title, out, letters=13)
 
 
 def _history(plan: Plan, axis: int) -> Iterator[tuple[float, float]]:

@@ -35,7 +35,7 @@ from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, as
 from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.report.drawing import line, text
+from gcs_sysid.report.drawing import line, picture, polyline, text
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 
@@ -168,12 +168,8 @@ def bode_svg(tuning: TuningStudy) -> str:
     """The diagram of the gains now and proposed."""
     width = _LEFT + 3 * (_COLUMN + _GAP)
     height = _TOP + _UPPER + _GAP + _LOWER + 60.0
-    parts: list[Markup] = [
-        element("rect", width="100%", height="100%", fill="#fff"),
-        _label(
-            _LEFT, 22.0, f"Loops of {tuning.vehicle.name} with {tuning.proposed.autopilot}", size=16
-        ),
-    ]
+    title = f"Loops of {tuning.vehicle.name} with {tuning.proposed.autopilot}"
+    parts: list[Markup] = [_label(_LEFT, 22.0, title, size=16)]
     for i, (name, stroke) in enumerate((n, _STROKES[n]) for n in tuning.studies):
         parts.append(
             _label(_LEFT + 180.0 * i, 42.0, f"{name} (band: 95 % of the interval)", fill=stroke)
@@ -182,16 +178,7 @@ def bode_svg(tuning: TuningStudy) -> str:
         parts += _grid(axis)
     for name, loop in tuning.loops.items():
         parts += _curves(tuning, loop, _STROKES[name])
-    picture = element(
-        "svg",
-        *parts,
-        xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {width:.0f} {height:.0f}",
-        font_family="sans-serif",
-        font_size="12",
-        fill="#222",
-    )
-    return picture + "\n"
+    return picture((width, height), title, parts, letters=12)
 
 
 def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:
@@ -210,14 +197,8 @@ def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup
             yield element(
                 "polygon", points=_points(axis, band, place), fill=stroke, fill_opacity="0.2"
             )
-            line = list(zip(omega, values[0], strict=True))
-            yield element(
-                "polyline",
-                points=_points(axis, line, place),
-                fill="none",
-                stroke=stroke,
-                stroke_width="1.5",
-            )
+            nominal = ((_x(axis, w), place(v)) for w, v in zip(omega, values[0], strict=True))
+            yield polyline(nominal, stroke, 1.5)
 
 
 def _x(axis: int, omega: float) -> float:

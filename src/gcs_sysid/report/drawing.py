@@ -23,6 +23,38 @@ def text(
     )
 
 
+def picture(
+    size: tuple[float, float], title: str, parts: Iterable[Markup], *, letters: int = 14
+) -> str:
+    """A picture that is a file of its own; complete, nothing is loaded.
+
+    Args:
+        size: width and height.
+        title: of it, for who cannot see it.
+        parts: what is drawn, the first below the others.
+        letters: their size.
+    """
+    svg = element(
+        "svg",
+        element("title", title),
+        element("rect", width="100%", height="100%", fill="#ffffff"),
+        *parts,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"0 0 {size[0]:g} {size[1]:g}",
+        role="img",
+        font_family="sans-serif",
+        font_size=letters,
+        fill=INK,
+    )
+    return f"{svg}\n"
+
+
+def polyline(points: Iterable[tuple[float, float]], stroke: str, width: float) -> Markup:
+    """Straight lines from point to point."""
+    places = " ".join(f"{_at(x)},{_at(y)}" for x, y in points)
+    return element("polyline", points=places, fill="none", stroke=stroke, stroke_width=width)
+
+
 def line(x1: float, y1: float, x2: float, y2: float, kind: str, **style: str | float) -> Markup:
     """A straight line of a class."""
     return element("line", x1=_at(x1), y1=_at(y1), x2=_at(x2), y2=_at(y2), class_=kind, **style)

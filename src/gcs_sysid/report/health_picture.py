@@ -15,9 +15,10 @@ from gcs_sysid.report.drawing import (
     FlightsChart,
     IntervalPoint,
     PlanView,
+    picture,
     text,
 )
-from gcs_sysid.report.parts import Markup, element, joined, note, section
+from gcs_sysid.report.parts import Markup, element, note, section
 from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result_view import number_figures
@@ -37,7 +38,6 @@ def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -
     name = str(document["source"]).replace("\\", "/").rpartition("/")[2]
     about = f"{document['seconds_of_hover']:.0f} s of hover; seen from above, nose up"
     parts = [
-        element("rect", width="100%", height="100%", fill="#ffffff"),
         text(40.0, 44.0, f"Health of {name}", size=21),
         text(40.0, 68.0, about, fill=SOFT),
         *_vehicle(document, view),
@@ -50,18 +50,7 @@ def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -
         parts.append(text(40.0, height + 16.0, "Over the flights, in their order", size=17))
         parts += _trends(series, height + 34.0)
         height += 44.0 + 150.0 * math.ceil(len(series) / 3)
-    picture = element(
-        "svg",
-        element("title", f"Health of {name}"),
-        joined(*parts),
-        xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {_WIDTH:g} {height:g}",
-        role="img",
-        font_family="sans-serif",
-        font_size=14,
-        fill=INK,
-    )
-    return f"{picture}\n"
+    return picture((_WIDTH, height), f"Health of {name}", parts)
 
 
 def health_section(document: Mapping[str, Any]) -> Markup:
@@ -72,12 +61,12 @@ def health_section(document: Mapping[str, Any]) -> Markup:
     """
     if document["verdict"] == "refused":
         return section("health", "Health", element("p", "; ".join(document["reasons"])))
-    picture = Markup(health_picture(document).strip())
+    drawn = Markup(health_picture(document).strip())
     assumed = "; ".join(document["assumptions"])
     return section(
         "health",
         "Health",
-        element("div", picture, class_="health"),
+        element("div", drawn, class_="health"),
         note(f"Averages over hover, apart from the identification. Assumed: {assumed}."),
     )
 
