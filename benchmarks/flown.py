@@ -18,6 +18,7 @@ from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.vehicle_files import load_vehicle
+from testbed.study import arguments, markdown
 
 SECONDS = 60.0
 Swing = tuple[float, float, float]
@@ -78,10 +79,9 @@ def percent(share: float) -> str:
 
 
 def main() -> None:
-    print(
-        "| flown for a minute | Ixx, Iyy | products, of Ixx | Izz and k_M | of a balanced vehicle |"
-    )
-    print("|---|---|---|---|---|")
+    arguments(__doc__).parse_args()
+    head = "flown for a minute | Ixx, Iyy | products, of Ixx | Izz and k_M | of a balanced vehicle"
+    print(*markdown(head), sep="\n")
     article, balanced = craft_of("paper"), craft_of("px4-sih")
     for words, swings in FLOWN.items():
         Ixx, Iyy, Izz, Ixy, Iyz, Ixz, ratio = 100.0 * deviations(swings, *article)

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from testbed.hostile_logs import FILES
-from testbed.study import Done, run
+from testbed.study import Done, arguments, run
 
 SECONDS, MEGABYTES = 1.0, 200.0
 COMMANDS = {
@@ -31,6 +31,7 @@ def cost_of(path: Path) -> Done:
 
 def main() -> int:
     """Print a row for each; 1 when one is beyond a bar, or refused otherwise than in a line."""
+    arguments(__doc__).parse_args()
     bad = 0
     print(f"{'kind':<7}{'what':<38}{'MB':>7}{'exit':>6}{'s':>7}{'MB more':>9}  said")
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,8 @@
 """Fly vehicles that are not the model, and write docs/truth.md.
 
 Outcomes are kept as JSON under build/truth, one file a scenario; with --only, the page is written
-from what is kept of the others. `--short` flies a few and prints the table.
+from what is kept of the others. `benchmarks.accept judge --only truth --details` flies two vehicles
+of each, and prints the table.
 """
 
 import argparse
@@ -22,8 +23,6 @@ from testbed.study import PROJECT, WORKERS, Kept, arguments, in_processes
 
 KEPT = Kept(PROJECT / "build" / "truth", 1)
 PAGE = PROJECT / "docs" / "truth.md"
-SHORT = {"a": 2, "s": 1, "swap": 1}
-"""Scenarios of the short form, and vehicles of each."""
 LOGS = "logs"
 """Begins the names of scenarios that are recorded flights."""
 
@@ -83,7 +82,6 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", choices=names, action="append", help="may be repeated")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
     parser.add_argument("--workers", type=int, default=WORKERS)
-    parser.add_argument("--short", action="store_true", help="a few flights, printed")
     parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     return parser
 
@@ -93,13 +91,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = make_parser().parse_args(argv)
     if options.vehicles < 1 or options.workers < 1:
         sys.exit("--vehicles and --workers begin at 1")
-    if options.short:
-        rows = {
-            name: study(name, _BY_NAME[name].says, partial(fly, name, None), range(count), 1)
-            for name, count in SHORT.items()
-        }
-        print("\n".join(page.lines(rows)))
-        return 0
     order = [*_BY_NAME, *independent.available()]
     says = {**{n: s.says for n, s in _BY_NAME.items()}, **_SAYS}
     for name in [] if options.page else order:

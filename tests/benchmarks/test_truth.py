@@ -11,7 +11,6 @@ import pytest
 # The benchmarks are no part of the installed package.
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.truth import __main__ as command
 from benchmarks.truth import page
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.simulated_vehicle import hover_thrusts
@@ -186,22 +185,3 @@ def test_slow_rotor_speeds_are_sent_slowly(tmp_path: Path) -> None:
         pytest.approx(400, abs=3),
     )
     assert MESSAGE_IDS["ACTUATOR_OUTPUT_STATUS"] not in seen
-
-
-@pytest.mark.slow
-@pytest.mark.thorough
-def test_the_short_form_tells_the_model_from_what_is_not(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert command.main(["--short"]) == 0
-    rows = cells(capsys.readouterr().out)
-    assert set(rows) == set(command.SHORT)
-    clean = rows["a"]
-    assert clean["verdicts"] == "2i"
-    hold, _, count = clean["`identified` that hold"].partition(" % of ")
-    assert int(hold) >= 90
-    assert int(count) >= 20
-    assert clean["moments claimed"] == "100 % of 6"
-    assert clean["false changes"] == "0"
-    # Rotors taken for each other are never taken for identified.
-    assert "i" not in rows["swap"]["verdicts"]
