@@ -17,7 +17,7 @@ rotation) err as their standard deviations say, else they are exact.
 
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,12 +51,6 @@ JUDGED = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M"
 """What the normalized error is made of: `moment_ratio` follows from two of them, and what is cut at
 zero is not normal."""
 _AHEAD = 1.0
-
-
-def twin_of(log: Path, airframe: object) -> TwinFlight:
-    """The twin of a log whose own first part is fitted."""
-    result = analyze_log(log, airframe)  # type: ignore[arg-type]
-    return fly_held_out(result, log, airframe)  # type: ignore[arg-type]
 
 
 def row(name: str, twin: TwinFlight) -> str:
@@ -104,33 +98,25 @@ def pooled(twins: Iterable[TwinFlight]) -> list[str]:
     return lines
 
 
-def flights(count: int, scenario: Scenario) -> None:
-    """Emulated vehicles."""
-    print(f"{count} emulated vehicles, {scenario.says}\n{HEAD}")
-    twins = []
+def emulated(count: int, scenario: Scenario) -> Iterator[tuple[str, Path, Airframe]]:
+    """Name, log and airframe of drawn vehicles, each there until the next one is flown."""
     for number in range(count):
         with tempfile.TemporaryDirectory() as folder:
             flown = record(scenario, number, Path(folder), SECONDS)
-            try:
-                twins.append(twin_of(flown.log, flown.airframe))
-            except InputError as error:
-                print(f"{flown.vehicle}: {error}".replace(folder, ""))
-                continue
-        print(row(flown.vehicle[:25], twins[-1]), flush=True)
-    print("\n".join(pooled(twins)))
+            yield flown.vehicle[:25], flown.log, flown.airframe
 
 
-def logs(paths: list[Path]) -> None:
-    """Recorded flights."""
+def show(flights: Iterable[tuple[str, Path, Airframe]]) -> None:
+    """The twin of each log whose own first part is fitted, and all together."""
     print(HEAD)
     twins = []
-    for log in logs_in(paths):
+    for name, log, airframe in flights:
         try:
-            twins.append(twin_of(log, airframe_for(log)))
+            twins.append(fly_held_out(analyze_log(log, airframe), log, airframe))
         except InputError as error:
-            print(f"{log.name}: {str(error).replace(str(log), log.name)}")
+            print(f"{name}: {str(error).replace(str(log), log.name)}")
             continue
-        print(row(log.name, twins[-1]), flush=True)
+        print(row(name, twins[-1]), flush=True)
     print("\n".join(pooled(twins)))
 
 
@@ -277,9 +263,11 @@ def main() -> int:
     if options.what == "logs":
         if not options.paths:
             parser.error("logs: name files or folders")
-        logs(options.paths)
+        show((log.name, log, airframe_for(log)) for log in logs_in(options.paths))
     elif options.what == "flights":
-        flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
+        scenario = next(s for s in SCENARIOS if s.name == options.scenario)
+        print(f"{options.count} emulated vehicles, {scenario.says}")
+        show(emulated(options.count, scenario))
     else:
         air = IDEAL if options.still else LIGHT_AIR
         wanted = range(options.first, options.first + options.count)
