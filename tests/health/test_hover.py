@@ -23,9 +23,12 @@ G = 9.80665
 def flight(
     *, seconds=40.0, imu=25.0, rotors=10.0, loads=(1.0, 1.0, 1.0, 1.0), start=100.0, drag=0.0,
     commands=None, curve=0.5, reboot=False, climb=True, throttles=(0.4, 0.4, 0.4, 0.4),
-    sensors=True,
+    sensors=True, rocks=0.0, gyro=1.0,
 ):  # fmt: skip
-    """Records of a quad that hovers, its speeds squared over 1e5 as `loads`, climbing a little."""
+    """Records of a quad that hovers, its speeds squared over 1e5 as `loads`, climbing a little.
+
+    It rocks in roll by `rocks` rad, of which the gyro reads a share.
+    """
     out = []
 
     def lift(t):
@@ -38,7 +41,12 @@ def flight(
             out.append((t, Record(stream, start + t - late, make(t), 0, source)))
 
     def imu_of(t):
-        return (0.0, 0.0, 0.0, -drag, 0.0, -G * lift(t) if sensors else 0.0)
+        rate = gyro * rocks * 2.0 * math.cos(2.0 * t)
+        return (rate, 0.0, 0.0, -drag, 0.0, -G * lift(t) if sensors else 0.0)
+
+    def attitude_of(t):
+        half = 0.5 * rocks * math.sin(2.0 * t)
+        return (math.cos(half), math.sin(half), 0.0, 0.0)
 
     def speeds(t):
         return tuple(math.sqrt(1e5 * load * lift(t)) for load in loads)
@@ -54,7 +62,7 @@ def flight(
 
     add(Stream.IMU, imu, imu_of)
     if sensors:
-        add(Stream.ATTITUDE, 10.0, lambda t: (1.0, 0.0, 0.0, 0.0))
+        add(Stream.ATTITUDE, 10.0, attitude_of)
     add(Stream.IN_AIR, 1.0, lambda t: (1.0,))
     if commands:
         add(Stream.ROTOR_COMMAND, rotors, u_of, "ACTUATOR_OUTPUT_STATUS")
@@ -107,6 +115,16 @@ def test_rotors_that_idle_at_their_least_command_do_not_hover(airframe):
 
 def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
     assert not told(flight(commands="alone", sensors=False), airframe).available
+
+
+@pytest.mark.parametrize(
+    ("gyro", "said"), [(1.0, ""), (0.5, "reads 0.50 of what"), (57.3, "deg/s")]
+)
+def test_a_gyro_that_misreads_is_the_first_thing_said(airframe, gyro, said):
+    health = told(flight(rocks=0.1, gyro=gyro, climb=False), airframe)
+    first = [f.what for f in health.findings if f.at == "the IMU"] or list(health.reasons)
+    assert said in " ".join(first[:1])
+    assert bool(first) is bool(said)
 
 
 def test_a_rotor_that_stands_has_no_load_to_compare(airframe):

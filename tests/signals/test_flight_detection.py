@@ -69,8 +69,12 @@ def test_height_tells_idling_on_the_ground_from_flight():
 def test_forged_heartbeats_do_not_land_it():
     """They say disarmed; the autopilot says that it flies, and all rotors turn."""
     forged = np.where((T > 9.0) & (np.floor(10.0 * T) % 2.0 == 0.0), 0.0, between(8.0, 20.0))
-    turning = {"in_air": between(10.0, 20.0), "speed": between(9.0, 20.5, 500.0)}
+    constant = between(9.0, 20.5, 500.0)
+    turning = {"in_air": between(10.0, 20.0), "speed": constant + (constant > 0.0) * np.sin(T)}
     spans(flown(armed=forged, **turning), 11.0, 20.0)
+    # Outputs that nothing changes are no motors that turn: carried about by hand.
+    held = np.full_like(T, 1100.0)
+    assert len(flown(armed=0.0 * T, in_air=turning["in_air"], speed=held)) == 0
     assert len(flown(armed=forged, in_air=turning["in_air"])) == 0  # nothing bears it out
 
 

@@ -19,6 +19,7 @@ def advised(health: Health) -> Health:
     """The health with what is found in it and all that is worth doing, the most important first."""
     unlike, at_full = _unlike_motors(health), _at_full_command(health)
     findings = (
+        *(Finding("the IMU", objection.reason, objection.how) for objection in health.sensors),
         *(Finding(f"the {name}", why, f"{name} {why}") for name, why in health.misread.items()),
         *_weak(health),
         *(unlike or [*_cg(health), *_yaw(health)]),

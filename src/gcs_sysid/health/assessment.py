@@ -22,11 +22,12 @@ from gcs_sysid.health.drive_health import (
     vibration_of,
     with_throttle,
 )
-from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.hover import Windows, flight_of, sensors_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
+from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import mass_misfit
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
@@ -223,10 +224,11 @@ def health_of(
     if guess.as_flown:
         reason, how = _AS_FLOWN
         return _contradicted(airframe, reason.format(guess.origin, guess.as_flown), how)
-    problem = _missing(streams)
-    windows = None if problem else windows_of(streams, len(airframe.rotors))
-    if windows is None:
+    if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
+    flight = flight_of(streams, len(airframe.rotors))
+    sensors = tuple(of_sensors(*sensors_of(streams, flight)))
+    windows = windows_of(streams, len(airframe.rotors), flight)
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
     curve = None
@@ -241,8 +243,11 @@ def health_of(
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
+        # A sensor that reads otherwise than the vehicle moves is the cause of the rest.
+        blamed = tuple(replace(objection, verdict="refused") for objection in sensors)
         reason, how = _no_hover(windows)
-        return _refused(reason, how=how, airframe=airframe)
+        unseen = _refused(reason, how=how, airframe=airframe)
+        return replace(unseen, objections=(*blamed, *unseen.objections))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         reason, how = _ORDER
@@ -267,7 +272,7 @@ def health_of(
     health = _compared(health, given, hover, thrust, c)
     places = [0.0 if place.value is None else place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
-    health = replace(health, weakened=weakened, watched=watched)
+    health = replace(health, weakened=weakened, watched=watched, sensors=sensors)
     misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
     return advised(replace(health, misread=misread, battery_mass=given.battery_mass))
 

@@ -21,7 +21,10 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector
+from gcs_sysid.signals.gyro_check import RULES as GYRO_CHECK
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude, GyroCheck
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.saturation import Saturated, Saturation
 
 
 class _Integrals:
@@ -157,17 +160,18 @@ class Windows:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
-def windows_of(streams: Streams, rotors: int) -> Windows:
+def windows_of(streams: Streams, rotors: int, flight: tuple[Array, Mask] | None = None) -> Windows:
     """Average all streams over windows in flight.
 
     Args:
         streams: of a log.
         rotors: how many.
+        flight: as of `flight_of`; None: that.
     """
     used = [s.rate for s in (streams.speeds, streams.commands) if s is not None]
     slowest = min([*used, streams.rate(Stream.IMU) or TUNING.enough_rate])
     half = max(TUNING.half_window, TUNING.samples_a_half / slowest)
-    flying_t, flying = flight_of(streams, rotors)
+    flying_t, flying = flight_of(streams, rotors) if flight is None else flight
     t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
     aloft = np.append(0.0, np.cumsum(~flying))
     first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
@@ -426,6 +430,36 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
         flying = FlightDetector().update(grid, reported, armed, speeds, nowhere, *seen_by_imu)
         flying &= carrying
     return grid, flying
+
+
+def sensors_of(
+    streams: Streams, flight: tuple[Array, Mask]
+) -> tuple[GyroAgainstAttitude | None, tuple[Saturated, ...]]:
+    """What the gyro reads of what the attitude turns in flight, and sensors at a limit."""
+    t, imu = streams.tracks[Stream.IMU]
+    saturation, check = Saturation(), GyroCheck()
+    attitude_t, q = streams.tracks.get(Stream.ATTITUDE, (np.empty(0), np.empty((0, 4))))
+    # q and -q are one attitude.
+    turned_over = np.append(1.0, np.sign((q[1:] * q[:-1]).sum(axis=1)))
+    q = q * np.cumprod(np.where(turned_over < 0.0, -1.0, 1.0))[: len(q), None]
+    grid, flying = flight
+    at_once = 65536
+    for first in range(0, len(t), at_once):
+        some, samples = t[first : first + at_once], imu[first : first + at_once, :6]
+        saturation.update(samples)
+        if not len(attitude_t) or not len(grid):
+            continue
+        flies = flying[np.clip(np.searchsorted(grid, some, side="right") - 1, 0, None)]
+        reported = np.column_stack([np.interp(some, attitude_t, column) for column in q.T])
+        after = np.clip(np.searchsorted(attitude_t, some), 1, max(len(attitude_t) - 1, 1))
+        near = (attitude_t[after] - attitude_t[after - 1] < GYRO_CHECK.interval) & (
+            some <= attitude_t[-1]
+        )
+        check.update(
+            some, np.where(flies[:, None], samples[:, :3], np.nan),
+            np.where(near[:, None], reported, np.nan),
+        )  # fmt: skip
+    return check.result(), saturation.found()
 
 
 def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:

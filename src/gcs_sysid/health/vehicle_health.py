@@ -116,6 +116,7 @@ class Health:
         cg_of_hover: the same by hover, where `cg` is that of an analysis beside it, which knows it
             better; else None.
         misread: rotor stream -> why it is not read.
+        sensors: objections to the IMU's gyro or accelerometer, as an analysis raises them.
         by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
         center: of thrust, and how drag moves it.
         rotors: in motor order.
@@ -157,6 +158,7 @@ class Health:
     cg: tuple[Estimate, Estimate] | None = None
     cg_of_hover: tuple[Estimate, Estimate] | None = None
     misread: Mapping[str, str] = field(default_factory=dict)
+    sensors: tuple[Objection, ...] = ()
     by_wind: tuple[float, float] | None = None
     center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()

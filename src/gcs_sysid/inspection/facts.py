@@ -8,13 +8,17 @@ from typing import Any, Literal
 from gcs_sysid.judgement.status import Readiness, level_of, readiness
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.saturation import Saturated
 from gcs_sysid.telemetry.vehicles import RADIO, MavlinkSystem
 
 SCHEMA = "gcs-sysid-inspect/1"
 ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 
+FlightBy = Literal["autopilot", "rotors", "arming", ""]
+"""What says that it flies; "" when nothing does."""
 Obtainable = Literal["everything", "all but Izz", "in part", "health", "nothing"]
 """Obtainable results; "all but Izz" where yaw was hardly flown."""
 
@@ -118,8 +122,7 @@ class Inspection:
     vehicle: MavlinkSystem | None
     systems: tuple[MavlinkSystem, ...]
     flights: tuple[tuple[float, float], ...]
-    flight_told_by: Literal["autopilot", "rotors", "arming", ""]
-    """What says that it flies; "" when nothing does."""
+    flight_told_by: FlightBy
     streams: tuple[StreamFacts, ...]
     rotor_sources: tuple[RotorMessage, ...]
     motion: Mapping[str, AxisMotion]
@@ -136,6 +139,10 @@ class Inspection:
     telemetry: Mapping[str, Any]
     """As in a result: counts, losses, messages."""
     rotor_input: ChosenSource = field(default_factory=lambda: ChosenSource(None))
+    gyro: GyroAgainstAttitude | None = None
+    """What the gyro reads of what the attitude turns; None where too little was flown."""
+    saturated: tuple[Saturated, ...] = ()
+    """Sensors that stood at a limit."""
     problems: tuple[str, ...] = ()
     """Why a link brings too little, as far as the link itself shows."""
     hover: float | None = None

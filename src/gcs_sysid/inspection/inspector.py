@@ -1,9 +1,12 @@
 """From the records of a log or link to the facts about it."""
 
 import contextlib
+import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,6 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.inspection.facts import (
-    ChosenSource,
     ClockFacts,
     Inspection,
     RotorFacts,
@@ -23,24 +25,21 @@ from gcs_sysid.inspection.facts import (
 )
 from gcs_sysid.inspection.readiness import objections_to, obtainable
 from gcs_sysid.inspection.stream_watch import (
+    UNWATCHED,
     USUAL,
-    FlightWatch,
+    ChainWatch,
     MotionWatch,
-    Pending,
-    RotorJudge,
     RotorWatch,
     StreamWatch,
     assumed_airframe,
-    decisive,
-    pending,
     set_back,
 )
 from gcs_sysid.judgement.clock_doubt import clock_doubt
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.signals.columns import Key, RecordBlock
+from gcs_sysid.signals.columns import Key, RecordBlock, Track, by_key
 from gcs_sysid.signals.motor_order import MotorOrder
-from gcs_sysid.signals.records import ROTOR_STREAMS, Record, Stream
+from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.telemetry.clock import WRAP_US
 from gcs_sysid.telemetry.dataflash import ENTRIES
@@ -62,6 +61,21 @@ _MESSAGES: dict[Stream, tuple[str, ...]] = {
 """Stream -> messages that it may come from; records do not say which."""
 
 
+@dataclass(frozen=True)
+class _Waiting:
+    """Samples of one stream: (n,) s by its stamps, (n, width), (n,) s of the session, and after how
+    many reboots.
+    """
+
+    t: Array
+    values: Array
+    session: Array
+    boot: int
+
+    def part(self, rows: slice) -> "_Waiting":
+        return _Waiting(self.t[rows], self.values[rows], self.session[rows], self.boot)
+
+
 class Inspector:
     """Takes the records of one vehicle, block by block.
 
@@ -74,9 +88,10 @@ class Inspector:
         self.duration = 0.0
         self._telemetry = telemetry
         self._airframe = airframe
-        self._judge: RotorJudge | None = None
-        self._flight = FlightWatch()
+        self._chain: ChainWatch | None = None
         self._streams: dict[Key, StreamWatch] = {}
+        self._waiting: dict[Key, deque[_Waiting]] = {}
+        """Samples of which it is not known yet whether it flew."""
         self._rotors: dict[Key, RotorWatch] = {}
         self._motion = MotionWatch()
         self._reboots = 0
@@ -92,9 +107,9 @@ class Inspector:
         """
         if not len(block):
             return
-        if self._judge is None:
-            self._judge = self._new_judge()
-        self._judge.add_records(block)
+        if self._chain is None:
+            self._chain = self._new_chain()
+        self._chain.add_records(block)
         tracks = [track for track in block.tracks if track.stream is not Stream.VOLTAGE]
         if not tracks:
             return
@@ -103,28 +118,16 @@ class Inspector:
         order, t = order[rows], np.concatenate([track.t for track in tracks])[rows]
         if self._began is None:
             self._began = self._boot_began = self._newest = float(t[0])
-        reboots = set_back(t, self._newest)
-        waiting = pending(tracks) if count else []
+        watched = by_key(track for track in tracks if count and track.stream not in UNWATCHED)
         done = 0
-        # At a reboot what comes next counts only after it.
-        happened: list[tuple[int, int, int | Record]] = [
-            *((int(order[row]), 0, row) for row in reboots),
-            *((at, 1, record) for at, record in decisive(tracks, order[reboots])),
-        ]
-        for at, _, what in sorted(happened, key=lambda entry: entry[:2]):
-            if isinstance(what, int):
-                self._fill(waiting, at)
-                self._pass(t[done:what])
-                self._reboot(float(t[what]))
-                done = what
-                continue
-            flying = self._flight.add_record(what)
-            if flying is not self._flight.flying:
-                self._fill(waiting, at)
-                self._look_at_all()
-                self._flight.turn(max(what.t - self._began, 0.0), flying=flying)
-        self._fill(waiting, int(order[-1]) + 1)
+        for row in set_back(t, self._newest):
+            self._wait(watched.values(), int(order[done]), int(order[row]))
+            self._pass(t[done:row])
+            self._reboot(float(t[row]))
+            done = row
+        self._wait(watched.values(), int(order[done]), int(order[-1]) + 1)
         self._pass(t[done:])
+        self._look_at_all(self._chain.flight.known if self._chain.has_samples else math.inf)
 
     def _pass(self, t: Array) -> None:
         """Time goes on by records at (n,) s."""
@@ -134,16 +137,43 @@ class Inspector:
             self._newest = newest
             self.duration = newest - self._began
 
-    def _fill(self, waiting: Iterable[Pending], stop: int) -> None:
-        """Give the watches what came before an order."""
-        for each in waiting:
-            track, end = each.track, int(np.searchsorted(each.track.order, stop))
-            while each.done < end:
-                watch = self._streams.setdefault(track.key, StreamWatch())
-                rows = slice(each.done, end)
-                each.done += watch.add(track.t[rows], track.values[rows])
+    def _wait(self, tracks: Iterable[Track], first: int, stop: int) -> None:
+        """Put off the samples of these orders."""
+        assert self._began is not None
+        for track in tracks:
+            part = track.between(first, stop)
+            if len(part.t):
+                waiting = self._waiting.setdefault(track.key, deque())
+                waiting.append(_Waiting(part.t, part.values, part.t - self._began, self._reboots))
+
+    def _look_at_all(self, known: float) -> None:
+        """Look at what came up to a time of the session, s."""
+        for key, waiting in self._waiting.items():
+            while waiting:
+                later = waiting[0].session > known
+                ready = int(np.argmax(later)) if later.any() else len(later)
+                self._fill(key, waiting[0].part(slice(ready)))
+                if ready < len(waiting[0].t):
+                    waiting[0] = waiting[0].part(slice(ready, None))
+                    break
+                waiting.popleft()
+
+    def _fill(self, key: Key, samples: "_Waiting") -> None:
+        """Give a watch its next samples, flight and ground apart."""
+        assert self._chain is not None
+        watch = self._streams.setdefault(key, StreamWatch())
+        flying = self._chain.flight.flying(samples.session)
+        changes = np.flatnonzero(np.diff(flying)) + 1
+        for first, stop in pairwise([0, *changes.tolist(), len(flying)]):
+            if first == stop:
+                continue
+            if (bool(flying[first]), samples.boot) != (watch.flying, watch.boot):
+                self._look_at(key, watch)
+                watch.begin(flying=bool(flying[first]), boot=samples.boot)
+            while first < stop:
+                first += watch.add(samples.t[first:stop], samples.values[first:stop])
                 if watch.full:
-                    self._look_at(track.key, watch)
+                    self._look_at(key, watch)
 
     @property
     def _known_rotors(self) -> int | None:
@@ -152,34 +182,24 @@ class Inspector:
         vehicle = self._telemetry.vehicle
         return None if vehicle is None else vehicle.rotors
 
-    def _new_judge(self) -> RotorJudge:
+    def _new_chain(self) -> ChainWatch:
         vehicle = self._telemetry.vehicle
         airframe = self._airframe or assumed_airframe(self._known_rotors or USUAL)
-        return RotorJudge(airframe, vehicle.key if vehicle else "")
+        return ChainWatch(airframe, vehicle.key if vehicle else "")
 
     def _reboot(self, t: float) -> None:
-        assert self._began is not None
-        self._look_at_all()
-        self._flight.reboot(self.duration)
         self._reboots += 1
         self._count_wraps()
-        for watch in self._streams.values():
-            watch.restart()
         self._began = t - self.duration
         self._boot_began = self._newest = t
 
     def _count_wraps(self) -> None:
-        if any(source == "SERVO_OUTPUT_RAW" for _, source, _ in self._streams):
+        if any(source == "SERVO_OUTPUT_RAW" for _, source, _ in self._waiting):
             self._wraps += int(self._newest // WRAP_US) - int(self._boot_began // WRAP_US)
 
-    def _look_at_all(self) -> None:
-        for key, watch in self._streams.items():
-            self._look_at(key, watch)
-
     def _look_at(self, key: Key, watch: StreamWatch) -> None:
-        flying = self._flight.flying
-        chunk = watch.cut_chunk(flying=flying)
-        if chunk is None or not flying:
+        chunk = watch.cut_chunk()
+        if chunk is None or not watch.flying:
             return
         if key[0] in _ROTORS:
             self._rotors.setdefault(key, RotorWatch()).add_values(chunk.values)
@@ -199,9 +219,13 @@ class Inspector:
             kind: as `Inspection.kind`.
             problems: that a link has.
         """
-        self._look_at_all()
-        recognized_by = self._flight.recognized_by
-        self._flight.turn(self.duration, flying=False)
+        if self._chain is None:
+            self._chain = self._new_chain()
+        chain = self._chain
+        chain.finish()
+        self._look_at_all(math.inf)
+        for key, watch in self._streams.items():
+            self._look_at(key, watch)
         self._count_wraps()
         telemetry = self._telemetry
         doubt = clock_doubt(telemetry.drift.bounds, telemetry.parameters)
@@ -216,8 +240,8 @@ class Inspector:
             duration=self.duration,
             vehicle=telemetry.vehicle,
             systems=tuple(telemetry.systems),
-            flights=tuple(self._flight.spans),
-            flight_told_by=recognized_by,  # type: ignore[arg-type]
+            flights=tuple(chain.flight.spans),
+            flight_told_by=chain.recognized_by,
             streams=tuple(
                 _stream_facts(key, watch, messages)
                 for key, watch in sorted(self._streams.items(), key=_in_table_order)
@@ -230,7 +254,9 @@ class Inspector:
             rotors=rotors or USUAL,
             rotors_assumed=rotors is None,
             telemetry=counts,
-            rotor_input=ChosenSource(None) if self._judge is None else self._judge.finish(sources),
+            rotor_input=chain.chosen(sources),
+            gyro=chain.gyro,
+            saturated=chain.saturated,
             problems=(*problems, *telemetry.problems, *doubts),
         )
         return judged(inspection)

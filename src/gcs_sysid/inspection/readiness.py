@@ -10,6 +10,7 @@ from gcs_sysid.inspection.facts import (
     RotorMessage,
 )
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
+from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.prediction import is_still
 from gcs_sysid.judgement.received import TOO_MUCH_LOSS
 from gcs_sysid.judgement.status import level_of
@@ -95,7 +96,8 @@ def obtainable(found: Inspection) -> Obtainable:
     """Obtainable results: the most that `analyze`, and `health` beside it, would give."""
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
-        if 0.0 < found.in_air < LIMITS.short or _is_rough(found):
+        misread = any(objection.by == "sensors" for objection in found.objections)
+        if 0.0 < found.in_air < LIMITS.short or _is_rough(found) or misread:
             return "in part"
         if not little:
             return "everything"
@@ -127,6 +129,10 @@ def _imu(found: Inspection) -> Iterator[Objection]:
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
     if 0.0 < cutoff < LIMITS.slow_gyro_filter:
         yield _note(f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
+
+
+def _sensors(found: Inspection) -> Iterable[Objection]:
+    return of_sensors(found.gyro, found.saturated)
 
 
 def _rotors(found: Inspection) -> Iterator[Objection]:
@@ -306,6 +312,7 @@ _PRODUCERS: tuple[tuple[str, Callable[[Inspection], Iterable[Objection]]], ...] 
     ("link", _problems),
     ("vehicle", _vehicle),
     ("imu", _imu),
+    ("sensors", _sensors),
     ("rotors", _rotors),
     ("attitude", _attitude_and_velocity),
     ("flight", _flight),

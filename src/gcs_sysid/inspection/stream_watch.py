@@ -4,112 +4,69 @@ Samples are gathered in chunks and looked at as arrays, because a log has a mill
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, RotorFacts, RotorMessage
+from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, RotorFacts, RotorMessage
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import WINDOW
-from gcs_sysid.signals.columns import RecordBlock, Track, by_key
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
+from gcs_sysid.signals.saturation import Saturated
 from gcs_sysid.telemetry.clock import JUMP_BACK
 from gcs_sysid.telemetry.monitor import Monitor
 
-STATES = (Stream.IN_AIR, Stream.ARMED)
-"""What an autopilot says of itself."""
-
 
 class FlightWatch:
-    """When the vehicle flies: what the autopilot says, else armed with its rotors turning."""
+    """When the vehicle flies, as the chain's samples have it.
+
+    Attributes:
+        known: s of the session up to which that is known.
+        spans: s from take-off to landing, of each flight.
+    """
 
     def __init__(self) -> None:
+        self.known = -math.inf
         self.spans: list[tuple[float, float]] = []
-        self._in_air: bool | None = None
-        self._armed: bool | None = None
-        self._turning: dict[tuple[str, int], bool] = {}
-        self._since: float | None = None
+        self._edges: list[float] = []
+        """s, rising, of take-offs and landings in turn."""
 
-    @property
-    def recognized_by(self) -> str:
-        """As `Inspection.flight_told_by` says."""
-        if self._in_air is not None:
-            return "autopilot"
-        if self._turning:
-            return "rotors"
-        return "arming" if self._armed is not None else ""
+    def add_samples(self, block: SampleBlock) -> None:
+        """The next samples."""
+        flew = len(self._edges) % 2 == 1
+        for i in np.flatnonzero(np.diff(block.flying, prepend=flew)):
+            self._turn(float(block.t[i]))
+        self.known = float(block.t[-1])
 
-    @property
-    def flying(self) -> bool:
-        """Whether it flies, by the records so far."""
-        return self._since is not None
+    def finish(self) -> None:
+        """Nothing follows: what flies has landed, and all is known."""
+        if len(self._edges) % 2:
+            self._turn(self.known)
+        self.known = math.inf
 
-    def add_record(self, record: Record) -> bool:
-        """Note a record; whether it flies now."""
-        if record.stream is Stream.IN_AIR:
-            self._in_air = record.values[0] > 0.5
-        elif record.stream is Stream.ARMED:
-            self._armed = record.values[0] > 0.5
-        elif record.stream is Stream.ROTOR_SPEED and self._in_air is None:
-            turning = bool(_most_turn(np.array([record.values]))[0])
-            self._turning[record.source, record.offset] = turning
-        if self._in_air is not None:
-            return self._in_air
-        if self._turning:
-            return self._armed is not False and any(self._turning.values())
-        return bool(self._armed)
+    def flying(self, t: Array) -> Mask:
+        """(n,) whether it flies at (n,) s of what is known."""
+        flies: Mask = np.searchsorted(self._edges, t, side="right") % 2 == 1
+        return flies
 
-    def turn(self, t: float, *, flying: bool) -> None:
-        """Take-off or landing at a time."""
-        if flying:
-            self._since = t
-        elif self._since is not None:
-            # Less than a second is a jump of the autopilot's judgement.
-            if t - self._since >= 1.0 and len(self.spans) < 1000:
-                self.spans.append((self._since, t))
-            self._since = None
-
-    def reboot(self, t: float) -> None:
-        """The autopilot rebooted, not knowing of any flight; session time of the moment."""
-        self.turn(t, flying=False)
-        self._in_air = self._armed = None
-        self._turning.clear()
+    def _turn(self, t: float) -> None:
+        self._edges.append(t)
+        # Less than a second is a jump of the judgement.
+        if len(self._edges) % 2 == 0 and t - self._edges[-2] >= 1.0 and len(self.spans) < 1000:
+            self.spans.append((self._edges[-2], t))
 
 
-def _most_turn(speeds: Array) -> Mask:
-    """(n,) whether half of the rotors turn: one dead ESC does not mean that all stand still."""
-    turning: Mask = 2 * np.count_nonzero(speeds > 0.0, axis=1) >= speeds.shape[1]
-    return turning
-
-
-def decisive(tracks: Iterable[Track], reboots: Array) -> Iterator[tuple[int, Record]]:
-    """(order, record) of those that may change whether the vehicle flies.
-
-    Args:
-        tracks: of a block.
-        reboots: (k,) rising orders, after which states have to be learned again.
-    """
-    for track in tracks:
-        some = track
-        if track.stream is Stream.ROTOR_SPEED:
-            turning = _most_turn(track.values)
-            changes = np.append(True, turning[1:] != turning[:-1])
-            first = np.searchsorted(track.order, reboots)
-            changes[first[first < len(track.t)]] = True
-            some = track.part(changes)
-        elif track.stream not in STATES:
-            continue
-        yield from zip(some.order.tolist(), some.records(), strict=True)
-
-
-class RotorJudge:
-    """Asks the chain's own selector, on the chain's own samples, which rotor stream to use.
+class ChainWatch:
+    """Asks the chain's own selector and detector, on the chain's own samples, which rotor stream to
+    use, when the vehicle flies, and whether its IMU reads what it should.
 
     Args:
         airframe: whose rotors; its anchor is used where it has one.
@@ -122,6 +79,7 @@ class RotorJudge:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: RotorSource | None = None
+        self.flight = FlightWatch()
 
     def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
@@ -130,9 +88,38 @@ class RotorJudge:
                 self._rotor_selector.learn(record_of.source, record_of.values[0])
             self._note(self._sampler.feed_tracks(part.tracks))
 
-    def finish(self, sources: Sequence[RotorMessage]) -> ChosenSource:
-        """The source that identification uses at the end."""
+    def finish(self) -> None:
+        """Nothing follows."""
         self._note(self._sampler.finish())
+        self.flight.finish()
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether an IMU came, without which there are none."""
+        return Stream.IMU in self._sampler.seen
+
+    @property
+    def recognized_by(self) -> FlightBy:
+        """As `Inspection.flight_told_by` says."""
+        seen = self._sampler.seen
+        if Stream.IN_AIR in seen:
+            return "autopilot"
+        if seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
+            return "rotors"
+        return "arming" if Stream.ARMED in seen else ""
+
+    @property
+    def gyro(self) -> GyroAgainstAttitude | None:
+        """What it reads of what the attitude turns."""
+        return self._sampler.gyro_check.result()
+
+    @property
+    def saturated(self) -> tuple[Saturated, ...]:
+        """Sensors that stood at a limit."""
+        return self._sampler.time_base.saturation.found()
+
+    def chosen(self, sources: Sequence[RotorMessage]) -> ChosenSource:
+        """The source that identification uses at the end."""
         believed, rotor_selector = self._believed, self._rotor_selector
         refused = rotor_selector.refused if believed is None else believed.refused or {}
         reasons = [f"{name} {why}" for name, why in refused.items()]
@@ -152,6 +139,7 @@ class RotorJudge:
     def _note(self, blocks: Iterable[SampleBlock]) -> None:
         for block in blocks:
             self._believed = block.rotors or self._believed
+            self.flight.add_samples(block)
 
 
 USUAL = 4
@@ -176,22 +164,6 @@ UNWATCHED = (Stream.IN_AIR, Stream.ARMED, Stream.RATE_SETPOINT)
 """Of which no rate is shown: nothing needs them."""
 BIN = 0.1
 """s over which the gyro is averaged for the motion of an axis."""
-
-
-@dataclass
-class Pending:
-    """A stream of a block, and how many of its samples a watch has."""
-
-    track: Track
-    done: int = 0
-
-
-def pending(tracks: Iterable[Track]) -> list[Pending]:
-    """The streams that are watched, in the order in which they begin."""
-    watched = by_key(track for track in tracks if track.stream not in UNWATCHED)
-    return [
-        Pending(track) for track in sorted(watched.values(), key=lambda track: int(track.order[0]))
-    ]
 
 
 def set_back(t: Array, newest: float) -> list[int]:
@@ -261,11 +233,14 @@ class StreamWatch:
     """Gathers the samples of one stream.
 
     Attributes:
+        flying: whether what comes is of flight.
+        boot: after how many reboots it comes.
         flight: counts while flying.
         ground: counts of all other time.
     """
 
     def __init__(self) -> None:
+        self.flying, self.boot = False, 0
         self.flight = Tally()
         self.ground = Tally()
         self._t: list[Array] = []
@@ -274,6 +249,12 @@ class StreamWatch:
         self._last: float | None = None
         self._last_values: Array | None = None
         self._usual = 0.0
+
+    def begin(self, *, flying: bool, boot: int) -> None:
+        """What comes next is of flight or not, and of a boot: nothing joins on over a reboot."""
+        if boot != self.boot:
+            self._last = self._last_values = None
+        self.flying, self.boot = flying, boot
 
     def add(self, t: Array, values: Array) -> int:
         """Add (n,) s and (n, width) values until there are enough to look at; how many it took."""
@@ -298,7 +279,7 @@ class StreamWatch:
         """The counts that matter: those in flight, where there was flight."""
         return self.flight if self.flight.samples > 1 else self.ground
 
-    def cut_chunk(self, *, flying: bool) -> Chunk | None:
+    def cut_chunk(self) -> Chunk | None:
         """Look at what was gathered; the samples that came in rising time, if any."""
         if not self._t:
             return None
@@ -312,17 +293,13 @@ class StreamWatch:
         if not fresh.any():
             return None
         t, values = t[fresh], values[fresh]
-        tally = self.flight if flying else self.ground
+        tally = self.flight if self.flying else self.ground
         tally.samples += len(t)
         self._count_steps(tally, np.diff(t) if self._last is None else np.diff(t, prepend=before))
         self._count_repeats(tally, values)
         self._last = float(t[-1])
         self._last_values = values[-1].copy()
         return Chunk(t, values)
-
-    def restart(self) -> None:
-        """The clock was set back: nothing joins on to what came before."""
-        self._last = self._last_values = None
 
     def _count_steps(self, tally: Tally, steps: Array) -> None:
         if not len(steps):

@@ -1,7 +1,7 @@
-"""Objections by the IMU: a gyro that reads otherwise than the attitude turns, limits of ranges."""
+"""What an IMU does not measure: a gyro that reads otherwise than the attitude turns, a limit."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -22,6 +22,7 @@ _ALIKE = 0.1
 """Share to which axes have one scale, or a scale is that of a unit."""
 _MOVED = 0.01
 """rad rms in an interval, below which an axis has hardly turned."""
+_GENTLER = "give it a larger range, damp its mount, or fly gentler"
 _DEAD = 0.1
 """Share of a turn that a dead axis reads at most."""
 
@@ -47,13 +48,12 @@ def gyro_fault(check: GyroAgainstAttitude) -> tuple[str, str] | None:
     gain = check.gain
     scale = np.diag(gain)
     mean = float(scale[wrong].mean())
+    if _alike(scale[wrong]) and abs(math.radians(mean) - 1.0) < _ALIKE:
+        return (
+            f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not rad/s",
+            "give its unit",
+        )
     if wrong.sum() >= 2 and _alike(scale[wrong]):
-        if abs(math.radians(mean) - 1.0) < _ALIKE:
-            return (
-                f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not "
-                "rad/s",
-                "give its unit",
-            )
         return (
             f"the gyro reads {mean:.2f} of what the attitude turns, and inertia would be off by "
             "as much",
@@ -129,5 +129,15 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
                 cap="weak",
                 verdict="partial",
                 evidence={"limit": found.limit, "share": found.share},
-                how="give it a larger range, damp its mount, or fly gentler",
+                how=_GENTLER,
             )
+
+
+def of_sensors(
+    gyro: GyroAgainstAttitude | None, saturated: Iterable[Saturated]
+) -> Iterator[Objection]:
+    """The same, whatever rests on these sensors."""
+    if gyro is not None and (fault := gyro_fault(gyro)) is not None:
+        yield Objection(fault[0], verdict="partial", how=fault[1], by="gyro")
+    for found in saturated:
+        yield Objection(saturation_reason(found), verdict="partial", how=_GENTLER, by="saturation")

@@ -151,7 +151,8 @@ class FlightRules:
             thrust.
         smooth: s, of means.
         placed_for: s for which the last height reported holds.
-        silent_for: s without any rotor after which nothing shows that it flies.
+        silent_for: s without any rotor, or a change of one, after which nothing shows flight.
+        same: share of an output by which interpolation between equal ones may differ.
     """
 
     height: float = 0.3
@@ -167,6 +168,7 @@ class FlightRules:
     smooth: float = 0.1
     placed_for: float = 2.0
     silent_for: float = 1.0
+    same: float = 1e-6
 
 
 RULES = FlightRules()
@@ -186,6 +188,8 @@ class FlightDetector:
         self._state = 0.0
         """1 in the air, -1 on the ground, 0 not known."""
         self._stood_at = self._restless_at = self._carried_at = self._rotors_at = -np.inf
+        self._driven_at = -np.inf
+        self._speeds: Array | None = None
         self._unfallen_at = self._fell_at = self._upright_at = -np.inf
         self._placed_at = -np.inf
         self._ground = self._down = np.nan
@@ -258,8 +262,13 @@ class FlightDetector:
         overturned = self._since(t, ~overturned, "_upright_at") >= RULES.rest_for
         overturned &= self._once_weighed(-along, "_weighed_upright")
         # A report of disarmed, of a vehicle that reports flight with all rotors turning, is another
-        # sender's.
-        disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
+        # sender's; but outputs that nothing changes turn no rotors.
+        first = speeds[:1] if self._speeds is None else self._speeds
+        before, self._speeds = np.vstack([first, speeds[:-1]]), speeds[-1:].copy()
+        with np.errstate(invalid="ignore"):
+            changes = (np.abs(speeds - before) > RULES.same * speeds).any(axis=1)
+        driven = self._since(t, changes, "_driven_at") < RULES.silent_for
+        disarmed = (armed < 0.5) & ~(turn & driven & (in_air > 0.5))
         carried_by_ground = self._ground_test.update(t, force, rates, thrust)
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         stands |= carried_by_ground

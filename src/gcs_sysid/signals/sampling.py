@@ -312,8 +312,8 @@ class Sampler:
         assert self._first is not None
         rebooted = block.fresh and block.t[0] - self._first < self.t
         if rebooted:
-            # The vehicle's clock stepped back; the session's time continues.
-            self._first = float(block.t[0]) - self.t
+            # The vehicle's clock stepped back; the session's time continues by that of all records.
+            self._first = min(self._began, float(block.t[0]) - self.t)
         n, dt = len(block.t), self.time_base.dt
         t = block.t - self._first
         imu = _stream(block, Stream.IMU, n, 6)
