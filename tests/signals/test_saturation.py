@@ -46,6 +46,30 @@ def test_flat_tops_are_found_with_their_share(axis, limit, sensor):
     assert one.share == pytest.approx(beyond.mean(), rel=0.05)
 
 
+@pytest.mark.parametrize("block", [5, 97, 5000])
+@pytest.mark.parametrize(("axis", "limit"), [(0, 4.0), (5, 12.5)])
+def test_what_goes_on_from_the_other_end_wraps_around(axis, limit, block):
+    samples = motion(1)
+    samples[:, 5] += 6.0 * np.sin(5.0 * T)
+    beyond = np.abs(samples[:, axis]) > limit
+    samples[:, axis] = (samples[:, axis] + limit) % (2.0 * limit) - limit
+    (one,) = found(samples, block)
+    assert one.wraps
+    assert one.sensor == ("gyro" if axis == 0 else "accelerometer")
+    assert one.limit == pytest.approx(limit, rel=1e-2)
+    assert one.share == pytest.approx(beyond.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("period", [2.1, 3.0, 5.0, 40.0])
+def test_reversals_and_glitches_do_not_wrap(period):
+    samples = motion(1)
+    n = np.arange(len(T))
+    samples[:, 0] = 5.0 * np.sin(2.0 * np.pi * n / period) * (1.0 + 0.1 * np.sin(0.01 * n))
+    samples[:, 1] += np.where(n % 700 == 0, 35.0, np.where(n % 900 == 0, -35.0, 0.0))
+    samples[:, 2] = 4.0 * np.sign(np.sin(0.03 * n)) + 0.5 * samples[:, 3]
+    assert not any(one.wraps for one in found(samples))
+
+
 def test_blocks_of_any_size_count_the_same():
     samples = np.clip(motion(2), -4.0, 4.0)
     assert found(samples, 7) == found(samples, 5000)

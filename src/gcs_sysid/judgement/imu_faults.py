@@ -8,6 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.status import reference_values
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES, GRAVITY, REGISTRY
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
@@ -102,25 +103,23 @@ def saturation_reason(found: Saturated) -> str:
     limit = f"{found.limit:.1f} m/s^2 ({found.limit / GRAVITY:.1f} g)"
     if found.sensor == "gyro":
         limit = f"{found.limit:.2f} rad/s ({math.degrees(found.limit):.0f} deg/s)"
-    return (
-        f"the {found.sensor} stands at its limit of {limit} in {100.0 * found.share:.2g} % of its "
-        "samples"
-    )
+    what = "wraps around at" if found.wraps else "stands at its limit of"
+    return f"the {found.sensor} {what} {limit} in {100.0 * found.share:.2g} % of its samples"
 
 
 def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
     """What is claimed more closely than the share that a sensor did not measure.
 
     What is cut off is at least as large as what is left, so that a parameter is off by that share
-    and more.
+    of its usual size and more; what wraps around is off by any amount.
     """
+    sizes = reference_values(evidence.estimates, evidence.airframe.arm)
     for found in evidence.saturated:
         names = frozenset(
             name
-            for name, estimate in evidence.estimates.items()
-            if estimate.value is not None
-            and estimate.std is not None
-            and Z95 * estimate.std < found.share * abs(estimate.value)
+            for name, size in sizes.items()
+            if (std := evidence.estimates[name].std) is not None
+            and (found.wraps or Z95 * std < found.share * size)
         )
         if names:
             yield Objection(

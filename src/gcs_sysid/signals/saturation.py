@@ -5,10 +5,16 @@ more often than the next lower one. A sine dwells at its peaks; with its top rou
 is in the last step 1 / (sqrt 2 - 1) times as often as in the one before, the most of all motions
 without a flat top. So of the samples at the two highest values that there ever were, a share of
 sqrt 2 / 2 at most is expected at the highest, and a chance beyond that shows a limit.
+
+Other sensors go on from the other end: a step over nearly all of the range. Of a sine's steps over
+more than half of its range, however rarely it is sampled, 53 % are nearly as large as that; one
+that wraps around has hardly any between.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import betainc
@@ -18,6 +24,10 @@ from gcs_sysid.change_test import FALSE_ALARM_RATE
 
 _AT_PEAK = math.sqrt(0.5)
 """Share of a sine's samples in its two last steps that are in the last one."""
+_NEARLY = 0.85
+"""Share of the range that is nearly all of it."""
+_OF_A_SINE = math.acos(_NEARLY) / math.acos(0.5)
+"""Share of a sine's steps over more than half of its range that are over nearly all of it."""
 _SMALLEST = np.tile(np.repeat([1.0, 12.0], 3), 2)
 """rad/s and m/s^2, below which no sensor has its limit: what rests or hangs reads the same."""
 
@@ -30,11 +40,13 @@ class Saturated:
         sensor: "gyro" or "accelerometer".
         limit: that it stands at, rad/s or m/s^2.
         share: of its samples that do.
+        wraps: whether it does not stand there, but goes on from the other end.
     """
 
     sensor: str
     limit: float
     share: float
+    wraps: bool = False
 
 
 class Saturation:
@@ -45,12 +57,17 @@ class Saturation:
         self._values = np.full((2, 12), -np.inf)
         self._counts = np.zeros((2, 12))
         self._samples = np.zeros(6)
+        self._last = np.full((1, 6), np.nan)
+        self._passed = 0
+        self._steps: list[deque[tuple[int, float]]] = [deque(maxlen=8192) for _ in range(6)]
+        """Of each axis, over more than half of the range so far: number of the sample, step."""
 
     def update(self, samples: Array) -> None:
         """Take samples as they come, NaN where missing; blocks of any size count the same."""
         if not len(samples):
             return
         self._samples += np.isfinite(samples).sum(axis=0)
+        self._note_steps(samples)
         both = np.column_stack([samples, -samples])
         both = np.where(np.isnan(both), -np.inf, both)
         highest = both.max(axis=0)
@@ -63,6 +80,37 @@ class Saturation:
             self._values[row], self._counts[row] = found, (there * counts).sum(axis=0)
             values = np.where(there, -np.inf, values)
 
+    def _note_steps(self, samples: Array) -> None:
+        """Keep the steps over more than half of the range so far."""
+        steps = np.diff(np.vstack([self._last, samples]), axis=0)
+        ends = np.maximum(self._values[0].reshape(2, 6), 0.0)
+        there = np.nan_to_num(np.stack([samples, -samples], axis=1))
+        spans = np.maximum.accumulate(np.concatenate([ends[None], there]))[1:].sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            wide = np.abs(steps) > 0.5 * np.maximum(spans, 2.0 * _SMALLEST[:6])
+        for row, axis in np.argwhere(wide).tolist():
+            self._steps[axis].append((self._passed + row, float(steps[row, axis])))
+        self._passed, self._last = self._passed + len(samples), samples[-1:].copy()
+
+    def _wraps(self, axis: int) -> tuple[float, float] | None:
+        """Limit and share of the samples beyond it, of an axis that certainly wraps around."""
+        high, low = (float(end) for end in self._values[0].reshape(2, 6)[:, axis])
+        span = high + low
+        steps = [entry for entry in self._steps[axis] if abs(entry[1]) > 0.5 * span]
+        wrapped = [entry for entry in steps if abs(entry[1]) > _NEARLY * span]
+        up = sum(step > 0.0 for _, step in wrapped)
+        # The ends of a number format are opposite; each excursion leads there and back.
+        if abs(high - low) > (1.0 - _NEARLY) * span or not 0 < up < len(wrapped):
+            return None
+        between = len(steps) - len(wrapped) + 1.0
+        if not betainc(len(wrapped), between, _OF_A_SINE) < FALSE_ALARM_RATE / 6:
+            return None
+        beyond = out = 0
+        for (here, step), (there, _) in pairwise(wrapped):
+            out = min(max(out - int(np.sign(step)), -1), 1)
+            beyond += (there - here) * abs(out)
+        return max(high, low), max(beyond, len(wrapped)) / max(float(self._samples[axis]), 1.0)
+
     def found(self) -> tuple[Saturated, ...]:
         """The sensors that certainly stood at a limit."""
         at, before = self._counts
@@ -72,6 +120,10 @@ class Saturation:
         shares = np.where(limits, at / np.tile(np.maximum(self._samples, 1.0), 2), 0.0)
         out = []
         for sensor, axes in (("gyro", slice(0, 3)), ("accelerometer", slice(3, 6))):
+            wraps = [w for axis in range(axes.start, axes.stop) if (w := self._wraps(axis))]
+            if wraps:
+                out.append(Saturated(sensor, *map(max, zip(*wraps, strict=True)), wraps=True))
+                continue
             share = shares.reshape(2, 6)[:, axes].sum(axis=0)
             if share.any():
                 limit = self._values[0].reshape(2, 6)[:, axes][limits.reshape(2, 6)[:, axes]]
