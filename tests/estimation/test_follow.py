@@ -106,7 +106,7 @@ def test_blocks_know_the_prior(truth, flight):
     at = rb.MOMENT_RATIO
     mean[at] = truth.k_M / truth.k_T
     known[at, at] = (0.01 * mean[at]) ** -2.0
-    sources = {"prior_source": lambda translation: Prior(mean, known)}
+    sources = {"prior_source": lambda alone: Prior(mean, known)}
     samples = measured(flight).part(slice(2500))
     fits = series(truth, samples, 400, EstimatorTuning(), **sources)
     assert_same(fits, single(truth, samples, EstimatorTuning(), **sources))

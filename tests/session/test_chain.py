@@ -199,6 +199,25 @@ def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
     assert values(result) == rounded(whole)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "believed"), [(1.0, True), (0.7, False), (1.5, False)])
+def test_a_prior_that_the_flight_contradicts_is_named_and_not_used(
+    paper_records, paper_flight, whole, share, believed
+):
+    k_M = paper_flight.truth["k_M"]
+    airframe = replace(load_airframe("paper"), priors={"k_M": (share * k_M, 0.01 * k_M)})
+    _, result = run(paper_records, airframe=airframe)
+    assert [o.by for o in result.objections if o.by == "priors"] == ["priors"] * (not believed)
+    assert result.verdict == ("identified" if believed else "partial")
+    alone = whole.parameters["k_M"]
+    found = result.parameters["k_M"]
+    if believed:
+        assert found.std < alone.std
+    else:
+        assert found.value == pytest.approx(alone.value, rel=1e-6)
+        assert result.parameters["Izz"].status == "identified"
+
+
 def test_an_airframe_without_scale_is_refused():
     with pytest.raises(ValueError, match="no scale reference"):
         Chain(load_airframe("px4-quad-x"))

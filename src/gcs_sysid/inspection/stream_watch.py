@@ -41,6 +41,8 @@ class FlightWatch:
 
     def add_samples(self, block: SampleBlock) -> None:
         """The next samples."""
+        if block.rebooted and len(self._edges) % 2:
+            self._turn(self.known)
         flew = len(self._edges) % 2 == 1
         for i in np.flatnonzero(np.diff(block.flying, prepend=flew)):
             self._turn(float(block.t[i]))

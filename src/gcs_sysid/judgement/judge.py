@@ -79,6 +79,7 @@ PRODUCERS = (
     Producer("rigid body", prediction.rigid_body, Stage.WIDENING),
     Producer("one scale", outcome.one_scale, Stage.OUTCOME),
     Producer("spin", outcome.negative_torque, Stage.OUTCOME),
+    Producer("priors", outcome.contradicted_priors, Stage.BELIEF),
     Producer("givens", outcome.what_was_given, Stage.WIDENING),
     Producer("givens", outcome.limited_by_given, Stage.GIVEN),
     Producer("link", received.problems, Stage.BELIEF, first=True),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES, reference_values
@@ -14,6 +15,21 @@ def what_was_given(evidence: Evidence) -> Iterator[Objection]:
     if evidence.given:
         yield Objection(
             "what was given is uncertain", widening=evidence.given, given=True, stated=False
+        )
+
+
+def contradicted_priors(evidence: Evidence) -> Iterator[Objection]:
+    """Priors that the flight alone contradicts: one of the two is wrong, and no mean is right."""
+    for name, found in evidence.contradicted.items():
+        value, std = evidence.airframe.priors[name]
+        half = Z95 * (found.std or 0.0)
+        yield Objection(
+            f"the flight has {name} {found.value:.3g} +- {half:.2g}, the prior {value:.3g} +- "
+            f"{Z95 * std:.2g}: the prior is not used",
+            frozenset({name}),
+            verdict="partial",
+            evidence={"flight": found.value or 0.0, "prior": value},
+            how="check what the prior is of, and the mass, arm and spins that were given",
         )
 
 

@@ -5,6 +5,7 @@ frames or minutes of a log. Its state depends on the records and their order alo
 of a recording ends with the numbers that the live session ended with.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from copy import deepcopy
@@ -16,10 +17,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, one_line
+from gcs_sysid.change_test import FALSE_ALARM_RATE, normal_limit
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.given_errors import (
@@ -46,7 +47,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, REGISTRY, THETA
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
+from gcs_sysid.model.scale_reference import Known, ScaleKind, ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.history import History, HistoryRecorder
 from gcs_sysid.results.result import Result
@@ -216,6 +217,8 @@ class Chain:
         """None before the first sample in flight."""
         self.fit = Fit(None, None, 0.0)
         """The latest."""
+        self.contradicted: dict[str, Estimate] = {}
+        """Parameters as the flight alone has them, whose priors it contradicts."""
         self.renewals = 0
         """How often it was renewed."""
         self.log = ChainEvents()
@@ -422,13 +425,9 @@ class Chain:
 
         The article's estimator is for study, and its validation does not count.
         """
-        arm, known = self.airframe.arm, self.known_beforehand(anchor)
-        late = low_pass_delay(self.cutoffs[0])
         aligned_fit = aligned(fit, alignment_of(fit, self.airframe))
         return Evidence(
-            summary.values_of(
-                aligned_fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
-            ),
+            self._values_of(aligned_fit, anchor, self.known_beforehand(anchor)),
             fit,
             self.airframe,
             self.rotor_input,
@@ -438,11 +437,21 @@ class Chain:
             filtered=self.cutoffs[0] is not None,
             gyro=self.sampler.gyro_check.result(),
             saturated=self.sampler.time_base.saturation.found(),
+            contradicted=self.contradicted,
+        )
+
+    def _values_of(
+        self, fit: Fit, anchor: ScaleReference, known: Mapping[str, Known]
+    ) -> dict[str, Estimate]:
+        arm, late = self.airframe.arm, low_pass_delay(self.cutoffs[0])
+        return summary.values_of(
+            fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
         )
 
     def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:
         """Priors that hold with a scale; one on the mass is of the vehicle as it took off."""
-        return {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
+        known = {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
+        return {name: value for name, value in known.items() if name not in self.contradicted}
 
     def learn(self, block: SampleBlock) -> None:
         """Learn from the next block of samples."""
@@ -523,13 +532,31 @@ class Chain:
         loop = loop_cutoff(*known) if self.rotor_input.motors else None
         return gyro_cutoff(given, *known), loop
 
-    def _prior(self, translation: TranslationFit | None) -> Prior | None:
-        known = summary.priors_for(self.airframe.priors, self.rotor_input)
-        scale = resolve_scale(self.anchors[0], translation, known)
+    def _prior(self, alone: Fit) -> Prior | None:
+        """Of those that the flight alone does not contradict."""
+        anchor = self.anchors[0]
+        self.contradicted = self._contradicted(alone, anchor)
+        known = self.known_beforehand(anchor)
+        scale = resolve_scale(anchor, alone.translation, known)
         return relative_prior(known, scale, self.airframe.cant)
 
+    def _contradicted(self, alone: Fit, anchor: ScaleReference) -> dict[str, Estimate]:
+        known = summary.priors_for(self.airframe.priors, self.rotor_input)
+        values = self._values_of(alone, anchor, {})
+        given = given_stds(values, alone, Given(self.airframe, anchor, self.rotor_input, {}))
+        limit = normal_limit(FALSE_ALARM_RATE / max(len(known), 1))
+        out = {}
+        for name, (value, std) in known.items():
+            found = values.get(name)
+            if found is None or found.value is None or not found.std:
+                continue
+            own = math.hypot(found.std, given.get(name, 0.0))
+            if abs(found.value - value) > limit * math.hypot(own, std):
+                out[name] = replace(found, std=own)
+        return out
+
     def _forget_estimate(self) -> None:
-        self.tracker = None
+        self.tracker, self.contradicted = None, {}
         self.fit = Fit(None, None, 0.0)
         self._history.clear()
 

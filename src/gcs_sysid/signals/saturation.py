@@ -122,10 +122,11 @@ class Saturation:
         for sensor, axes in (("gyro", slice(0, 3)), ("accelerometer", slice(3, 6))):
             wraps = [w for axis in range(axes.start, axes.stop) if (w := self._wraps(axis))]
             if wraps:
-                out.append(Saturated(sensor, *map(max, zip(*wraps, strict=True)), wraps=True))
+                limit, share = (max(each) for each in zip(*wraps, strict=True))
+                out.append(Saturated(sensor, limit, share, wraps=True))
                 continue
             share = shares.reshape(2, 6)[:, axes].sum(axis=0)
             if share.any():
-                limit = self._values[0].reshape(2, 6)[:, axes][limits.reshape(2, 6)[:, axes]]
-                out.append(Saturated(sensor, float(limit.max()), float(share.max())))
+                ends = self._values[0].reshape(2, 6)[:, axes][limits.reshape(2, 6)[:, axes]]
+                out.append(Saturated(sensor, float(ends.max()), float(share.max())))
         return tuple(out)

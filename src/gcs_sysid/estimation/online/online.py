@@ -32,7 +32,7 @@ _SETTLE_GROWTH = 1.5
 _WELL_KNOWN = 10.0
 """s of flight from which the search for a warm start starts from the one before."""
 
-PriorSource = Callable[[TranslationFit | None], Prior | None]
+PriorSource = Callable[[Fit], Prior | None]
 """Prior knowledge, given k_T / m as far as it is known."""
 
 
@@ -76,7 +76,8 @@ class OnlineEstimator:
         self.prior: Prior | None = None
         """What else is known about the rotation; may be set at any time."""
         self.prior_source: PriorSource | None = None
-        """Renews the prior with each warm start and full fit."""
+        """Renews the prior with each warm start and full fit, by what the flight alone shows."""
+        self._alone: RotationFit | None = None
         self._record = FlightRecord(geometry, dt, tuning, offline)
         whitening = WhitenedEstimator(self._record, geometry)
         self._thrust = ThrustEstimator(self._record, whitening)
@@ -184,7 +185,7 @@ class OnlineEstimator:
             return self._full_fit()
 
     def _full_fit(self) -> Fit:
-        self._renew_prior()
+        self._renew_prior(afresh=True)
         rot = self._rotation.fit(None, self.prior)
         trans, accelerometer = self.fit_translation(rot)
         validation = self._rotation.validate(self.prior)
@@ -296,7 +297,7 @@ class OnlineEstimator:
         self._warm_starts[series] = replace(
             warm_start, rotation=followed, thrust=thrust, batches=record.batches
         )
-        self._renew_prior()
+        self._renew_prior(running=True)
         record.use_place(rot.lag_place)
         rigid_body_test = self._latest_rigid_body_test(rot)
         trans = self._thrust.with_slope(trans, rot, self.prior)
@@ -304,7 +305,7 @@ class OnlineEstimator:
 
     def _settle(self, series: str, before: _SeriesStart | None) -> Fit:
         """A fit that chooses leak and delay, as a warm start for those to come."""
-        self._renew_prior()
+        self._renew_prior(afresh=True, running=True)
         known = before if self.seconds > _WELL_KNOWN else None
         rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
         thrust, trans = self._thrust.quick(rot, self.prior)
@@ -327,9 +328,14 @@ class OnlineEstimator:
             moments=self._rotation.moments(rot),
         )
 
-    def _renew_prior(self) -> None:
-        if self.prior_source is not None:
-            self.prior = self.prior_source(self.fit_translation()[0])
+    def _renew_prior(self, *, afresh: bool = False, running: bool = False) -> None:
+        """Renew it, `afresh` by another fit to the flight alone."""
+        if self.prior_source is None:
+            return
+        if afresh:
+            self._alone = self._rotation.fit(None, None)
+        thrust = self.fit_translation()[0]
+        self.prior = self.prior_source(Fit(self._alone, thrust, self.seconds, running=running))
 
     def _is_rigid_body_test_due(self) -> bool:
         return self._rotation.can_test_rigid_body and self.seconds >= self._rigid_body_test_at
