@@ -159,7 +159,8 @@ def test_another_arm_is_worth_a_word_and_no_more():
     (line,) = notes(QUAD, told)
     assert "arms of 0.25 m" in line
     assert "0.2 m" in line
-    assert notes(QUAD, px4(QUAD.with_arm(0.26).rotors)) == ()
+    assert notes(QUAD, px4(QUAD.with_arm(0.255).rotors)) == ()
+    assert "arms of 0.25 m" in notes(QUAD, px4(QUAD.with_arm(0.265).rotors))[0]
 
 
 def test_an_airframe_is_in_the_order_of_motors_whatever_their_outputs():

@@ -91,6 +91,7 @@ class Evidence:
         received: what came; None where only a fit is judged, not a flight.
         no_vehicle: why there is no vehicle; empty where there is one.
         layout: what the vehicle says against the airframe.
+        layout_notes: what it says otherwise where they agree in kind.
         problems: of link or log.
         imu_loss: IMU samples that are missing, as in a result's telemetry.
         note: on the estimator, for those who asked for another.
@@ -116,6 +117,7 @@ class Evidence:
     received: Received | None = None
     no_vehicle: str = ""
     layout: tuple[str, ...] = ()
+    layout_notes: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     imu_loss: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""

@@ -38,6 +38,7 @@ def layout(evidence: Evidence) -> Iterator[Objection]:
             verdict="refused",
             void=True,
         )
+    yield from (Objection(note, verdict="identified") for note in evidence.layout_notes)
 
 
 def estimator(evidence: Evidence) -> Iterator[Objection]:

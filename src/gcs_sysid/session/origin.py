@@ -60,6 +60,7 @@ class Origin:
             clock=self.clock_doubt,
             no_vehicle=no_vehicle,
             layout=self.airframe_problems(evidence.airframe),
+            layout_notes=() if self._layout is None else notes(evidence.airframe, self._layout),
             problems=telemetry.problems,
             imu_loss=telemetry.as_dict().get("imu_loss", {}),
         )

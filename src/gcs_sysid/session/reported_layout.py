@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.change_test import normal_limit
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import (
     MOST_ARM,
@@ -272,8 +273,9 @@ def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
     """What is worth knowing where they agree in kind."""
     out = []
     ours, theirs = airframe.arm, _arm(reported.rotors)
-    # A tenth of the arm is not worth a word.
-    if reported.sized and abs(ours / theirs - 1.0) > 0.1:
+    # Theirs is hardly measured better.
+    share = math.sqrt(2.0) * airframe.uncertainty.arm.of(ours) / ours
+    if reported.sized and abs(ours / theirs - 1.0) > normal_limit() * share:
         out.append(
             f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
             "is proportional to the arm, so measure it"
