@@ -2,6 +2,7 @@
 
 import struct
 
+import numpy as np
 import pytest
 
 from gcs_sysid.judgement.clock_doubt import clock_doubt, is_simulated
@@ -150,3 +151,37 @@ def test_recorded_simulators_are_not_doubted(name, shared_logs):
         pass
     assert log.drift.bounds is not None
     assert clock_doubt(log.drift.bounds, log.parameters) is None
+
+
+@pytest.mark.parametrize("ppm", [0.0, 10_000.0, -10_000.0])
+@pytest.mark.parametrize("kind", ["ulog", "dataflash"])
+def test_gps_time_is_a_second_clock_of_an_autopilots_own_log(ppm, kind, request, tmp_path):
+    """Solutions of 5 Hz that arrive late, repeated; without a fix there is no time."""
+    rng = np.random.default_rng(1)
+    file = request.getfixturevalue(f"{kind}_file")
+    path = tmp_path / f"flight{file.SUFFIX}"
+    if kind == "ulog":
+        file.topic("sensor_combined", ["float[3] gyro_rad", "float[3] accelerometer_m_s2"])
+        file.topic("sensor_gps", ["uint64_t time_utc_usec"])
+    else:
+        file.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+        file.type("GPS", "QBIH", "TimeUS,I,GMS,GWk")
+    for i in range(600):
+        t = 1.0 + 0.1 * i
+        arrives = 1.0 + (t + rng.uniform(0.05, 0.08) - 1.0) * (1.0 + 1e-6 * ppm)
+        fixed, gps = i > 20, 0.2 * (i // 2)
+        if kind == "ulog":
+            file.row("sensor_combined", arrives, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+            file.row("sensor_gps", arrives, int(1e6 * (1.7e9 + gps)) if fixed else 0)
+        else:
+            us = round(1e6 * arrives)
+            file.row("IMU", us, 0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+            file.row("GPS", us, 0, 1000 * 86_400 + round(1e3 * gps), 2300 if fixed else 0)
+    path.write_bytes(file.bytes())
+    log = open_log(path, None)
+    assert log.drift_ppm == pytest.approx(ppm, abs=300.0)
+    doubt = clock_doubt(log.drift.bounds, {}, by_gps=log.drift.by_gps)
+    assert (doubt is None) is (ppm == 0.0)
+    if doubt is not None:
+        assert doubt.share == pytest.approx(1e-6 * ppm, abs=3e-4)
+        assert f"% {'fast' if ppm > 0.0 else 'slow'} against GPS time" in doubt.reason

@@ -13,6 +13,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, log_file
 from gcs_sysid.inspection.facts import (
     GROUPS,
+    ONBOARD,
     Inspection,
     Obtainable,
     RotorMessage,
@@ -268,7 +269,8 @@ def _clock(found: Inspection, width: int) -> list[str]:
     else:
         ppm = round(drift)
         way = "" if ppm == 0 else " fast" if ppm > 0 else " slow"
-        against = f"{abs(ppm)} ppm{way} against the computer that received"
+        other = "GPS time" if found.kind in ONBOARD else "the computer that received"
+        against = f"{abs(ppm)} ppm{way} against {other}"
     text = (
         f"the autopilot's; {against}; {_times(found.clock.reboots, 'reboot')}, "
         f"{_times(found.clock.wraps, 'wrap')} of a 32-bit stamp"

@@ -244,10 +244,9 @@ def health_of(
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         # A sensor that reads otherwise than the vehicle moves is the cause of the rest.
-        blamed = tuple(replace(objection, verdict="refused") for objection in sensors)
         reason, how = _no_hover(windows)
         unseen = _refused(reason, how=how, airframe=airframe)
-        return replace(unseen, objections=(*blamed, *unseen.objections))
+        return replace(unseen, objections=(*sensors, *unseen.objections))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         reason, how = _ORDER

@@ -228,7 +228,8 @@ class Inspector:
             self._look_at(key, watch)
         self._count_wraps()
         telemetry = self._telemetry
-        doubt = clock_doubt(telemetry.drift.bounds, telemetry.parameters)
+        drift = telemetry.drift
+        doubt = clock_doubt(drift.bounds, telemetry.parameters, by_gps=drift.by_gps)
         doubts = () if doubt is None else (f"{doubt.reason}; {doubt.how}",)
         counts = telemetry.as_dict()
         rotors = self._known_rotors

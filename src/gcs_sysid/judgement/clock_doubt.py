@@ -1,7 +1,8 @@
 """Objections by the vehicle's clock, which may be wrong.
 
 Everything depends on it: angular acceleration, and with it inertia, has its relative error. The
-only other clock is the receiving computer's, and where the two drift apart either may be wrong.
+other clock is the receiving computer's, and where the two drift apart either may be wrong; or GPS
+time, in the autopilot's own log.
 Good clocks hardly drift. A simulator that does not keep real time does so without being wrong: its
 clock is that of its physics.
 """
@@ -21,7 +22,7 @@ is not understood any more."""
 
 
 def clock_doubt(
-    bounds: tuple[float, float] | None, parameters: Mapping[str, float]
+    bounds: tuple[float, float] | None, parameters: Mapping[str, float], *, by_gps: bool = False
 ) -> ClockDoubt | None:
     """What is to be doubted; None where nothing is.
 
@@ -29,13 +30,14 @@ def clock_doubt(
         bounds: ppm between which the vehicle's clock drifts against the receiving computer's;
             None: not known.
         parameters: of the autopilot, as far as they are known.
+        by_gps: whether the other clock is GPS time.
     """
     if bounds is None or (bounds[0] <= TWO_GOOD_CLOCKS and bounds[1] >= -TWO_GOOD_CLOCKS):
         return None
     ppm = 0.5 * sum(bounds)
     if abs(ppm) >= NO_CLOCK or is_simulated(parameters):
         return None
-    return ClockDoubt(1e-6 * ppm)
+    return ClockDoubt(1e-6 * ppm, by_gps)
 
 
 def is_simulated(parameters: Mapping[str, float]) -> bool:

@@ -45,24 +45,34 @@ class ClockDoubt:
 
     Attributes:
         share: by which the vehicle's is faster; negative: slower.
+        by_gps: whether the other one is GPS time, which is right.
     """
 
     share: float
+    by_gps: bool = False
 
-    how = (
-        "fly again with another computer to find the wrong one (a simulator is recognized by its "
-        "SIM_ or SIH_ parameters)"
-    )
+    @property
+    def how(self) -> str:
+        """What to do."""
+        if self.by_gps:
+            return "multiply times by that share (--csv), or have the autopilot's clock repaired"
+        return (
+            "fly again with another computer to find the wrong one (a simulator is recognized by "
+            "its SIM_ or SIH_ parameters)"
+        )
 
     @property
     def reason(self) -> str:
         """In a pilot's words."""
         way = "fast" if self.share > 0.0 else "slow"
+        runs = f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against"
+        costs = "inertia and k_M may be off by as much, and their intervals are wider by it"
+        if self.by_gps:
+            return f"{runs} GPS time: {costs}"
         link = "" if self.share > 0.0 else ", or the link lags increasingly"
         return (
-            f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
-            f"computer's, more than good clocks do, and either may be wrong{link}: inertia "
-            "and k_M may be off by as much, and their intervals are wider by it"
+            f"{runs} the receiving computer's, more than good clocks do, and either may be "
+            f"wrong{link}: {costs}"
         )
 
 

@@ -39,7 +39,8 @@ class Origin:
     @property
     def clock_doubt(self) -> ClockDoubt | None:
         """What the vehicle's clock may be wrong by; None where nothing is to be doubted."""
-        return clock_doubt(self.telemetry.drift.bounds, self.telemetry.parameters)
+        drift = self.telemetry.drift
+        return clock_doubt(drift.bounds, self.telemetry.parameters, by_gps=drift.by_gps)
 
     def airframe_problems(self, airframe: Airframe) -> tuple[str, ...]:
         """What the airframe says otherwise than the vehicle; empty where they agree."""

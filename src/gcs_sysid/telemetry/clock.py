@@ -241,6 +241,9 @@ def following(time_usec: Array, now: Array) -> Array:
 class ClockDrift:
     """How fast the vehicle's clock runs against the wall clock.
 
+    Args:
+        by_gps: whether that is the time of the vehicle's own GPS receiver.
+
     Needs no regular or exact times: the figure is the median over pairs of moments that lie
     half of the time received apart, so that late frames and wrong stamps do not matter.
     """
@@ -259,7 +262,8 @@ class ClockDrift:
     and delays that wander like a random walk 5 times in one flight of ten, 9 in one of a
     hundred."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, by_gps: bool = False) -> None:
+        self.by_gps = by_gps
         self._moments: list[tuple[float, float]] = []
         self._step = self.STEP
         self._bounds: tuple[float, float] | None = None

@@ -69,6 +69,7 @@ _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
     "EV": {"Id"}, "ARM": {"ArmState"}, "MODE": {"ModeNum"}, "BAT": {"Volt"}, "DSF": {"Dp"},
+    "GPS": {"GMS", "GWk"},
     **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
     **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},
     **{row.name: set(row.fields) for row in ENTRIES},
@@ -140,6 +141,7 @@ class _EntryReader:
         self._add_rpm(recording)
         self._add_states(recording)
         self._add_battery(recording)
+        self._add_clock(recording)
         return recording
 
     def _column(self, name: str, *columns: str) -> Array | None:
@@ -250,6 +252,14 @@ class _EntryReader:
             if values is not None:
                 t = self._times(name)
                 recording.add(Stream.ROTOR_COMMAND, t, values, first, source=_OUTPUTS[0])
+
+    def _add_clock(self, recording: Recording) -> None:
+        columns = self._named("GPS", ("GWk", "GMS"))
+        if columns is not None:
+            weeks, milliseconds = columns.T
+            valid = self._primary("GPS") & (weeks > 0.0)
+            seconds = 7 * 86_400 * weeks + 1e-3 * milliseconds
+            recording.add_clock(self._times("GPS"), seconds, valid)
 
     def _add_escs(self, recording: Recording) -> None:
         """One stream when all ESCs are written at the same times, else one of each."""

@@ -57,7 +57,7 @@ class Telemetry(Protocol):
 
     @property
     def drift(self) -> ClockDrift:
-        """Of the vehicle's clock against the receiving computer's, as far as it is known."""
+        """Of the vehicle's clock against the receiving computer's or GPS time, where known."""
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -123,7 +123,6 @@ class TlogLog(Intake):
 class OnboardLog:
     """What the autopilot recorded itself: all of one vehicle, read at once."""
 
-    drift_ppm: float | None = None
     recorded: float | None = None
     problems: tuple[str, ...] = ()
     """An autopilot's own log holds no others' messages."""
@@ -132,7 +131,8 @@ class OnboardLog:
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
     ) -> None:
         self.kind = kind
-        self.drift = ClockDrift()
+        self.drift = ClockDrift(by_gps=True)
+        self.drift.add_moments(*recording.clock)
         self._recording = recording
         own = MavlinkSystem(
             recording.system, recording.component, recording.vehicle_type, recording.autopilot
@@ -145,6 +145,11 @@ class OnboardLog:
         received = IntakeEvent(start, "vehicle", f"{own} found")
         self._notes = ((0, received),) if fits else ()
         self.share_read = 0.0
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How fast the vehicle's clock is against that of its GPS receiver."""
+        return self.drift.ppm
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""

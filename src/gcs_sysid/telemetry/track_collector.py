@@ -115,6 +115,7 @@ class Recording:
         lost: entries that the autopilot knows it could not write.
         dropouts: (t, length) in s of pauses in the writing.
         extras: name -> (n,) s and (n, width) in SI units of what is no stream yet.
+        clock: (n,) s of the log at which a GPS receiver gave (n,) s of its own.
     """
 
     STATE_EVERY = 1.0
@@ -135,6 +136,7 @@ class Recording:
     lost: int = 0
     dropouts: list[tuple[float, float]] = field(default_factory=list)
     extras: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    clock: tuple[Array, Array] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
 
     def add(
         self, stream: Stream, t: Array, values: Array, offset: int = 0, source: str = ""
@@ -188,6 +190,12 @@ class Recording:
         t = np.union1d(at, np.arange(at[0], end, self.STATE_EVERY))
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
+
+    def add_clock(self, t: Array, gps: Array, valid: Mask) -> None:
+        """(n,) s of the log and of GPS, each solution once; where there is none it is not valid."""
+        t, gps = t[valid], gps[valid]
+        new = np.diff(gps, prepend=-np.inf) > 0.0
+        self.clock = t[new], gps[new]
 
     def add_voltage(self, t: Array, volts: Array) -> None:
         """Add the battery's, as an extra too: (n,) s and (n,) or (n, 1) V."""

@@ -58,8 +58,10 @@ TOPICS = (
     OnboardMessage(_STATUS, Stream.ARMED, ("arming_state",), is_equal_to=_ARMED),
 )  # fmt: skip
 """Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
+_GPS = ("vehicle_gps_position", "sensor_gps")
+"""The receiver that is used, and every one; the first is read where there are both."""
 READ = {
-    _MOTORS, _ESCS, _LANDED, _BATTERY,
+    _MOTORS, _ESCS, _LANDED, _BATTERY, *_GPS,
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
     *(name for halves in _HALVES for name, _ in halves),
 }  # fmt: skip
@@ -68,6 +70,7 @@ _FIELDS = {
     _MOTORS: {"control"},
     _LANDED: {"landed"},
     _BATTERY: {"voltage_v"},
+    **{name: {"time_utc_usec"} for name in _GPS},
     **{row.name: {*_names_in(row.fields)} for row in TOPICS},
     **{row.offset[0]: {*_names_in(row.offset[1])} for row in TOPICS if row.offset is not None},
     **{name: {*_names_in(fields)} for halves in _HALVES for name, fields in halves},
@@ -159,6 +162,8 @@ def _add_topic(
         recording.add(Stream.ROTOR_SPEED, t, _speeds(topic, parameters), source=source)
     elif name == _BATTERY:
         recording.add_voltage(t, _columns(topic, "voltage_v"))
+    elif name in _GPS and not (name == _GPS[1] and len(recording.clock[0])):
+        recording.add_clock(t, topic["time_utc_usec"] * 1e-6, topic["time_utc_usec"] > 0)
     elif name == _LANDED:
         recording.add(Stream.IN_AIR, t, topic["landed"] == 0)
 
