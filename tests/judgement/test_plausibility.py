@@ -263,7 +263,13 @@ def test_swapped_coaxial_rotors_are_not_identified():
     """The upper taken for the lower rotor on one arm of four: k_M comes out twice as large."""
     pairs = tuple(replace(r, spin=-r.spin) for r in QUAD.rotors)
     x8 = replace(QUAD, rotors=(*QUAD.rotors, *pairs))
-    assert objections(evidence(values(moment_ratio=0.018), x8)) == ()
+    sound = evidence(values(moment_ratio=0.018), x8)
+    assert objections(sound) == ()
+    # Nor are those that may be swapped, unless the vehicle reports its rotors.
+    for confirmed, status in ((False, "weak"), (True, "identified")):
+        known = judged(replace(sound, confirmed=confirmed))
+        assert known["k_M"].status == known["rotor_inertia"].status == status
+        assert known["Ixx"].status == known["k_T"].status == "identified"
     twice = evidence(values(moment_ratio=0.036, k_M=4.5e-7), x8)
     (found,) = objections(twice)
     assert "check upper and lower rotors, motor order" in found.words

@@ -100,6 +100,20 @@ def test_betaflights_order_is_another_one():
     assert "motor order: motor 1 is front right, on the vehicle rear right" in line
 
 
+@pytest.mark.parametrize("form", [0.0, 1.0])
+def test_a_coaxial_pair_in_the_wrong_order_is_named(form):
+    told = reported_layout("ardupilot", {"FRAME_CLASS": 4.0, "FRAME_TYPE": form})
+    rotors = list(airframe_of_layout(told, 0.3).rotors)
+    assert differences(airframe(rotors), told) == ()
+    lower = next(
+        i for i in range(1, 8) if rotors[i].x == rotors[0].x and rotors[i].y == rotors[0].y
+    )
+    rotors[0], rotors[lower] = rotors[lower], rotors[0]
+    (line,) = differences(airframe(rotors), told)
+    assert "motors 1" in line
+    assert "spin the other way" in line
+
+
 def test_what_the_emulators_tell_is_what_they_fly():
     for name in ("px4-quad-x", "px4-hexa-x", "px4-octo-x", "paper"):
         vehicle = load_vehicle(name, None)

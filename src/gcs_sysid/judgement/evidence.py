@@ -100,6 +100,7 @@ class Evidence:
         contradicted: parameters as the flight alone has them, whose priors it contradicts.
         received: what came; None where only a fit is judged, not a flight.
         no_vehicle: why there is no vehicle; empty where there is one.
+        confirmed: whether the vehicle reports the rotors that the airframe has.
         layout: what the vehicle says against the airframe.
         layout_notes: what it says otherwise where they agree in kind.
         problems: of link or log.
@@ -126,6 +127,7 @@ class Evidence:
     contradicted: Mapping[str, Estimate] = field(default_factory=dict)
     received: Received | None = None
     no_vehicle: str = ""
+    confirmed: bool = False
     layout: tuple[str, ...] = ()
     layout_notes: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()

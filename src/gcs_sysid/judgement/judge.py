@@ -66,6 +66,7 @@ PRODUCERS = (
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
+    Producer("spin", plausibility.unseen_spins, Stage.BELIEF),
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
     Producer("saturation", imu_faults.saturated_sensors, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),

@@ -96,6 +96,27 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
 
 
+def unseen_spins(evidence: Evidence) -> Iterator[Objection]:
+    """Upper and lower rotors by the airframe file alone.
+
+    Whatever the flight asks of one arm, it asks of both its rotors; by yaw they differ on all arms
+    alike. With two of them exchanged all else fits as well, at twice the torque and inertia.
+    """
+    if (
+        _coaxial(evidence.airframe)
+        and not evidence.confirmed
+        and _BY_SPIN & _known(evidence).keys()
+    ):
+        yield Objection(
+            "no flight shows which rotor of an arm is the upper one: with two exchanged, rotor "
+            "torque and inertia come out twice as large",
+            _BY_SPIN,
+            cap="weak",
+            verdict="partial",
+            how="record the autopilot's parameters, which say, or check the spins of each arm",
+        )
+
+
 def implausible(evidence: Evidence) -> Iterator[Objection]:
     """Numbers that no multirotor has, however well the model fits."""
     found, airframe, everything = _known(evidence), evidence.airframe, frozenset(evidence.estimates)

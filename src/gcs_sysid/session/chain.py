@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.change_test import FALSE_ALARM_RATE, normal_limit
+from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
@@ -693,6 +693,7 @@ class Findings:
             assumed="" if source is None else source.assumed,
             reread=source is not None and source.scale != 1.0,
             clock=None if chain.origin is None else chain.origin.clock_doubt,
+            confirmed=chain.origin is not None and chain.origin.confirms(chain.airframe),
         )
 
     @property

@@ -47,6 +47,11 @@ class Origin:
         reported = self._layout
         return () if reported is None else differences(airframe, reported)
 
+    def confirms(self, airframe: Airframe) -> bool:
+        """Whether the vehicle reports the rotors that an airframe has."""
+        reported = self._layout
+        return reported is not None and not differences(airframe, reported)
+
     def known_to(self, evidence: Evidence) -> Evidence:
         """Evidence with what link or log say."""
         telemetry = self.telemetry

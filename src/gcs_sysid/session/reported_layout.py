@@ -41,7 +41,7 @@ _AUTOSTART = {
 """PX4's generic airframes, by SYS_AUTOSTART."""
 _TURNS, _TURNS_OF_SIX = (90, 180, -90, 45, -45), (60, -60, 30, -30, 120, -120)
 """Degrees to the right by which an autopilot, or an airframe file, is turned by mistake."""
-_FRAME_CLASSES = {1: "quad", 2: "hexa", 3: "octo"}
+_FRAME_CLASSES = {1: "quad", 2: "hexa", 3: "octo", 4: "octaquad"}
 # Degrees clockwise from the front and spin (+1 counter-clockwise seen from above), in motor order:
 # AP_MotorsMatrix.cpp of ArduPilot. PX4's generic airframes have the same.
 _SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
@@ -51,6 +51,12 @@ _SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
     "hexa-plus": ((0, -1), (180, +1), (-120, -1), (60, +1), (-60, +1), (120, -1)),
     "octo-plus": (
         (0, -1), (180, -1), (45, +1), (135, +1), (-45, +1), (-135, +1), (-90, -1), (90, -1),
+    ),
+    "octaquad-plus": (
+        (0, +1), (-90, -1), (180, +1), (90, -1), (-90, +1), (0, -1), (90, +1), (180, -1),
+    ),
+    "octaquad-x": (
+        (45, +1), (-45, -1), (-135, +1), (135, -1), (-45, +1), (45, -1), (135, +1), (-135, -1),
     ),
     "quad-plus-reversed": ((90, -1), (-90, -1), (0, +1), (180, +1)),
     "quad-h": ((45, -1), (-135, -1), (-45, +1), (135, +1)),
@@ -66,6 +72,7 @@ _FRAME_TYPES = {
     },
     "hexa": {0: "plus", 1: "x"},
     "octo": {0: "plus", 1: "x"},
+    "octaquad": {0: "plus", 1: "x"},
 }  # fmt: skip
 """FRAME_TYPE -> shape, of each class; others have motors elsewhere than on a circle."""
 
