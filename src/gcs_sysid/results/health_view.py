@@ -158,7 +158,13 @@ def cg_facts(
 
 
 _ROTORS = "the motor order"
-_OF_THE_DATA = {"gyro": "the gyro", "clock": "the clock", "units": "the unit of the rotor speeds"}
+_OF_THE_DATA = {
+    "gyro": "the gyro",
+    "saturation": "the IMU",
+    "clock": "the clock",
+    "units": "the unit of the rotor speeds",
+    "priors": "what was given",
+}
 """What to look at, by the producer of an objection to a result: the data, not the flying."""
 _LOOK_INSIDE = "gcs-sysid inspect shows what the log holds, and what it lacks"
 
