@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeGuard, TypeVar
 
 from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
@@ -34,6 +34,8 @@ from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.view import EarlierResult, Scene, SnapshotSource, View
+
+T = TypeVar("T")
 
 DARK = Theme(
     name="gcs-dark",
@@ -263,11 +265,11 @@ class SysidApp(App[None]):
         except (GcsSysidError, OSError) as error:
             self.say(f"Not done: {error}")
 
-    def _lacks(self, what: str, action: object) -> bool:
-        """Whether the source cannot do this; then it is said."""
+    def _offers(self, action: T | None, what: str) -> TypeGuard[T]:
+        """Whether the source can do this; where it cannot, that is said."""
         if action is None:
             self.say(f"{what}: not {self.actions.absent}.")
-        return action is None
+        return action is not None
 
     def _in_thread(self, what: str, action: Callable[[], str]) -> None:
         """Do something that takes its time, beside the flow of data."""
@@ -301,22 +303,23 @@ class SysidApp(App[None]):
     def action_mark(self) -> None:
         """Mark the present instant with a number; a pilot has no hand free to type."""
         act = self.actions.mark
+        if not self._offers(act, "Mark"):
+            return
 
         def mark() -> str:
-            assert act is not None
             act(f"mark {self._marks + 1}")
             self._marks += 1
             return f"Marked: mark {self._marks}"
 
-        if not self._lacks("Mark", act):
-            self._ask(mark)
+        self._ask(mark)
 
     def action_reset(self) -> None:
         """Restart the estimate, once the user has confirmed: the data so far are discarded."""
         act = self.actions.reset
+        if not self._offers(act, "Reset"):
+            return
 
         def reset() -> str:
-            assert act is not None
             act()
             return "Reset: the estimate restarts."
 
@@ -326,15 +329,12 @@ class SysidApp(App[None]):
             else:
                 self.say("Reset: cancelled.")
 
-        if not self._lacks("Reset", act):
-            choices = [("keep", "keep the estimate"), ("reset", "discard the data so far")]
-            self.push_screen(Choose("Reset the estimate?", choices), confirmed)
+        choices = [("keep", "keep the estimate"), ("reset", "discard the data so far")]
+        self.push_screen(Choose("Reset the estimate?", choices), confirmed)
 
     def action_record(self) -> None:
         """Start or stop recording."""
-        act = self.actions.toggle_recording
-        if not self._lacks("Record", act):
-            assert act is not None
+        if self._offers(act := self.actions.toggle_recording, "Record"):
             self._ask(act)
 
     # -- files
@@ -342,9 +342,8 @@ class SysidApp(App[None]):
     def action_export(self) -> None:
         """Write the present result for a simulator."""
         act = self.actions.export
-        if self._lacks("Export", act):
+        if not self._offers(act, "Export"):
             return
-        assert act is not None
         if self.snapshot is None:
             self.say("Nothing to export yet.")
             return
@@ -362,16 +361,15 @@ class SysidApp(App[None]):
 
     def action_report(self) -> None:
         """Write a report of the flight so far."""
-        act = self.actions.report
-        if not self._lacks("Report", act):
-            assert act is not None
+        if self._offers(act := self.actions.report, "Report"):
             self._in_thread("Report", act)
 
     # -- scale and vehicle
 
     def action_scale(self) -> None:
         """Set the scale: first which quantity, then its value."""
-        if self._lacks("Scale", self.actions.set_anchor):
+        act = self.actions.set_anchor
+        if not self._offers(act, "Scale"):
             return
         if self.snapshot is None:
             self.say("No result yet.")
@@ -392,14 +390,14 @@ class SysidApp(App[None]):
             known = result.parameters.get(kind)
             value = "" if known is None or known.value is None else f"{known.value:.6g}"
             hint = f"{words[kind]}. Scales all masses, inertias and coefficients."
-            self.push_screen(Enter("Scale", hint, value), lambda text: self._set_anchor(kind, text))
+            self.push_screen(
+                Enter("Scale", hint, value), lambda text: self._set_anchor(act, kind, text)
+            )
 
         kinds = [(kind, words[kind]) for kind in ("mass", thrust)]
         self.push_screen(Choose("What sets the scale?", kinds, f"Now: {now}"), ask_value)
 
-    def _set_anchor(self, kind: str, text: str | None) -> None:
-        act = self.actions.set_anchor
-        assert act is not None
+    def _set_anchor(self, act: Callable[[str, float], str], kind: str, text: str | None) -> None:
         if text is None:
             self.say("Scale unchanged.")
             return
@@ -413,9 +411,8 @@ class SysidApp(App[None]):
     def action_vehicle(self) -> None:
         """Choose among the vehicles on the link."""
         act = self.actions.choose_vehicle
-        if self._lacks("Vehicle", act):
+        if not self._offers(act, "Vehicle"):
             return
-        assert act is not None
         received = () if self.snapshot is None else self.snapshot.link.vehicles
         if len(received) < 2:
             self.say("Only one vehicle on the link." if received else "No vehicle yet.")
