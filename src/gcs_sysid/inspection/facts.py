@@ -246,7 +246,8 @@ GROUPS = {
     "filters": r"INS_(GYRO|ACCEL)_FILTER|IMU_(GYRO|ACCEL)_CUTOFF|IMU_GYRO_RATEMAX|IMU_INTEG_RATE",
     "motors": r"MOT_PWM_(MIN|MAX)|MOT_SPIN_(ARM|ARMED|MIN|MAX)|MOT_THST_EXPO|THR_MDL_FAC"
     r"|PWM_MAIN_(MIN|MAX)[1-8]|motorOutput\[[01]\]|(min|max)throttle|motor_poles|dshot_bidir",
-    "logging": r"LOG_BITMASK|SDLOG_PROFILE|SERVO_BLH_TRATE",
+    "logging": r"LOG_(BITMASK|BACKEND_TYPE|FILE_BUFSIZE|(FILE|BLK)_RATEMAX)|SDLOG_PROFILE"
+    r"|SERVO_BLH_TRATE",
     "IMU place": r"INS_POS1_[XYZ]|IMU_POS_[XYZ]",
     "simulator": r"SIH_(MASS|I[XYZ][XYZ]|T_MAX|Q_MAX|L_ROLL|L_PITCH|KDV|KDW|T_TAU)",
 }

@@ -1,6 +1,6 @@
 """Whether a vehicle can be identified from what was found, in a pilot's words."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from gcs_sysid.inspection.facts import (
@@ -22,6 +22,9 @@ from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 _IDENTIFIED_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
 _ESC_RATE = 100
 """Hz, SERVO_BLH_TRATE that fits identification."""
+_PROFILES = {0: "default", 3: "system identification", 4: "high rate"}
+_BITS = {0: "fast attitude", 10: "RCOUT, motor outputs", 18: "fast IMU"}
+"""Of ArduCopter's LOG_BITMASK."""
 _FASTER = {
     "blackbox": "log more: on Betaflight raise blackbox_sample_rate (1/2), on INAV set "
     "blackbox_rate_denom = 1; and see that accelerometer, attitude and RPM are logged",
@@ -76,20 +79,46 @@ def _vehicle(found: Inspection) -> Iterator[Objection]:
 
 
 def _faster(found: Inspection) -> str:
-    """The very settings that log more."""
+    """The very settings that log more: never one that is set already."""
+    known = found.parameters
+    changes = []
     if found.kind == "ulog":
-        now = int(found.parameters.get("SDLOG_PROFILE", 1.0))
-        # SDLOG_PROFILE: default set, system identification, high rate.
-        return f"log more: set SDLOG_PROFILE = {now | (1 + 8 + 16)} (now {now})"
-    if found.kind == "dataflash":
-        now = int(found.parameters.get("LOG_BITMASK", 176126))
-        # Bits of ArduCopter's LOG_BITMASK.
-        text = f"log more: set LOG_BITMASK = {now | (1 << 0) | (1 << 18)} (now {now})"
-        if found.parameters.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
-            text += f", and SERVO_BLH_TRATE = {_ESC_RATE} (now "
-            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) if the ESCs can send that fast"
-        return text
+        changes = _with_bits("SDLOG_PROFILE", known.get("SDLOG_PROFILE", 1.0), _PROFILES)
+    elif found.kind == "dataflash":
+        changes = _limited_rates(known)
+        # LOG_FILE_BUFSIZE came when LOG_BITMASK grew beyond 16 bits.
+        bits = {k: v for k, v in _BITS.items() if k < 16 or "LOG_FILE_BUFSIZE" in known}
+        changes += _with_bits("LOG_BITMASK", known.get("LOG_BITMASK", 176126.0), bits)
+        if known.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
+            changes.append(
+                f"SERVO_BLH_TRATE = {_ESC_RATE} (now {known['SERVO_BLH_TRATE']:.0f}) if the ESCs "
+                "can send that fast"
+            )
+    if changes:
+        return f"log more: set {', and '.join(changes)}"
     return _FASTER.get(found.kind, _FASTER_LINK)
+
+
+def _limited_rates(known: Mapping[str, float]) -> list[str]:
+    """What caps all rates of ArduPilot's backends that write logs on board."""
+    backends = int(known.get("LOG_BACKEND_TYPE", 1.0))
+    return [
+        f"{name} = 0 (no limit; now {known[name]:g} Hz)"
+        for bit, name in ((1, "LOG_FILE_RATEMAX"), (4, "LOG_BLK_RATEMAX"))
+        if backends & bit and 0.0 < known.get(name, 0.0) < LIMITS.command_rate
+    ]
+
+
+def _with_bits(name: str, now: float, wanted: Mapping[int, str]) -> list[str]:
+    """A mask with the bits that it lacks; of a negative one, which is 16 bits, these alone."""
+    mask = int(now)
+    lacking = {bit: words for bit, words in wanted.items() if not mask >> bit & 1}
+    if not lacking:
+        return []
+    bits = " and ".join(f"bit {bit} ({words})" for bit, words in lacking.items())
+    if mask < 0:
+        return [f"{bits} of {name}"]
+    return [f"{name} = {mask | sum(1 << bit for bit in lacking)} (now {mask}), for {bits}"]
 
 
 def obtainable(found: Inspection) -> Obtainable:
