@@ -21,14 +21,12 @@ from benchmarks.accuracy.statistics import settled
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import Method
-from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.intervals import Z95
 from testbed.article import NAMES, TABLE_3
 from testbed.article_flights import (
     EXCITED_FROM,
     GEOMETRY,
-    MEMS_SPEED_STD,
     fly,
     fly_late,
     measure,
@@ -75,7 +73,7 @@ def _both(noise: str, sigma: float, seed: int) -> dict[str, Any]:
     for kind, rounded in SPEEDS.items():
         samples = measure(fly("paper", 20), noise, sigma, seed, rounded=rounded)
         fit = online(samples, 0.05)
-        better = offline(samples, 0.05, fit, ROUNDING_STD if rounded else None)
+        better = offline(samples, 0.05, fit)
         out |= {f"online {kind}": outcome(fit), f"offline {kind}": outcome(better)}
     return out
 
@@ -109,7 +107,7 @@ def white(seed: int) -> dict[str, Any]:
     fit = online(samples, 0.05)
     return {
         "online exact": outcome(fit),
-        "offline exact": outcome(offline(samples, 0.05, fit, None)),
+        "offline exact": outcome(offline(samples, 0.05, fit)),
     }
 
 
@@ -124,8 +122,7 @@ def mems(seed: int) -> dict[str, Any]:
 def mems_offline(seed: int) -> dict[str, Any]:
     samples = measure(fly("paper", 250), "mems", 0.0, seed)
     fit = online(samples, 0.004)
-    level = float(np.hypot(MEMS_SPEED_STD, ROUNDING_STD))
-    return {"online": outcome(fit), "offline": outcome(offline(samples, 0.004, fit, level))}
+    return {"online": outcome(fit), "offline": outcome(offline(samples, 0.004, fit))}
 
 
 def history(seed: int) -> dict[str, Any]:
@@ -200,7 +197,7 @@ def chains(seed: int) -> dict[str, Any]:
     return {
         **{label: outcome(online(samples, 0.05, tuning)) for label, tuning in tunings.items()},
         "here, online": outcome(fit),
-        "here, offline": outcome(offline(samples, 0.05, fit, ROUNDING_STD)),
+        "here, offline": outcome(offline(samples, 0.05, fit)),
     }
 
 

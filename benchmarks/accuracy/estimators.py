@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
-from gcs_sysid.estimation.offline.innovations import AxisNoise, Noise
-from gcs_sysid.estimation.offline.likelihood import cramer_rao_bound, maximize_likelihood
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.problem import residual_maker
+from gcs_sysid.estimation.noise.whitening import NONE
+from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
+from gcs_sysid.estimation.offline.likeliest_noise import AxisNoise, innovations
+from gcs_sysid.estimation.offline.prediction_error import estimate
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
+from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.estimate import Estimate
@@ -37,18 +40,29 @@ def online(samples: Samples, dt: float, tuning: EstimatorTuning | None = None) -
     return estimator.fit()
 
 
-def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) -> Fit:
-    """Maximum likelihood, from the online estimate; the translation stays the online one."""
+def offline(samples: Samples, dt: float, start: Fit, *, reach: float = 0.0) -> Fit:
+    """The prediction-error estimate, from the online one; the translation stays the online one.
+
+    Args:
+        samples: of a flight.
+        dt: s between them.
+        start: the online estimate.
+        reach: s, by how much the rotors' stamps may be late or early; 0: known to be right.
+    """
     assert start.rotation is not None
-    found = maximize_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
+    known = replace(start.rotation, coordinates=at_delay(0.0))
+    rows = SpeedRows([samples], GEOMETRY, dt, 0.0, reach, speed_noise(samples, dt))
+    found = estimate(rows, known, choice=DeviationChoice(GEOMETRY))
     assert found is not None
-    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    full[: Unknown.DELAY + 1, : Unknown.DELAY + 1] = found.covariance
-    n = rb.N_THETA
-    rotation = replace(
-        start.rotation, theta=found.theta, covariance=full[:n, :n], full_covariance=full
-    )
-    return replace(start, rotation=rotation)
+    return replace(start, rotation=found.fit.rotation)
+
+
+def speed_noise(samples: Samples, dt: float) -> Array:
+    """(5, 5) covariance of the rotors' signals in a sample, as the program finds it."""
+    noise = SpeedNoise(GEOMETRY, dt)
+    noise.update(samples.speeds)
+    torques, across, H = noise.of_signals
+    return np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
 
 
 def at_known_mass(fit: Fit) -> dict[str, Estimate]:
@@ -80,25 +94,37 @@ def _short(values: Array) -> list[float]:
 # ---- the bound -------------------------------------------------------------------------------
 
 
-def article_noise(sigma: float, dt: float) -> Noise:
+def article_noise(sigma: float, dt: float) -> AxisNoise:
     """Of the gyro in the "paper" noise model: white noise through s / (s + corner)."""
-    drive = sigma * np.sqrt(0.5 * (1.0 + np.exp(-CORNER * dt)))
-    axis = AxisNoise(float(drive), CORNER, 1.0, 0.0)
-    return axis, axis, axis
+    pole = float(np.exp(-CORNER * dt))
+    return AxisNoise(0.5 * (1.0 + pole) * sigma**2, c=1.0, p=pole)
 
 
-def white_noise(sigma: float) -> Noise:
+def white_noise(sigma: float) -> AxisNoise:
     """The same standard deviation, white."""
-    axis = AxisNoise(sigma, None, 0.0, 0.0)
-    return axis, axis, axis
+    return AxisNoise(sigma**2)
 
 
-def bound(mission: str, rate: float, noise: Noise, *, rounded: bool) -> list[float]:
+def bound(mission: str, rate: float, noise: AxisNoise, *, rounded: bool) -> list[float]:
     """Ten least standard deviations in % (Cramér-Rao), scale known; NaN for k_T."""
-    samples = exact(fly(mission, rate))
-    level = ROUNDING_STD if rounded else None
-    std = cramer_rao_bound(samples, GEOMETRY, 1.0 / rate, true_theta(), noise, level)
+    samples, theta = exact(fly(mission, rate)), true_theta()
+    covariance = speed_noise(samples, 1.0 / rate) if rounded else np.zeros((5, 5))
+    rows = SpeedRows([samples], GEOMETRY, 1.0 / rate, 0.0, 0.0, covariance)
+    basis = rows.basis(at_delay(0.0))
+    Q, G = rb.forward_jacobian(theta)
+    P = basis.map_at(basis.at)
+    TP = residual_maker(Q) @ P
+    # Rounding of the speeds acts as torque noise does.
+    walks = np.diag(TP @ rows.noise(basis, [NONE])[0] @ TP.T) * rows.time**2
+    whiteners = [replace(noise, u=float(u)).whitener(rows.time, "true") for u in walks]
+    information = np.zeros((rb.N_THETA, rb.N_THETA))
+    for run in rows.made(basis):
+        for axis, whitener in enumerate(whiteners):
+            x = innovations(run.rows @ P[: rb.N_SIGNALS].T, whitener) @ G[:, axis].T
+            information += x.T @ x * rows.time**2 / whitener.variance
+    d = np.sqrt(np.diag(information))
+    std = np.sqrt(np.diag(np.linalg.inv(information / np.outer(d, d)))) / d
     core = [*range(rb.CG_Y + 1), rb.MOMENT_RATIO]
-    percent = 100.0 * std[core] / np.abs(true_theta()[core])
+    percent = 100.0 * std[core] / np.abs(theta[core])
     # k_T rests on the translation, which this bound says nothing of.
     return [*percent[:8].tolist(), float("nan"), float(percent[8])]

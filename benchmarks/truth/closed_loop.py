@@ -9,8 +9,8 @@ inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
 `OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals, and
 how many moments of inertia would be `identified` by their intervals and the share that rotors
-explain. `offline` is the filter error estimate, `setpoints` the same with the rates asked for as
-instruments.
+explain. `offline` is the prediction-error estimate, `setpoints` the same with the rates asked for
+as instruments.
 
 The flights are those of `testbed.rate_loop`.
 """

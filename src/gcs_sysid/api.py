@@ -233,7 +233,7 @@ def analyze(
         vehicle: system and perhaps component; None: the first autopilot in the log.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
-        offline: whether to maximize the likelihood of the whole record.
+        offline: whether to estimate once more from all samples, see `docs/method/offline.md`.
         history: whether to keep estimates and predicted acceleration over time, for
             `Result.plot`; takes longer.
         known: scale, arm and priors, see `Known`.
@@ -324,7 +324,7 @@ def identify(
     Args:
         signals: of one vehicle.
         airframe: as for `load_airframe`.
-        offline: whether to maximize the likelihood of the whole record.
+        offline: whether to estimate once more from all samples, see `docs/method/offline.md`.
         known: scale, arm and priors, see `Known`.
 
     Raises:

@@ -468,8 +468,7 @@ COMMANDS = (
                 type=mass,
             ),
             OFFLINE.but(
-                "filter error or maximum likelihood over the whole record, with the "
-                "Cramer-Rao bound (slower)"
+                "prediction error over the whole record, with the Cramer-Rao bound (slower)"
             ),
             option(
                 "--method",
@@ -739,7 +738,7 @@ COMMANDS = (
             ),
             airframe("default: the nearest airframe.toml"),
             VEHICLE,
-            OFFLINE.but("maximum likelihood over whole records (slower)"),
+            OFFLINE.but("prediction error over whole records (slower)"),
         ),
     ),
     Command(

@@ -40,7 +40,7 @@ class Job:
         log: its path as it was found, for people.
         airframe: with a scale anchor.
         vehicle: system and perhaps component; None: the first autopilot in the log.
-        offline: whether the estimate is the maximum-likelihood one.
+        offline: whether the estimate is the offline one.
     """
 
     log: Path

@@ -370,7 +370,7 @@ def result_notes(result: ResultData) -> list[str]:
             "declare [imu] gyro_filter in the airframe file"
         )
     if result.estimator == "offline":
-        notes.insert(0, f"offline estimate: {result.method or 'maximum likelihood'}")
+        notes.insert(0, f"offline estimate: {result.method or 'prediction error'}")
     return [*notes, *result.reasons]
 
 

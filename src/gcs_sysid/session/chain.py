@@ -280,9 +280,7 @@ class Chain:
         """The offline estimate, or why there is none."""
         if self.tracker is None:
             return "no estimate from this flight"
-        if self.rotor_input.motors:
-            return "--offline needs measured rotor speeds, this flight has commands"
-        # Splines and likelihoods take a while to load, and few ask for them.
+        # Splines take a while to load, and few ask for them.
         from gcs_sysid.estimation.offline.offline import fit_offline
 
         return fit_offline(self.tracker, self.fit, self.options.progress)

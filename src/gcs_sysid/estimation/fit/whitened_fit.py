@@ -181,7 +181,7 @@ def _with_scatter(
     inverse_root = outcome.roots[1][0]
     spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
     disturbed = solved.trial.detected.max() > RULES.detected
-    if disturbed or bank.deviations.shown or data.own:
+    if disturbed or bank.deviations.shown:
         # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
         # all scatter counts, proved or not.
         spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))

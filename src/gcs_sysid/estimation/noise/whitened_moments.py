@@ -14,23 +14,6 @@ _MOST_WEIGHT = 3.0
 
 
 @dataclass(frozen=True)
-class OfflineBank:
-    """Whiteners for a second look at a record (`estimation.offline.filter_error`).
-
-    Attributes:
-        whiteners: all of them, those without disturbance first.
-        own: the likeliest of the whole record, of each axis. Their innovations are as white as they
-            can be, and rows count by how strong these are in their batch.
-        judges: of each axis, those of the online estimate, used for how much of the motion is
-            explained and predicted: its bounds were found with them.
-    """
-
-    whiteners: tuple[Whitener, ...]
-    own: tuple[Whitener, ...]
-    judges: tuple[Whitener, ...]
-
-
-@dataclass(frozen=True)
 class WhitenedMoments:
     """Moments of rows of elements under every whitener of a bank, batch by batch.
 
@@ -42,8 +25,11 @@ class WhitenedMoments:
         time: s, T of a row.
         grouped: rows that a batch should have before its score counts as one.
         muted: columns that are taken as zero.
-        own: places of `OfflineBank.own`; empty: there is none.
-        judges: places of its `judges`.
+        own: places of the likeliest of the whole record, of each axis, which no other axis takes.
+            Their innovations are as white as they can be, and rows count by how strong these are in
+            their batch. Empty: there is none.
+        judges: of each axis, those of the online estimate, used for how much of the motion is
+            explained and predicted: its bounds were found with them.
     """
 
     parts: tuple[Array, ...]
@@ -87,11 +73,15 @@ class WhitenedMoments:
         """The same, where rows of a batch count by the inverse of its innovations' power.
 
         Gusts and propeller wash come and go: the likelihood of innovations whose variance changes
-        from batch to batch. A batch with weight w counts as w times its rows.
+        from batch to batch. A batch with weight w counts as w times its rows. Of how far logarithms
+        of powers scatter, a part is chance, 2 / n of n innovations: they are shrunk by that.
 
         Args:
-            power: (k,) of the innovations in each batch, relative to the median.
+            power: (k,) of the innovations in each batch, relative to the median: of three axes.
         """
+        chance = 2.0 / 3.0 * float(np.mean(1.0 / np.maximum(self.counts, 1)))
+        spread = max(float(np.var(np.log(np.maximum(power, 1e-300)))), 1e-300)
+        power = power ** max(0.0, 1.0 - chance / spread)
         weights = 1.0 / np.maximum(power, 1.0 / _MOST_WEIGHT)
         weights *= self.counts.sum() / float(weights @ self.counts)
         counts = np.maximum(np.round(weights * self.counts), 1).astype(np.int64)

@@ -21,14 +21,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.disturbance import RULES as DISTURBANCE
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.noise.uncertainty import meat
-from gcs_sysid.estimation.offline.filter_error import ResidualRun, innovations
+from gcs_sysid.estimation.offline.likeliest_noise import innovations
+from gcs_sysid.estimation.offline.prediction_error import Whitened, sound_rows
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.recursions import lfilter
 
 _POLE = 0.035
 """s, of the Laguerre filters."""
@@ -78,17 +79,31 @@ class InstrumentFit:
 
 
 def fit_by_instruments(
-    runs: Sequence[ResidualRun], fit: RotationFit, T: float
+    flight: Whitened, fit: RotationFit
 ) -> tuple[InstrumentFit | None, InstrumentFit | None]:
     """Roll and pitch by their setpoints; None where there are none, or too little of them.
 
     Args:
-        runs: what the fit leaves of rows of one step.
-        fit: with a whitener for each axis.
-        T: s between rows.
+        flight: rows.
+        fit: to them.
     """
-    roll, pitch = (_fit_axis(runs, fit, axis, T) for axis in (0, 1))
-    return roll, pitch
+    residuals = flight.residuals(fit)
+    sound = sound_rows(residuals, flight.time, fit.whiteners)
+    P = flight.basis.map_at(fit.coordinates)[: rb.N_SIGNALS]
+    G = rb.forward_jacobian(fit.theta, fit.deviating.torque(fit.deviations))[1]
+    found = []
+    for axis in (0, 1):
+        # By how much the predicted acceleration changes with ln Ixx or ln Iyy.
+        slope = fit.theta[axis] * G[axis, axis] @ P
+        parts = []
+        for run, residual, ok in zip(flight.runs, residuals, sound, strict=True):
+            asked = run.setpoint[:, axis]
+            if np.isfinite(asked).all():
+                signals = residual[:, axis], run.rows @ slope, asked
+                white = (innovations(signal, fit.whiteners[axis]) for signal in signals)
+                parts.append((*white, ok))
+        found.append(fit_axis(parts, flight.time))
+    return found[0], found[1]
 
 
 def combined(fit: RotationFit, found: Sequence[InstrumentFit | None]) -> tuple[RotationFit, bool]:
@@ -127,19 +142,8 @@ def combined(fit: RotationFit, found: Sequence[InstrumentFit | None]) -> tuple[R
     return replace(fit, theta=theta, covariance=full[:n, :n], full_covariance=full), True
 
 
-def _fit_axis(
-    runs: Sequence[ResidualRun], fit: RotationFit, axis: int, T: float
-) -> InstrumentFit | None:
-    whitener = fit.whiteners[axis]
-    parts = []
-    for run in runs:
-        if not np.isfinite(run.setpoint[:, axis]).all():
-            continue
-        e, s, z = (
-            innovations(column, whitener)
-            for column in (run.residual[:, axis], run.slope[:, axis], run.setpoint[:, axis])
-        )
-        parts.append((e, s, z, run.sound))
+def fit_axis(parts: Sequence[tuple[Array, ...]], T: float) -> InstrumentFit | None:
+    """Of whitened residual, slope and setpoint, and which rows are sound, of every run."""
     rows = sum(int(sound.sum()) for *_, sound in parts)
     if rows * T < _LEAST_SECONDS:
         return None
@@ -170,9 +174,9 @@ def _laguerre(signal: Array, T: float) -> Array:
     """(n, _ORDERS) of (n,): a low-pass, then one all-pass after the other."""
     a = float(np.exp(-T / _POLE))
     late = np.concatenate([np.zeros(_LATE), signal[:-_LATE]])
-    out = [lfilter([np.sqrt(1.0 - a * a)], [1.0, -a], late)]
+    out = [lfilter([np.sqrt(1.0 - a * a)], [1.0, -a], late)[0]]
     for _ in range(_ORDERS - 1):
-        out.append(lfilter([-a, 1.0], [1.0, -a], out[-1]))
+        out.append(lfilter([-a, 1.0], [1.0, -a], out[-1])[0])
     return np.stack(out, axis=1)
 
 

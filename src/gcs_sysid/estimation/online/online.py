@@ -16,7 +16,6 @@ from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
-from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
@@ -62,7 +61,6 @@ class OnlineEstimator:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
-        offline: as of `FlightRecord`.
     """
 
     def __init__(
@@ -70,7 +68,6 @@ class OnlineEstimator:
         geometry: Array,
         dt: float,
         tuning: EstimatorTuning,
-        offline: OfflineBank | None = None,
     ) -> None:
         self.dt = dt
         self.prior: Prior | None = None
@@ -78,7 +75,7 @@ class OnlineEstimator:
         self.prior_source: PriorSource | None = None
         """Renews the prior with each warm start and full fit, by what the flight alone shows."""
         self._alone: RotationFit | None = None
-        self._record = FlightRecord(geometry, dt, tuning, offline)
+        self._record = FlightRecord(geometry, dt, tuning)
         whitening = WhitenedEstimator(self._record, geometry)
         self._thrust = ThrustEstimator(self._record, whitening)
         self._rotation = RotationEstimator(
@@ -119,6 +116,21 @@ class OnlineEstimator:
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._record.speed_std
+
+    @property
+    def signals_noise(self) -> Array:
+        """(5, 5) covariance of roll, pitch, thrust, yaw and H in a sample, of known noise."""
+        return self._record.signals_noise
+
+    @property
+    def noise_doubt(self) -> float:
+        """Relative standard deviation of that."""
+        return self._record.noise_doubt
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether no steady wind blows."""
+        return self._thrust.is_calm(self.prior)
 
     @property
     def bound(self) -> Array:

@@ -9,37 +9,28 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gcs_sysid.arrays import Array, Mask, by_parts
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.checks.held_out import SHORTEST_VALIDATED, predict_held_out
 from gcs_sysid.estimation.checks.layout_test import LEAST_RATE, SUSPECTED, find_other_layout
 from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import (
     Validation,
-    judge_prediction,
-    whiteness_of,
 )
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.shocks import find_shocks
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
-from gcs_sysid.estimation.noise.whitening import slower
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
-_FREQUENCIES = 4096
 _BELIEVED = 0.5
 """Share of the motion explained, from which deviations are those of rotors."""
-_SHORTEST_VALIDATED = 4.0
-"""s of flight."""
-_HELD_OUT = 1.0
-"""s: of five such stretches, two are predicted from the others."""
 _THRUST = rb.SIGNALS.index("thrust")
 LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
@@ -131,76 +122,14 @@ class WhitenedEstimator:
         )
 
     def validate(self, prior: Prior | None) -> Validation | None:
-        """Fit the first part, predict the rest of the window's rows; whiteness of innovations.
-
-        Where the likeliest whiteners are known, the flight is over, and every fifth of it is
-        predicted from the other four.
-        """
-        data = self._data
-        ends = np.cumsum(data.counts) * self._white.time
-        if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
-            return None
-        # Held out now and then: maneuvers come one after the other, and a part must have its own.
-        # By how much it has moved: a flight may turn for a second and hover for the rest.
-        stretch = (ends[-1] * np.cumsum(data.motion) - 1e-9) // _HELD_OUT % 5
-        folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
-        found = [
-            fold
-            for held_out in folds
-            if (fold := self._predicted(data, np.isin(stretch, held_out), prior)) is not None
-        ]
-        if not found:
-            return None
-        whiteness = whiteness_of(
-            *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
-        )
-        if len(found) == 1:
-            return replace(found[0].validation, whiteness=whiteness[0], whiteness_p=whiteness[1])
-        measured = np.stack([fold.measured for fold in found])
-        share = measured / np.maximum(measured.sum(axis=0), 1e-300)
-        return replace(
-            found[-1].validation,
-            r_squared=(share * [fold.validation.r_squared for fold in found]).sum(axis=0),
-            theil=(share * [fold.validation.theil for fold in found]).sum(axis=0),
-            whiteness=whiteness[0],
-            whiteness_p=whiteness[1],
-        )
-
-    def _predicted(
-        self, data: WhitenedMoments, held_out: Mask, prior: Prior | None
-    ) -> "_Fold | None":
-        """A part of the flight, predicted by a fit to the others."""
-        if held_out.all():
-            return None
-        found = fit_whitened(data, self.basis, prior=prior, choice=self._choice, only=~held_out)
-        if found is None:
-            return None
-        fit = found.rotation
-        own = data.of_axes(self._white.places(fit.whiteners))
-        P = self.basis.map_at(fit.coordinates)
-        # Collisions and landings are not predicted by anybody.
-        shocks = find_shocks(
-            residual_maker(fit.Q) @ P, np.diag(fit.residual_covariance), own, data.counts
-        )
-        kept = held_out & ~shocks
-        if not kept.any():
-            return None
-        batches = data.of_axes(data.judges) if data.judges else own
-        rest = P @ batches[kept].sum(axis=0) @ P.T
-        share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
-        nothing = np.full(3, np.nan)
-        axes = np.arange(3)
-        return _Fold(
-            judge_prediction(rest, fit, share, nothing, nothing),
-            rest[axes, axes - 3, axes - 3],
-            self._slow_power(data, kept, fit),
-        )
+        """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
+        return predict_held_out(self._data, self.basis, self._choice, prior)
 
     def other_layout(self, fit: RotationFit | None) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
         given = 0.0 if fit is None else float(fit.r_squared[:2].min())
         data = self._data
-        if given >= SUSPECTED or data.counts.sum() * self._white.time < _SHORTEST_VALIDATED:
+        if given >= SUSPECTED or data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
             return None
         if self._rates[:2].min() < LEAST_RATE:
             return None
@@ -268,51 +197,6 @@ class WhitenedEstimator:
         window, basis = self._record.rotation, self._record.basis
         sums = basis.moments_at(window.total[0], basis.nodes[basis.middle])
         return rb.rms_rates(sums, max(window.rows, 1))
-
-    def _slow_power(
-        self, data: WhitenedMoments, kept: Mask, fit: RotationFit
-    ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Of the innovations that were not fitted, as `whiteness_of` takes it.
-
-        Were they white, another whitener would make of them
-
-            sigma_b^2 = sigma_a^2 mean over omega of |W_b / W_a|^2 ,
-
-        with W_b one for which what is slow counts more.
-        """
-        own_places = self._white.places(fit.whiteners)
-        references = [slower(data.whiteners, i) for i in own_places]
-        TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
-
-        omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
-        ratio = np.array(
-            [
-                np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
-                for a, b in zip(own_places, references, strict=True)
-            ]
-        )
-        powers = []
-        for pick in (own_places, references):
-            batches, counts = data.of_axes(pick)[kept], data.counts[kept]
-            batches, counts = grouped(batches, counts, data.grouped)
-            powers.append(by_parts(lambda some: axis_power(TP, some), batches))
-        own, slow = powers
-        return slow, ratio * own, counts
-
-
-@dataclass(frozen=True)
-class _Fold:
-    """A held-out part of a flight, predicted.
-
-    Attributes:
-        validation: of it, without whiteness.
-        measured: (3,) power of its acceleration.
-        power: for its whiteness, see `whiteness_of`.
-    """
-
-    validation: Validation
-    measured: Array
-    power: tuple[Array, Array, NDArray[np.int64]]
 
 
 def _is_doubtful(fit: RotationFit) -> bool:

@@ -172,7 +172,7 @@ _ROUNDS, _ROUNDS_OF_OTHERS = 16, 2
 """Times that rows are made again, at most, until the motors stay; and where something else lags and
 is no rival. Curve, asymmetry and exponent make a bent valley: a curve of 0.84 for 0.31 came nearer
 by 0.1 a round."""
-_STAYED = 0.3
+STAYED = 0.3
 """Of the steps of the linearization; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
 """Share of roll and pitch that a window must explain before motors are looked for."""
@@ -472,7 +472,7 @@ class CommandRecord:
             if found is None:
                 return tuned
             at = found.rotation.coordinates
-            stayed = bool((np.abs(at - basis.at) < _STAYED * basis.moved).all())
+            stayed = bool((np.abs(at - basis.at) < STAYED * basis.moved).all())
             away = np.zeros(N_UNKNOWNS)
             if not stayed and tuned is not None:
                 away = found.rotation.unknowns - tuned.fit.rotation.unknowns

@@ -10,7 +10,6 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.whitener_choice import explained_by
 from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
-from gcs_sysid.estimation.noise.whitened_moments import OfflineBank
 from gcs_sysid.estimation.noise.whitening import bank_for
 from gcs_sysid.estimation.record import article_estimator as article
 from gcs_sysid.estimation.record.command_noise import CommandNoise
@@ -66,7 +65,6 @@ class FlightRecord:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
-        offline: whiteners for a second look at the same record; None: those of every flight.
 
     Attributes:
         dt: s between samples.
@@ -85,7 +83,6 @@ class FlightRecord:
         geometry: Array,
         dt: float,
         tuning: EstimatorTuning,
-        offline: OfflineBank | None = None,
     ) -> None:
         smoother: Smoother
         half_width = tuning.half_width
@@ -135,10 +132,9 @@ class FlightRecord:
             self._of_speeds = WhitenedRecord(
                 elements,
                 step,
-                bank_for(step.time) if offline is None else offline.whiteners,
+                bank_for(step.time),
                 dt,
                 tuning.batch_time,
-                offline=offline,
             )
         self.low_passed = False
         """Whether the gyro comes through an undeclared low-pass."""
@@ -380,6 +376,14 @@ class FlightRecord:
         noise = self.input_noise
         assert isinstance(noise, SpeedNoise)
         return noise.of_signals
+
+    @property
+    def signals_noise(self) -> Array:
+        """(5, 5) covariance of roll, pitch, thrust, yaw and H in a sample, of known noise."""
+        if self.commands is not None:
+            return np.zeros((5, 5))
+        torques, across, H = self._signals_noise()
+        return np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
 
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""

@@ -7,7 +7,6 @@ batches. Their number is fixed; as they fill up, neighbors are merged.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
 from gcs_sysid.estimation.fit.whitened_fit import bank_fit
-from gcs_sysid.estimation.noise.whitened_moments import OfflineBank, WhitenedMoments
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
@@ -45,7 +44,6 @@ class WhitenedRecord:
         whiteners: of the bank.
         dt: s between samples.
         batch_time: s, of long batches.
-        offline: the bank, where it is of a second look at the record.
     """
 
     def __init__(
@@ -55,10 +53,7 @@ class WhitenedRecord:
         whiteners: Sequence[Whitener],
         dt: float,
         batch_time: float,
-        *,
-        offline: OfflineBank | None = None,
     ) -> None:
-        self._offline = offline
         self.basis = basis
         self.time = step.time
         self.whiteners = tuple(whiteners)
@@ -108,7 +103,7 @@ class WhitenedRecord:
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
-                    learned = self.rows * self.time >= _LEARNED and self._offline is None
+                    learned = self.rows * self.time >= _LEARNED
                     if self._narrows and self._columns is None and learned:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
@@ -135,17 +130,12 @@ class WhitenedRecord:
             self.whiteners,
             self.time,
             self._per_short,
-            own=self._offline_places("own"),
-            judges=self._offline_places("judges"),
         )
 
     def places(self, whiteners: Sequence[Whitener]) -> list[int]:
         """Where whiteners are in the bank; of those that were given up, where the first leak is."""
         known = {whitener.name: i for i, whitener in enumerate(self.whiteners)}
         return [known.get(whitener.name, known["leak 0.3 s"]) for whitener in whiteners]
-
-    def _offline_places(self, which: Literal["own", "judges"]) -> tuple[int, ...]:
-        return () if self._offline is None else tuple(self.places(getattr(self._offline, which)))
 
     @property
     def silence(self) -> Array:

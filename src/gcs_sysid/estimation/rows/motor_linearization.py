@@ -56,10 +56,10 @@ _LEAST = 1e-3
 _SLOWEST = 0.3
 """Of hover, state below which a lag no longer grows."""
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
-_OWN = SIGNALS + len(_COUPLED)
+OWN = SIGNALS + len(_COUPLED)
 """Columns of one set of motor parameters."""
 _THRUST = rb.SIGNALS.index("thrust")
-_BODY = tuple(i for i in range(WIDTH) if i not in (*ROTOR_COLUMNS, *_COUPLED))
+BODY_PLACES = tuple(i for i in range(WIDTH) if i not in (*ROTOR_COLUMNS, *_COUPLED))
 """Columns of a row [x, y] that no motor has a part in."""
 
 
@@ -96,8 +96,8 @@ class LocalDynamics(ActuatorDynamics):
         self.varied = tuple(i for i in self.free if i != Coordinate.DELAY)
         """Those moved."""
         self.sets = 3 + len(self.varied)
-        self.late = self.sets * _OWN
-        self.width = self.late + len(_BODY)
+        self.late = self.sets * OWN
+        self.width = self.late + len(BODY_PLACES)
 
     def weights(self, at: Array, by: int | None = None) -> Array:
         """(K, sets) of the point, of both delays, and of every other, at (K, N_COORDINATES)."""
@@ -123,13 +123,13 @@ class LocalDynamics(ActuatorDynamics):
         for k, by in enumerate((None, *self.free)):
             weights = self.weights(at, by)
             for place, column in enumerate((*ROTOR_COLUMNS, *_COUPLED)):
-                maps[:, k, column, place : self.late : _OWN] = weights
-        maps[:, 0, _BODY, range(self.late, self.width)] = 1.0
+                maps[:, k, column, place : self.late : OWN] = weights
+        maps[:, 0, BODY_PLACES, range(self.late, self.width)] = 1.0
         return maps
 
     def body_places(self, columns: Sequence[int]) -> list[int]:
         """See `ActuatorDynamics.body_places`."""
-        return [self.late + _BODY.index(column) for column in columns]
+        return [self.late + BODY_PLACES.index(column) for column in columns]
 
 
 def step_of(dt: float) -> OneStep:
@@ -261,7 +261,7 @@ class MotorRows:
         )
         m = len(rows.average)
         out = np.empty((m, self._basis.width))
-        of_sets = np.empty((m, sets, _OWN))
+        of_sets = np.empty((m, sets, OWN))
         of_sets[..., :SIGNALS] = rows.average[:, : flat.shape[1]].reshape(m, sets, SIGNALS)
         of_sets[..., SIGNALS - 1] = rows.derivative[:, SIGNALS - 1 : flat.shape[1] : SIGNALS]
         body = self._basis.late

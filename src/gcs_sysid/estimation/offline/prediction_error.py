@@ -1,0 +1,273 @@
+"""The prediction-error estimate of a whole flight, from the samples kept.
+
+Rows of one step are filtered by the whitener of each axis' likeliest noise (`likeliest_noise`), all
+columns alike, and theta is what leaves the innovations of least power (Ljung, System
+Identification, ch. 7): maximum likelihood, and unbiased under feedback. What is fitted, weighed,
+left out and uncertain is as of the online estimator's whitened rows (`fit.whitened_fit`). Noise
+follows from what a fit leaves, and the fit from the noise, until both stay.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.checks.held_out import predict_held_out
+from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.shocks import SHOCK
+from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.noise.whitening import Whitener, bank_for
+from gcs_sysid.estimation.offline.kept_rows import CommandRows, RowRun, SpeedRows
+from gcs_sysid.estimation.offline.likeliest_noise import Periodogram, innovations
+from gcs_sysid.estimation.online.fit import FitMoments
+from gcs_sysid.estimation.record.command_record import STAYED, TRUSTED
+from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
+from gcs_sysid.model import rigid_body as rb
+
+_BATCH, _MOST_BATCHES = 0.25, 256
+"""s, in which shocks are found; and how many of them are kept apart."""
+_LOOKS = 8
+"""Most times that noise and motors are looked for again."""
+_SETTLED = 0.1
+"""Standard deviations that another look moves theta by at most."""
+_PRECISION = 1e-4
+"""Share of the angular acceleration that no model explains. Rotors that follow held commands
+(250 Hz, 30 ms lag) leave about that between any samples of their speeds."""
+_FASTER = 1.6
+"""How much faster the moment of the whitener is that the likeliest is contrasted with."""
+_THRUST = rb.SIGNALS.index("thrust")
+_COMPARED = frozenset(
+    ("none", "leak 0.3 s", "leak 1 s", "torque noise to 18 Hz", "moment to 4 Hz",
+     "moment to 11 Hz", "moment to 23 Hz")
+)  # fmt: skip
+"""Of the bank, what the likeliest are compared with."""
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """A flight's rows under whiteners.
+
+    Attributes:
+        data: moments.
+        basis: of the rows.
+        runs: the rows themselves.
+        time: s of a row.
+    """
+
+    data: WhitenedMoments
+    basis: LocalDynamics
+    runs: Sequence[RowRun]
+    time: float
+
+    def validate(self, prior: Prior | None, choice: DeviationChoice) -> Validation | None:
+        """How well fits to four fifths of the flight predict the last, see `WhitenedEstimator`."""
+        return predict_held_out(self.data, self.basis, choice, prior)
+
+    @property
+    def thrust(self) -> float:
+        """rad^2/s^2, rms of the thrust signal."""
+        power = sum(float((run.rows[:, _THRUST] ** 2).sum()) for run in self.runs)
+        return math.sqrt(power / sum(len(run.rows) for run in self.runs))
+
+    def residuals(self, fit: RotationFit) -> list[Array]:
+        """(n, 3) rad/s^2 that a fit leaves of every run."""
+        TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
+        return [run.rows @ TP.T for run in self.runs]
+
+
+@dataclass(frozen=True)
+class PredictionErrorFit:
+    """What the estimator found.
+
+    Attributes:
+        fit: the estimate.
+        whitened: what it was fitted to.
+        looks: at the noise.
+    """
+
+    fit: WhitenedFit
+    whitened: Whitened
+    looks: int
+
+    @property
+    def cost(self) -> float:
+        """Nats of all rows, shocks included: what is left out differs from one to another."""
+        data, fit = self.whitened.data, self.fit.rotation
+        places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
+        TP = residual_maker(fit.Q) @ self.whitened.basis.map_at(fit.coordinates)
+        rows = int(data.counts.sum())
+        power = axis_power(TP, data.of_axes(places).sum(axis=0)) / rows
+        return 0.5 * rows * float(np.log(power).sum())
+
+    def moments(self, online: FitMoments | None) -> FitMoments | None:
+        """What the fit rests on, at its coordinates; with the window of the online estimate."""
+        if online is None:
+            return None
+        data, fit = self.whitened.data, self.fit.rotation
+        places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
+        total = data.of_axes(places).sum(axis=0) - self.fit.left_out
+        rows = data.counts.sum() - self.fit.rows_left_out
+        without = self.whitened.basis.moments_at(total - rows * data.noise[places], fit.coordinates)
+        return online._replace(rows=without)
+
+
+def estimate(
+    rows: SpeedRows | CommandRows,
+    start: RotationFit,
+    doubt: float = 0.0,
+    prior: Prior | None = None,
+    choice: DeviationChoice | None = None,
+    *,
+    calm: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> PredictionErrorFit | None:
+    """Fit a flight.
+
+    Args:
+        rows: of it.
+        start: the online estimate.
+        doubt: one standard deviation of the inputs' known noise, relative.
+        prior: what else is known.
+        choice: of deviations from the model.
+        calm: whether it is known that no steady wind blows.
+        progress: called with the share that is done.
+
+    Returns:
+        The estimate; None where the flight is too short for one, or the search does not end.
+    """
+    judges = start.whiteners or (bank_for(rows.time)[1],) * 3
+    rotation, found, basis = start, None, rows.basis(start.coordinates)
+    runs = rows.made(basis)
+    if not runs:
+        return None
+    for look in range(_LOOKS):
+        if progress is not None:
+            progress(look / _LOOKS)
+        off = np.abs(rotation.coordinates - basis.at)
+        stayed = bool((off <= STAYED * basis.moved).all())
+        if look and not stayed:
+            far = TRUSTED * basis.moved
+            basis = rows.basis(np.clip(rotation.coordinates, basis.at - far, basis.at + far))
+            runs = rows.made(basis)
+            if not runs:
+                return None
+        whiteners, own = _likeliest(runs, basis, rotation, rows.time, judges)
+        made = _whitened(rows, runs, basis, whiteners, own, judges)
+        fit = fit_whitened(
+            made.data,
+            basis,
+            rotation if rotation.warm_start else None,
+            prior,
+            doubt,
+            choice,
+            0.0 if calm else made.thrust,
+        )
+        if fit is None or not fit.rotation.converged:
+            break
+        moved = np.abs(fit.rotation.theta - rotation.theta)
+        rotation, found = fit.rotation, PredictionErrorFit(fit, made, look + 1)
+        if look and stayed and (moved <= _SETTLED * rotation.std).all():
+            break
+    if progress is not None:
+        progress(1.0)
+    return found
+
+
+def _likeliest(
+    runs: Sequence[RowRun],
+    basis: LocalDynamics,
+    fit: RotationFit,
+    T: float,
+    judges: Sequence[Whitener],
+) -> tuple[tuple[Whitener, ...], tuple[Whitener, ...]]:
+    """Whiteners to fit with, those without a disturbance first, and the likeliest of each axis."""
+    TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
+    residuals = [run.rows @ TP.T for run in runs]
+    sound = sound_rows(residuals, T, fit.whiteners or judges)
+    least = np.zeros(3)
+    rows = sum(len(run.rows) for run in runs)
+    for run in runs:
+        least += (run.rows[:, -3:] ** 2).sum(axis=0) * (_PRECISION * T) ** 2 / rows
+    own, others = [], []
+    for axis, name in enumerate("xyz"):
+        axis_runs = [T * r[:, axis] for r in residuals]
+        spectrum = Periodogram([r * ok for r, ok in zip(axis_runs, sound, strict=True)], T)
+        if spectrum.empty:
+            return tuple(bank_for(T)), tuple(judges)
+        best, calm = (
+            model.polished(axis_runs, [ok.astype(float) for ok in sound]).noise
+            for model in spectrum.likeliest(float(least[axis]))
+        )
+        own.append(best.whitener(T, f"likeliest {name}"))
+        others.append(calm.whitener(T, f"calm {name}"))
+        if best.d:
+            faster = replace(best, d=_FASTER**4 * best.d)
+            others.append(faster.whitener(T, f"faster {name}"))
+    known = [w for w in bank_for(T) if w.name in _COMPARED]
+    by_name = {whitener.name: whitener for whitener in (*known, *judges, *others, *own)}
+    return tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed)), tuple(own)
+
+
+def sound_rows(residuals: Sequence[Array], T: float, whiteners: Sequence[Whitener]) -> list[Mask]:
+    """Of each run (n,) which rows belong to no shock."""
+    size = max(round(_BATCH / T), 1)
+    powers = []
+    for run in residuals:
+        white = np.stack([innovations(run[:, i], whiteners[i]) for i in range(3)], axis=1)
+        starts = np.arange(0, len(run), size)
+        counts = np.diff([*starts, len(run)])[:, None]
+        powers.append(np.add.reduceat(white * white, starts, axis=0) / counts)
+    usual = np.median(np.concatenate(powers), axis=0)
+    return [
+        np.repeat((power / usual).mean(axis=1) <= SHOCK, size)[: len(run)]
+        for power, run in zip(powers, residuals, strict=True)
+    ]
+
+
+def _whitened(
+    rows: SpeedRows | CommandRows,
+    runs: Sequence[RowRun],
+    basis: LocalDynamics,
+    whiteners: Sequence[Whitener],
+    own: Sequence[Whitener],
+    judges: Sequence[Whitener],
+) -> Whitened:
+    """Moments of all rows under every whitener."""
+    T = rows.time
+    total = sum(len(run.rows) for run in runs)
+    size = max(round(_BATCH / T), -(-total // _MOST_BATCHES), 1)
+    counts = np.concatenate(
+        [np.diff([*range(0, len(run.rows), size), len(run.rows)]) for run in runs]
+    )
+    moments = np.empty((len(counts), len(whiteners), basis.width, basis.width))
+    for place, whitener in enumerate(whiteners):
+        first = 0
+        for run in runs:
+            white = innovations(run.rows, whitener)
+            whole = len(white) // size
+            blocks = white[: whole * size].reshape(whole, size, -1)
+            moments[first : first + whole, place] = np.swapaxes(blocks, 1, 2) @ blocks
+            first += whole
+            rest = white[whole * size :]
+            if len(rest):
+                moments[first, place] = rest.T @ rest
+                first += 1
+    names = [whitener.name for whitener in whiteners]
+    data = WhitenedMoments(
+        (moments,),
+        counts,
+        rows.noise(basis, whiteners),
+        tuple(whiteners),
+        T,
+        size,
+        own=tuple(names.index(w.name) for w in own),
+        judges=tuple(names.index(w.name) for w in judges),
+    )
+    return Whitened(data, basis, runs, T)
