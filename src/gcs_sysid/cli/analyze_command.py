@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     if options.offline and options.method != "forward":
         raise InputError("--offline needs --method forward")
     output.check_outputs(options.json, force=options.force)
-    show = _Shown(truth, deliveries := output.Deliveries(), on_stdout=options.json != "-")
+    show = _PrintedResults(truth, deliveries := output.Deliveries(), on_stdout=options.json != "-")
     results: list[Result] = []
     documents: list[dict[str, Any]] = []
     if options.added_mass is not None:
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if any(result.verdict == "refused" for result in results) else 0
 
 
-class _Shown:
+class _PrintedResults:
     """Results as they come: tables on standard output, why not on standard error."""
 
     def __init__(
