@@ -540,14 +540,18 @@ class Chain:
 
     def _contradicted(self, alone: Fit, anchor: ScaleReference) -> dict[str, Estimate]:
         known = summary.priors_for(self.airframe.priors, self.rotor_input)
-        values = self._values_of(alone, anchor, {})
+        # What the rotors hardly explain, as in a hover, is confidently wrong: no contradiction.
+        evidence = replace(self.evidence(alone, anchor), checked=False)
+        plain = replace(evidence, estimates=self._values_of(alone, anchor, {}))
+        values = judged(plain, Stage.FLIGHT)
         given = given_stds(values, alone, Given(self.airframe, anchor, self.rotor_input, {}))
         limit = normal_limit(FALSE_ALARM_RATE / max(len(known), 1))
         out = {}
         for name, (value, std) in known.items():
             found = values.get(name)
-            if found is None or found.value is None or not found.std:
+            if found is None or found.status != "identified" or found.std is None:
                 continue
+            assert found.value is not None
             own = math.hypot(found.std, given.get(name, 0.0))
             if abs(found.value - value) > limit * math.hypot(own, std):
                 out[name] = replace(found, std=own)
