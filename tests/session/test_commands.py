@@ -113,7 +113,7 @@ def test_nothing_is_lost_while_the_input_is_undecided(both):
 @pytest.mark.parametrize(
     ("trap", "kind", "why"),
     [
-        ("rpm-zero", "command", "reads 0 in flight"),
+        pytest.param("rpm-zero", "command", "reads 0 in flight", marks=pytest.mark.thorough),
         pytest.param("rpm-command", "command", "under another name", marks=pytest.mark.thorough),
         pytest.param("rpm-repeats=0.03", "speed", "", marks=pytest.mark.thorough),
         ("rpm-rad", "speed", "rad/s"),
@@ -148,7 +148,7 @@ def test_speeds_that_die_in_flight_give_way_to_commands(both):
 @pytest.mark.parametrize("cutoff", [pytest.param(20, marks=pytest.mark.thorough), 40])
 def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")
-    flown = fly(*FLIGHT, *ardupilot, "--rate", "200")
+    flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "20")
     records = flown.records()
     parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
         stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"
