@@ -11,6 +11,7 @@ from gcs_sysid.signals.interpolation import FAR, interpolate
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.telemetry.logs import open_log
+from testbed.recordings import records_of
 from tests.feeding import grid_of
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
@@ -460,7 +461,7 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
 def test_a_real_ardupilot_log_has_one_grid(shared_logs):
     """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
     base, fresh = TimeBase(), 0
-    records = open_log(shared_logs / "ardupilot-sitl.tlog").records()
+    records = records_of(open_log(shared_logs / "ardupilot-sitl.tlog"))
     imu = (r for r in records if r.stream is Stream.IMU)
     for block in grid_of(base, imu, 20):
         base.flown += 0.1
