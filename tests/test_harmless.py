@@ -86,7 +86,7 @@ def test_only_what_is_live_opens_a_link():
     }
     assert openers == {
         "live/receiver_main.py", "cli/inspect_command.py", "setup_help/listening.py",
-        "telemetry/link.py",
+        "telemetry/link.py", "cli/fetch_command.py",
     }  # fmt: skip
 
 
@@ -115,6 +115,7 @@ def test_every_way_out_of_the_gate_is_known():
         "signing", "send", "heartbeat", "set_message_interval", "get_message_interval",
         "request_message_interval",
         "request_group", "read_parameter",
+        "request_log_list", "request_log_data", "end_log_requests", "request_file",
     }  # fmt: skip
 
 
