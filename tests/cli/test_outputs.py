@@ -26,7 +26,7 @@ pytestmark = [
 
 READ = {"truth", "signing_key", "airframe", "baseline"}
 """Options with a FILE that is read."""
-READ_BY_EMULATOR = {"airframe", "gains", "signing_key"}
+READ_BY_EMULATOR = {"airframe", "gains", "signing_key", "log"}
 FLIGHT = ("--airframe", "paper", "--headless", "--speed", "max", "--duration", "12")
 
 
@@ -115,8 +115,8 @@ PRINTING = {
 """Commands that write nothing else."""
 SERVING = {"web"}
 """Commands that print an address; their pages are tested in a browser."""
-LIVE = {("live", "json"), ("live", "record")}
-"""The same code as of `demo`, which has a vehicle."""
+LIVE = {("live", "json"), ("live", "record"), ("fetch", "output")}
+"""Those that need a vehicle: the same code as of `demo`, and tests/telemetry/test_onboard_logs."""
 
 
 def commands(parser, name=()):
