@@ -133,12 +133,6 @@ class OnlineEstimator:
         return self._thrust.is_calm(self.prior)
 
     @property
-    def bound(self) -> Array:
-        """(N_THETA,) Cramer-Rao standard deviations of the latest full fit to whitened rows."""
-        assert self._rotation.whitened is not None
-        return self._rotation.whitened.bound
-
-    @property
     def free(self) -> tuple[int, ...]:
         """The coordinates that are estimated, see `estimation.rows.actuator_dynamics`."""
         return self._record.basis.free

@@ -61,9 +61,6 @@ class WhitenedEstimator:
         self._choice = DeviationChoice(geometry, commands=record.commands is not None)
         self._geometry = geometry
         self._record = record
-        self.bound = np.full(rb.N_THETA, np.nan)
-        """(N_THETA,) standard deviations of the latest fit, were its innovations white and the
-        model whole: the Cramer-Rao bound."""
 
     @property
     def _white(self) -> WhitenedRecord:
@@ -106,7 +103,6 @@ class WhitenedEstimator:
                 found = fresh
         if found is None:
             return None
-        self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
     def followed(
