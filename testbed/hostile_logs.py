@@ -104,8 +104,8 @@ FILES: dict[tuple[str, str], Callable[[], bytes]] = {
     (".bin", "FMT with unknown letters"): lambda: (
         _fmt(9, 255, b"IMU", b"\xff" * 16, b"," * 64) * 10_000
     ),
-    (".tlog", "FD, 200 kB"): lambda: b"\xfd" * 200_000,
-    (".tlog", "FE, 200 kB"): lambda: b"\xfe" * 200_000,
+    (".tlog", "FD, 20 MB"): lambda: b"\xfd" * 20_000_000,
+    (".tlog", "FE, 20 MB"): lambda: b"\xfe" * 20_000_000,
     (".bbl", "4000 fields"): lambda: _bbl(*_fields("I", 4000), *_fields("P", 4000)) + b"I" * 10**6,
     (".bbl", "a name of 1 MB"): lambda: _bbl(f"Field I name:{'a' * 10**6}"),
     (".bbl", "a header without an end"): lambda: MAGIC + b"\n" + (b"H a:" * 4000 + b"\x01\n") * 60,

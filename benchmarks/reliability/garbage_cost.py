@@ -3,7 +3,7 @@
 python -m benchmarks.reliability.garbage_cost --folder ../shared/logs
 
 Into the middle of a log of each kind go megabytes of one pattern; times are of opening and reading
-all records. The clean log and the one with garbage take turns, and the least of each counts.
+all records, of the clean log and the one with garbage in turn.
 """
 
 import tempfile
@@ -39,7 +39,7 @@ def main() -> None:
                 garbage = (pattern * (size // len(pattern) + 1))[:size]
                 half = len(data) // 2
                 hurt = data[:half] + garbage + data[half:]
-                (clean, samples), (cost, found) = measure(path, (data, hurt))
+                (clean, samples), (cost, found) = measure(path, data), measure(path, hurt)
                 lost = f" ({samples - found} lost)" if found < samples - 1 else ""
                 table[what].append(f"{cost / clean:.2f}{lost}")
                 cheapest = min(cheapest, clean)
