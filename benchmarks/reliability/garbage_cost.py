@@ -41,8 +41,9 @@ def main() -> None:
                 hurt = data[:half] + garbage + data[half:]
                 (clean, samples), (cost, found) = measure(path, data), measure(path, hurt)
                 lost = f" ({samples - found} lost)" if found < samples - 1 else ""
-                table[what].append(f"{cost / clean:.2f}{lost}")
-                cheapest = min(cheapest, clean)
+                of_clean = clean / len(data)
+                table[what].append(f"{cost / len(hurt) / of_clean:.2f}{lost}")
+                cheapest = min(cheapest, 1e9 * of_clean)
             table["clean, ms/MB"].append(f"{cheapest:.1f}")
     print(f"{'':<14}" + "".join(f"{suffix:>20}" for suffix in LOGS))
     for what, cells in table.items():

@@ -90,7 +90,7 @@ def test_only_what_misses_the_target_is_named():
     now = {"Ixy": 0.027, "Ixz": 0.017, "Izz": None, "k_M": 0.015}
     expected = {"Ixy": 0.024, "Ixz": 0.015, "Izz": 0.05, "k_M": 0.010}
     motion: Any = None  # of no concern here
-    choice = Choice(Manoeuvre("yaw", yaw=D45), motion, now, expected, motion, motion)
+    choice = Choice(Manoeuvre("yaw", yaw=D45), motion, now, expected, motion)
     assert choice.names == ["Izz", "Ixy", "Ixz", "k_M"]
     assert choice.names_above(0.02) == ["Izz", "Ixy"]
     there = replace(choice, now=now | {"Ixy": 0.019, "Izz": 0.01})

@@ -196,5 +196,5 @@ def test_frames_of_ardupilot():
     plus = guess_airframe(vehicle, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}, None, None)
     assert [place_words(r) for r in plus.airframe.rotors] == ["right", "left", "front", "rear"]
     assert not plus.assumed
-    with pytest.raises(InputError, match="FRAME_CLASS 4 and FRAME_TYPE 1 are not a known frame"):
-        guess_airframe(vehicle, {"FRAME_CLASS": 4.0, "FRAME_TYPE": 1.0}, None, None)
+    with pytest.raises(InputError, match="FRAME_CLASS 5 and FRAME_TYPE 1 are not a known frame"):
+        guess_airframe(vehicle, {"FRAME_CLASS": 5.0, "FRAME_TYPE": 1.0}, None, None)

@@ -326,7 +326,7 @@ def test_a_recording_gives_the_live_sessions_records_and_counts(tmp_path, sender
 )
 def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name, vehicle, streams):
     intake = Intake()
-    frames = (f for _, (_, f) in zip(range(20_000), read_tlog(shared_logs / name), strict=False))
+    frames = (f for _, (_, f) in zip(range(40_000), read_tlog(shared_logs / name), strict=False))
     records = intake.frames(frames)
     assert str(intake.vehicle) == vehicle
     assert {record.stream for record in records} == streams
