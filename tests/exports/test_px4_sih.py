@@ -6,6 +6,7 @@ here, and its own recording: the parameters it flew with are found in the export
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.session.analysis import analyze_log
 
 from .known import FULL_SPEED, LAG, VALUES, Equations, command_result, speed_result, without
@@ -105,6 +107,28 @@ def test_what_is_not_known_keeps_its_value(result):
 def test_full_thrust_is_asked_for(result):
     with pytest.raises(MissingError, match=r"needs T_max.*--set rotor_speed_max=RAD_S"):
         FORMATS["px4-sih"].write(assemble(result))
+
+
+def test_full_thrust_and_lag_come_from_hover_where_speeds_have_commands_beside_them(result):
+    hover = {"thrust_to_weight": {"value": 2.0, "std": 0.02}, "motor_lag": 0.04}
+    vehicle = assemble(replace(result, health=hover))
+    found = parameters(FORMATS["px4-sih"].write(vehicle))
+    weight = VALUES["mass"] * GRAVITY
+    assert found["SIH_T_MAX"] == pytest.approx(2.0 * weight / 4)
+    assert found["SIH_T_TAU"] == pytest.approx(0.04)
+    known = vehicle.known["T_max"]
+    assert known.std == pytest.approx(0.01 * known.value)
+    by_hand = assemble(replace(result, health=hover), given={"rotor_speed_max": FULL_SPEED})
+    assert by_hand["T_max"] == pytest.approx(VALUES["k_T"] * FULL_SPEED**2)
+
+
+@pytest.mark.parametrize(
+    "ratio", [None, 2.0, {"value": 2.0}, {"value": 2.0, "std": 1.1}, {"value": "2", "std": 0.1}]
+)
+def test_what_hover_does_not_show_is_still_asked_for(result, ratio):
+    vehicle = assemble(replace(result, health={"thrust_to_weight": ratio}))
+    with pytest.raises(MissingError, match="needs T_max"):
+        FORMATS["px4-sih"].write(vehicle)
 
 
 def test_hexacopters_have_their_type():

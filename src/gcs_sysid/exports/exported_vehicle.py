@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -226,6 +227,9 @@ def assemble(
             if dependent not in given:
                 known.pop(dependent, None)
     complete(known)
+    for n, quantity in _of_hover(result.health or {}, known.get("mass"), len(rotors)).items():
+        known.setdefault(n, quantity)
+    complete(known)
     _stand_upright(rotors, known)
     return ExportedVehicle(_identifier(name or label), rotors, known, result)
 
@@ -234,6 +238,22 @@ def _of_flight(estimate: Estimate) -> KnownEstimate | None:
     if estimate.value is None or estimate.status in (None, "unobservable"):
         return None
     return KnownEstimate(estimate.value, estimate.std, estimate.unit, origin=estimate.status)
+
+
+def _of_hover(
+    health: Mapping[str, Any], mass: KnownEstimate | None, rotors: int
+) -> dict[str, KnownEstimate]:
+    """Full thrust and motor lag, which commands beside the speeds show in hover."""
+    out = {}
+    ratio, lag = health.get("thrust_to_weight"), health.get("motor_lag")
+    if mass is not None and isinstance(ratio, dict):
+        value, std = ratio.get("value"), ratio.get("std")
+        if isinstance(value, float) and isinstance(std, float) and 0.0 < 2.0 * std < value:
+            full = value * mass.value * GRAVITY / rotors  # T/W = n T_max / (m g)
+            out["T_max"] = KnownEstimate(full, std / value * full, origin="hover")
+    if isinstance(lag, float) and lag > 0.0:
+        out["motor_lag"] = KnownEstimate(lag, None, origin="hover")
+    return out
 
 
 def _of_airframe(airframe: Airframe) -> dict[str, KnownEstimate]:

@@ -79,7 +79,7 @@ class ResultData:
     """What to fly next, of a running session: see `Advice`."""
 
     health: dict[str, Any] | None = field(default=None, compare=False)
-    """A health file's content: what the last minutes of hover show, of a running session."""
+    """A health file's content, of a running session or a result file: what hover shows."""
 
     history: "History | None" = field(default=None, compare=False)
     """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""

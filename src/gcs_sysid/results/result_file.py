@@ -104,6 +104,7 @@ def parse_result(document: object, where: str) -> Result:
             if isinstance(rotor, dict)
         ),
         covariance=table.table("covariance").entries,
+        health=table.table("health").entries or None,
     )
 
 

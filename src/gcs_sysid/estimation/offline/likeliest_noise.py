@@ -12,10 +12,11 @@ likelihood. Over the periodogram of the residuals that is Whittle's (1953, Arkiv
 
     -2 ln L = sum over frequencies of ln S_v + P / S_v
 
-and of the models with and without each part that of least BIC is taken (Schwarz 1978, Annals of
-Statistics 6). Its numbers then are those of least innovation power in the time domain. Times its
-denominators S_v is a polynomial in z + 1/z, whose zeros within the unit circle make the spectral
-factor, by which the whitener divides.
+and of the models with and without each part the one is taken that predicts best, at a nat a number
+(Akaike 1974, IEEE Transactions on Automatic Control 19); one with a moment, which is reported, pays
+for a claim (Schwarz 1978, Annals of Statistics 6). Its numbers then are those of least innovation
+power in the time domain. Times its denominators S_v is a polynomial in z + 1/z, whose zeros within
+the unit circle make the spectral factor, by which the whitener divides.
 """
 
 from collections.abc import Callable, Sequence
@@ -234,11 +235,11 @@ class Periodogram:
             least: (rad/s)^2, of torque noise: no model is exact.
         """
         found = []
-        price = 0.5 * float(np.log(max(self._counts.sum(), 2.0)))
+        schwarz = 0.5 * float(np.log(max(self._counts.sum(), 2.0)))
         for gyro, walk, moment in product(("", "b", "p", "pc"), ("", "u"), ("", "dt")):
             model = NoiseModel.first(f"r{gyro}{walk}{moment}", self._level, least, self._T)
             cost, model = self._fitted(model)
-            found.append((cost + price * len(model.free), model))
+            found.append((cost + (schwarz if moment else 1.0) * len(model.free), model))
         calm = [pair for pair in found if "d" not in pair[1].free]
         return min(found, key=_cost)[1], min(calm, key=_cost)[1]
 
