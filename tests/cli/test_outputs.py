@@ -116,7 +116,7 @@ PRINTING = {
 SERVING = {"web"}
 """Commands that print an address; their pages are tested in a browser."""
 LIVE = {("live", "json"), ("live", "record"), ("fetch", "output")}
-"""Those that need a vehicle: the same code as of `demo`, and tests/telemetry/test_onboard_logs."""
+"""Those that need a vehicle: the same code as of `demo`, and tests/telemetry/test_remote_logs."""
 
 
 def commands(parser, name=()):

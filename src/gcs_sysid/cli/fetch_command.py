@@ -9,7 +9,7 @@ from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.files import check_target
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
-from gcs_sysid.telemetry.onboard_logs import Exchange, OnboardLog, OnboardLogs
+from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLog, RemoteLogs
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     port = Transceiver(link, signing_key=key)
     try:
         exchange = Exchange(port, options.vehicle)
-        vehicle, logs = exchange.vehicle(), OnboardLogs(exchange)
+        vehicle, logs = exchange.vehicle(), RemoteLogs(exchange)
         listed = logs.listed()
         if not listed:
             raise NoAnswerError(f"{options.url}: {vehicle} has no logs")
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _chosen(listed: list[OnboardLog], vehicle: MavlinkSystem, number: int | None) -> OnboardLog:
+def _chosen(listed: list[RemoteLog], vehicle: MavlinkSystem, number: int | None) -> RemoteLog:
     if number is None:
         # PX4 numbers them as its folders lie on the card.
         by_time = vehicle.key == "px4"
@@ -58,7 +58,7 @@ def _chosen(listed: list[OnboardLog], vehicle: MavlinkSystem, number: int | None
     raise InputError(f"{vehicle} has no log {number}; --list shows those that it has")
 
 
-def _name(log: OnboardLog, vehicle: MavlinkSystem) -> str:
+def _name(log: RemoteLog, vehicle: MavlinkSystem) -> str:
     """Nothing of it is the vehicle's to choose but a known ending."""
     own = Path(log.path).suffix.lower()
     suffix = own if own in ANY_SUFFIX else _SUFFIXES.get(vehicle.key, ".log")
@@ -66,14 +66,14 @@ def _name(log: OnboardLog, vehicle: MavlinkSystem) -> str:
     return f"log{log.number}{begun}{suffix}"
 
 
-def _row(log: OnboardLog) -> str:
+def _row(log: RemoteLog) -> str:
     return f"{log.number:6d}  {_words(log)}"
 
 
-def _words(log: OnboardLog) -> str:
+def _words(log: RemoteLog) -> str:
     begun = f"  {_begun(log):%Y-%m-%d %H:%M:%S} UTC" if log.time else ""
     return f"{log.size / 1e6:9.3f} MB{begun}{log.path and f'  {log.path}'}"
 
 
-def _begun(log: OnboardLog) -> datetime:
+def _begun(log: RemoteLog) -> datetime:
     return datetime.fromtimestamp(log.time, UTC)

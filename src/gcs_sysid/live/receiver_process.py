@@ -77,7 +77,7 @@ class ReceiverProcess:
         record_to: Path | None = None,
     ) -> None:
         self._wake = threading.Condition()
-        self._messages: deque[wire.Message] = deque()
+        self._messages: deque[wire.WireMessage] = deque()
         self._size = 0
         self._newest = self._taken = 0  # us since 1970
         self._over = False
@@ -248,7 +248,7 @@ class ReceiverProcess:
             self._wake.notify_all()
         self._answers.close()
 
-    def _note(self, message: wire.Message) -> None:
+    def _note(self, message: wire.WireMessage) -> None:
         content = None if message.time_us else message.content
         if isinstance(content, wire.Report):
             self._report = content

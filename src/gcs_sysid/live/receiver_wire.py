@@ -50,7 +50,7 @@ class Flushed(NamedTuple):
     path: Path | None
 
 
-class Message(NamedTuple):
+class WireMessage(NamedTuple):
     """An object on its way; frames are not unpacked before they are wanted."""
 
     time_us: int
@@ -73,11 +73,11 @@ def packed(content: object) -> bytes:
     return _HEAD.pack(0, len(body)) + body
 
 
-def read_message(source: BinaryIO) -> Message | None:
+def read_message(source: BinaryIO) -> WireMessage | None:
     """The next object out of the pipe; None when there is no more."""
     head = source.read(_HEAD.size)
     if len(head) < _HEAD.size:
         return None
     time_us, size = _HEAD.unpack(head)
     body = source.read(size)
-    return Message(time_us, body) if len(body) == size else None
+    return WireMessage(time_us, body) if len(body) == size else None

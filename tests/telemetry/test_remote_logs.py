@@ -8,9 +8,9 @@ from gcs_sysid.errors import LinkError
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name
-from gcs_sysid.telemetry.onboard_logs import Exchange, OnboardLogs
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.receiver import ReceivedFrames
+from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLogs
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.log_server import LogServer
 from sim_bridge.wire import FrameWriter
@@ -80,7 +80,7 @@ def paths(tmp_path):
 
 
 def fetch(radio, file):
-    logs = OnboardLogs(Exchange(radio, clock=lambda: radio.now))
+    logs = RemoteLogs(Exchange(radio, clock=lambda: radio.now))
     *_, last = logs.listed()
     shares = []
     with open(file, "r+b" if file.exists() else "w+b") as out:
@@ -125,7 +125,7 @@ def test_a_beginning_of_another_log_is_replaced(paths, tmp_path):
 def test_a_vehicle_that_falls_silent_is_given_up_with_what_came_kept(paths, tmp_path):
     got = tmp_path / "got"
     radio = Radio(paths)
-    logs = OnboardLogs(Exchange(radio, clock=lambda: radio.now))
+    logs = RemoteLogs(Exchange(radio, clock=lambda: radio.now))
     *_, last = logs.listed()
 
     def fall_silent(share):
@@ -143,4 +143,4 @@ def test_a_vehicle_that_falls_silent_is_given_up_with_what_came_kept(paths, tmp_
 def test_a_vehicle_that_serves_no_logs_is_named(paths):
     radio = Radio(paths, ways=("NONE",))
     with pytest.raises(LinkError, match="PX4 quadrotor 1:1: sends no list of its logs"):
-        OnboardLogs(Exchange(radio, clock=lambda: radio.now)).listed()
+        RemoteLogs(Exchange(radio, clock=lambda: radio.now)).listed()

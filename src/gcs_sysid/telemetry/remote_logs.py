@@ -29,7 +29,7 @@ _file = picker("FILE_TRANSFER_PROTOCOL", "payload")
 
 
 @dataclass(frozen=True)
-class OnboardLog:
+class RemoteLog:
     """A log on a vehicle.
 
     Attributes:
@@ -146,7 +146,7 @@ class _Way(Protocol):
         """End the reading: while it lasts, some record nothing, or serve one reader alone."""
 
 
-class OnboardLogs:
+class RemoteLogs:
     """The logs of one vehicle.
 
     Args:
@@ -160,7 +160,7 @@ class OnboardLogs:
     def __init__(self, exchange: Exchange) -> None:
         self._exchange = exchange
 
-    def listed(self) -> list[OnboardLog]:
+    def listed(self) -> list[RemoteLog]:
         """All that hold something, by their numbers.
 
         Raises:
@@ -175,7 +175,7 @@ class OnboardLogs:
         return sorted((log for log in logs if log.size), key=lambda log: log.number)
 
     def read(
-        self, log: OnboardLog, file: BinaryIO, progress: Callable[[float], None] | None = None
+        self, log: RemoteLog, file: BinaryIO, progress: Callable[[float], None] | None = None
     ) -> None:
         """Read what a file lacks of a log.
 
@@ -246,13 +246,13 @@ class _Messages:
     block, at_once = 90, 128
 
     def __init__(
-        self, exchange: Exchange, address: tuple[int, int], log: OnboardLog | None = None
+        self, exchange: Exchange, address: tuple[int, int], log: RemoteLog | None = None
     ) -> None:
         self._exchange, self._address, self._log = exchange, address, log
 
-    def listed(self) -> list[OnboardLog] | None:
+    def listed(self) -> list[RemoteLog] | None:
         """All logs; None: there is no answer."""
-        found: dict[int, OnboardLog] = {}
+        found: dict[int, RemoteLog] = {}
         count: int | None = None
         end = self._exchange.clock() + self._exchange.PATIENCE / 3.0
         while self._exchange.clock() < end and (count is None or len(found) < count):
@@ -260,7 +260,7 @@ class _Messages:
             for frame in self._exchange.answers():
                 if frame.message_id == _ENTRY:
                     number, count, begun, size = _entry(frame.payload)
-                    found[number] = OnboardLog(number, size, begun)
+                    found[number] = RemoteLog(number, size, begun)
                     if len(found) >= count:
                         break
         self.close()
@@ -303,13 +303,13 @@ class _Files:
     _ACK, _INVALID_SESSION = 128, b"\4"
 
     def __init__(
-        self, exchange: Exchange, address: tuple[int, int], log: OnboardLog | None = None
+        self, exchange: Exchange, address: tuple[int, int], log: RemoteLog | None = None
     ) -> None:
         self._exchange, self._address, self._log = exchange, address, log
         self._sequence = 0
         self._session: int | None = None
 
-    def listed(self) -> list[OnboardLog] | None:
+    def listed(self) -> list[RemoteLog] | None:
         """All files; None: there is no answer."""
         found: list[tuple[str, int]] = []
         folders = [LOG_FOLDER]
@@ -332,7 +332,7 @@ class _Files:
                         folders.append(path)
                     elif entry[:1] == b"F" and size.isdecimal():
                         found.append((path, int(size)))
-        return [OnboardLog(i, size, path=path) for i, (path, size) in enumerate(sorted(found), 1)]
+        return [RemoteLog(i, size, path=path) for i, (path, size) in enumerate(sorted(found), 1)]
 
     def ask(self, offset: int, size: int) -> None:
         if self._session is None:
