@@ -175,6 +175,13 @@ def test_options_that_do_not_go_together(given, said):
         given_answers(given)
 
 
+def test_arms_may_have_their_unit():
+    assert say.arm_lengths("110mm") == pytest.approx(0.11)
+    assert say.arm_lengths("10cm,120mm") == pytest.approx((0.1, 0.12))
+    with pytest.raises(InputError, match="must be in m or cm or mm"):
+        say.arm_lengths("110xx")
+
+
 @pytest.mark.parametrize(
     ("parse", "text"),
     [

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from gcs_sysid.argument_types import split_prior
+from gcs_sysid.argument_types import parse_given, split_prior
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Rotor
 from gcs_sysid.setup_help.airframe_file import (
@@ -72,7 +72,7 @@ def positive_number(text: str) -> float:
 
 
 def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
-    """One length in m, or two where `two` allows it: forward and sideways.
+    """One length in m or with its unit, or two where `two` allows it: forward and sideways.
 
     Raises:
         InputError: it is neither.
@@ -82,7 +82,10 @@ def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
     words = _words(text)
     if len(words) not in ((1, 2) if two else (1,)):
         raise InputError("one length in m" + (", or two: forward and sideways" if two else ""))
-    lengths = [positive_number(word) for word in words]
+    lengths = [
+        float(parse_given("arm", word, "the arm")) if word[-1].isalpha() else positive_number(word)
+        for word in words
+    ]
     if max(lengths) > MOST_ARM:
         raise InputError(f"enter m; {max(lengths):g} m is too long")
     return lengths[0] if len(lengths) == 1 else (lengths[0], lengths[1])

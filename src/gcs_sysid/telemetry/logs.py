@@ -231,7 +231,7 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
             if path.is_dir():
                 raise InputError(
                     f"{path} is a folder: give a {usual_endings(' or ')} file in it, or all of "
-                    f"them: gcs-sysid batch {path} -o DIR"
+                    f"them: gcs-sysid batch {path} --airframe NAME -o DIR"
                 )
             check_regular(file_path)
             form = BY_NAME["table"] if mapping is not None else format_of(file_path)
