@@ -83,7 +83,9 @@ def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
     if len(words) not in ((1, 2) if two else (1,)):
         raise InputError("one length in m" + (", or two: forward and sideways" if two else ""))
     lengths = [
-        float(parse_given("arm", word, "the arm")) if word[-1].isalpha() else positive_number(word)
+        float(parse_given("arm", word, "the arm"))
+        if word[0].isdigit() and word[-1].isalpha()
+        else positive_number(word)
         for word in words
     ]
     if max(lengths) > MOST_ARM:
