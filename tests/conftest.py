@@ -88,6 +88,19 @@ def shared_logs() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def shared_log(shared_logs: Path) -> Callable[[str], Path]:
+    """One of them by its name; not all lie everywhere."""
+
+    def found(name: str) -> Path:
+        log = shared_logs / name
+        if not log.exists():
+            pytest.skip(f"{name} is not beside the project")
+        return log
+
+    return found
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A Chromium: the machine's own, or playwright's."""

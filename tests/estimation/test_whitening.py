@@ -276,10 +276,9 @@ def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [20.6, pytest.param(21.0, marks=pytest.mark.thorough)])
-def test_a_flight_that_begins_elsewhere_is_the_same_vehicle(start, shared_logs):
+def test_a_flight_that_begins_elsewhere_is_the_same_vehicle(start, shared_log):
     """A poor fit to the first quarter-minute gave up the whiteners that the rest needs."""
-    if not (log := shared_logs / "px4-esc-cg.tlog").exists():
-        pytest.skip("this log is not there")
+    log = shared_log("px4-esc-cg.tlog")
     airframe = load_airframe("px4-quad-x").with_arm(0.2404).with_anchor("mass", 1.1)
     found = analyze_log(log, airframe, options=ChainOptions(start=start, end=80.0)).parameters[
         "Ixx"

@@ -31,10 +31,8 @@ def health(log):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GROUND)
-def test_what_never_left_the_ground_has_no_hover(name, shared_logs):
-    if not (log := shared_logs / "field" / name).exists():
-        pytest.skip("this log is not there")
-    found = health(log)
+def test_what_never_left_the_ground_has_no_hover(name, shared_log):
+    found = health(shared_log(f"field/{name}"))
     assert not found.available
     assert found.cg is None
     assert not found.advice
@@ -42,7 +40,5 @@ def test_what_never_left_the_ground_has_no_hover(name, shared_logs):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "seconds"), FLIGHTS.items())
-def test_what_flew_keeps_its_hover(name, seconds, shared_logs):
-    if not (log := shared_logs / "field" / name).exists():
-        pytest.skip("this log is not there")
-    assert health(log).seconds > seconds
+def test_what_flew_keeps_its_hover(name, seconds, shared_log):
+    assert health(shared_log(f"field/{name}")).seconds > seconds

@@ -12,12 +12,10 @@ INERTIA = 6e-4
 """kg m^2; the truth is of accelerations, and so of arms over inertia."""
 
 
-def flown(folder, number):
+def flown(shared_log, number):
     """Airframe and log of a flight; its origin is the CG."""
-    log = folder / f"LOG00{number}.BFL"
-    if not log.exists():
-        pytest.skip("this log is not there")
-    truth = json.loads((folder / f"LOG00{number}.truth.json").read_text())["derived"]
+    log = shared_log(f"field/indiflight/LOG00{number}.BFL")
+    truth = json.loads(log.with_suffix(".truth.json").read_text())["derived"]
     k_T = truth["k_T_N_per_rad2_s2"]
     rotors = [
         {"x": p * INERTIA / k_T, "y": -r * INERTIA / k_T, "spin": "ccw" if y > 0.0 else "cw"}
@@ -33,10 +31,10 @@ def flown(folder, number):
 
 
 @pytest.mark.slow
-def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_logs):
-    folder, close, held = shared_logs / "field" / "indiflight", 0, 0
+def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log):
+    close, held = 0, 0
     for number in (157, 159, 161, 163, 165, 167):
-        airframe, log, k_T = flown(folder, number)
+        airframe, log, k_T = flown(shared_log, number)
         found = analyze_log(log, airframe).parameters
         assert found["k_T"].value == pytest.approx(k_T, rel=0.1)
         for name in ("cg_x", "cg_y"):

@@ -227,6 +227,7 @@ def assemble(
             if dependent not in given:
                 known.pop(dependent, None)
     complete(known)
+    # What is given, or follows from it, comes before hover.
     for n, quantity in _of_hover(result.health or {}, known.get("mass"), len(rotors)).items():
         known.setdefault(n, quantity)
     complete(known)

@@ -68,7 +68,7 @@ comes most often. Outputs, ESCs, RPM and states take more, see `_EntryReader`.""
 _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
-    "EV": {"Id"}, "ARM": {"ArmState"}, "MODE": {"ModeNum"}, "BAT": {"Volt"}, "DSF": {"Dp"},
+    "EV": {"Id"}, "ARM": {"ArmState"}, "BAT": {"Volt"}, "DSF": {"Dp"},
     "GPS": {"GMS", "GWk"},
     **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
     **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},

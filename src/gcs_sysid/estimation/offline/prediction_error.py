@@ -78,8 +78,7 @@ class Whitened:
 
     def residuals(self, fit: RotationFit) -> list[Array]:
         """(n, 3) rad/s^2 that a fit leaves of every run."""
-        TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
-        return [run.rows @ TP.T for run in self.runs]
+        return residuals_of(self.runs, self.basis, fit)
 
 
 @dataclass(frozen=True)
@@ -89,12 +88,10 @@ class PredictionErrorFit:
     Attributes:
         fit: the estimate.
         whitened: what it was fitted to.
-        looks: at the noise.
     """
 
     fit: WhitenedFit
     whitened: Whitened
-    looks: int
 
     @property
     def cost(self) -> float:
@@ -172,7 +169,7 @@ def estimate(
         if fit is None or not fit.rotation.converged:
             break
         moved = np.abs(fit.rotation.theta - rotation.theta)
-        rotation, found = fit.rotation, PredictionErrorFit(fit, made, look + 1)
+        rotation, found = fit.rotation, PredictionErrorFit(fit, made)
         if look and stayed and (moved <= _SETTLED * rotation.std).all():
             break
     if progress is not None:
@@ -188,8 +185,7 @@ def _likeliest(
     judges: Sequence[Whitener],
 ) -> tuple[tuple[Whitener, ...], tuple[Whitener, ...]]:
     """Whiteners to fit with, those without a disturbance first, and the likeliest of each axis."""
-    TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
-    residuals = [run.rows @ TP.T for run in runs]
+    residuals = residuals_of(runs, basis, fit)
     sound = sound_rows(residuals, T, fit.whiteners or judges)
     least = np.zeros(3)
     rows = sum(len(run.rows) for run in runs)
@@ -213,6 +209,12 @@ def _likeliest(
     known = [w for w in bank_for(T) if w.name in _COMPARED]
     by_name = {whitener.name: whitener for whitener in (*known, *judges, *others, *own)}
     return tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed)), tuple(own)
+
+
+def residuals_of(runs: Sequence[RowRun], basis: LocalDynamics, fit: RotationFit) -> list[Array]:
+    """(n, 3) rad/s^2 that a fit leaves of every run."""
+    TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
+    return [run.rows @ TP.T for run in runs]
 
 
 def sound_rows(residuals: Sequence[Array], T: float, whiteners: Sequence[Whitener]) -> list[Mask]:
