@@ -25,9 +25,9 @@ from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.significance import Z95
 from sim_bridge.doublets import DoubletMission
 from sim_bridge.missions import HoverMission
 from sim_bridge.simulated_vehicle import RotorTraits

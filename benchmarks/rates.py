@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.argument_types import count
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.significance import Z95
 from sim_bridge.doublets import ALL_MISSIONS
 from testbed.judge import claims, judge
 from testbed.study import WORKERS, arguments, flown, in_processes, markdown

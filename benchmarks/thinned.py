@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.significance import Z95
 from testbed.recordings import airframe_of, thinned, truth_of
 from testbed.study import arguments
 

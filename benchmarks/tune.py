@@ -18,8 +18,13 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.api import Signals, identify
-from gcs_sysid.control.hover_dynamics import hover_dynamics
-from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
+from gcs_sysid.control.loop_margins import (
+    frequencies,
+    hover_dynamics,
+    margins_of,
+    open_loops,
+    step_response,
+)
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop, read_loop
 from gcs_sysid.control.tuning_study import (
     ASSUMED_DELAY,
@@ -29,8 +34,7 @@ from gcs_sysid.control.tuning_study import (
     with_delay,
 )
 from gcs_sysid.errors import GcsSysidError
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, assemble
-from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle, assemble, drawn_vehicles
 from gcs_sysid.model.airframe import CommandRange
 from gcs_sysid.model.parameters import AXES, GRAVITY
 from sim_bridge.controller import Gains

@@ -28,11 +28,11 @@ from scipy.stats import chi2, kstest
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.significance import Z95
 from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
 from sim_bridge.doublets import LEAD, PART, DoubletMission

@@ -403,7 +403,7 @@ def read_key(path: Path) -> bytes:
     Raises:
         InputError: the file cannot be read or holds neither.
     """
-    data = read_bytes(path, 4096, "the signing key")
+    data = read_bytes(path, "the signing key", 4096)
     if len(data) == 32:
         return data
     try:

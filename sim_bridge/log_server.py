@@ -34,7 +34,7 @@ class LogServer:
     """Frames of a log in a physics step: an answer of many is no single instant's."""
 
     def __init__(self, paths: list[Path], writer: FrameWriter) -> None:
-        self._logs = {path.name: read_bytes(path, LARGEST, "a log to serve") for path in paths}
+        self._logs = {path.name: read_bytes(path, "a log to serve", LARGEST) for path in paths}
         self._writer = writer
         self._waiting: deque[tuple[int, int, bytes]] = deque()
         self._open = ""

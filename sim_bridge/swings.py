@@ -23,7 +23,6 @@ PAUSE = 1.0
 """s of hover after each."""
 LATEST = 3600
 """s at which a maneuver may start."""
-_MOST_BYTES = 1_000_000
 """Of a plan: some thousand maneuvers."""
 _RAMP = 1.0
 _STEP = 2e-3
@@ -181,7 +180,7 @@ def read_plan(path: Path) -> ManoeuvreMission:
         InputError: it cannot be read, or is no plan.
     """
     try:
-        content = json.loads(read_text(path, _MOST_BYTES, "the plan"))
+        content = json.loads(read_text(path, "the plan"))
     except (ValueError, RecursionError):
         raise InputError(f"{path} is not JSON") from None
     entries = content.get("manoeuvres") if isinstance(content, dict) else None

@@ -14,11 +14,10 @@ from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import Stage, judged
-from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.doublets import ALL_MISSIONS

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.significance import Z95
 from testbed.emulated import Truth
 
 MOMENTS = ("Ixx", "Iyy", "Izz")

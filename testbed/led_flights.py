@@ -11,14 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from gcs_sysid.coach.interval_targets import is_enough, shares
+from gcs_sysid.coach.choice import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
-from gcs_sysid.model.airframe import Airframe, load_airframe
+from gcs_sysid.model.airframe import Airframe, ScaleReference, load_airframe
 from gcs_sysid.model.parameters import CORE_OF
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.session.chain import ChainOptions

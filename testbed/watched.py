@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.live import receiver_process
 from gcs_sysid.live.live_estimate import LiveEstimate
-from gcs_sysid.telemetry.receiver import ReceivedFrames
+from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from testbed.stamped_receiver import ARRIVAL
 from testbed.study import arguments
 

@@ -79,7 +79,7 @@ def test_a_pipe_without_a_writer_is_given_up(tmp_path, monkeypatch):
     os.mkfifo(pipe)
     monkeypatch.setattr("gcs_sysid.files._WRITER_WITHIN", 0.01)
     with pytest.raises(InputError, match="cannot read the result: a pipe without a writer"):
-        read_bytes(pipe, 100, "the result")
+        read_bytes(pipe, "the result", 100)
 
     def write_late() -> None:
         with open(pipe, "wb", buffering=0) as file:
@@ -91,6 +91,6 @@ def test_a_pipe_without_a_writer_is_given_up(tmp_path, monkeypatch):
     held = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     writer = threading.Thread(target=write_late)
     writer.start()
-    assert read_bytes(pipe, 100, "the result") == b"{}"
+    assert read_bytes(pipe, "the result", 100) == b"{}"
     writer.join()
     os.close(held)

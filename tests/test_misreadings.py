@@ -9,14 +9,13 @@ import pytest
 
 from gcs_sysid.cli.inspect_command import next_command
 from gcs_sysid.cli.program import run
-from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
-from gcs_sysid.results.result_view import figures
+from gcs_sysid.results.result_view import figures, result_table
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen.snapshot_view import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View

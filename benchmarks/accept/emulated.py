@@ -10,7 +10,7 @@ from benchmarks.accept.judge import Figure, Study, coverage, figure, share
 from benchmarks.accuracy import cases
 from benchmarks.truth import __main__ as truth
 from benchmarks.truth import closed_loop
-from gcs_sysid.intervals import Z95
+from gcs_sysid.significance import Z95
 from testbed import command_flights as early
 from testbed import fleets as changes
 from testbed import independent

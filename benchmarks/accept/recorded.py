@@ -20,12 +20,12 @@ from benchmarks.accept.judge import Figure, Study, coverage, figure, share
 from benchmarks.truth.real_flights import FLIGHTS
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.history import History
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
+from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed import judge as truth_judge
 from testbed import recordings, study

@@ -22,7 +22,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import Method
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.intervals import Z95
+from gcs_sysid.significance import Z95
 from testbed.article import NAMES, TABLE_3
 from testbed.article_flights import (
     EXCITED_FROM,

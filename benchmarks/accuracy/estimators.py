@@ -16,8 +16,8 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.sensors import CORNER

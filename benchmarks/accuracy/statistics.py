@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
+from gcs_sysid.significance import Z95
 from testbed.article import NAMES
 
 Data = dict[str, dict[str, Any]]

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gcs_sysid.fleet.batch_table import read_table
+from gcs_sysid.fleet.batch import read_table
 from testbed.study import arguments, flown
 
 FLIGHT = (

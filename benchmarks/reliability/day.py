@@ -29,11 +29,11 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
+from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.reliability.fault_cases import CASES, DROPOUTS, HEADLINE, Case
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine

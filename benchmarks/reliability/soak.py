@@ -30,10 +30,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.live.live_session import LiveOptions, LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
+from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url

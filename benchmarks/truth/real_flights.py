@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.significance import Z95
 from testbed.recordings import OPEN_LOOP, airframe_for
 from testbed.study import arguments
 

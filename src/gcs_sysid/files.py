@@ -100,13 +100,13 @@ def unreadable(path: Path, error: OSError | ValueError) -> str:
     return f"{reason}: there is no folder {path.parent}"
 
 
-def read_bytes(path: Path, most: int, what: str) -> bytes:
+def read_bytes(path: Path, what: str, most: int) -> bytes:
     """All of a file.
 
     Args:
         path: of it.
-        most: bytes that it may have; devices and pipes, which report no size, are held to it too.
         what: it is, for messages, such as "the airframe file".
+        most: bytes that it may have; devices and pipes, which report no size, are held to it too.
 
     Raises:
         InputError: it cannot be read, or is larger, or a pipe without a writer.
@@ -148,14 +148,18 @@ def _wait_for_writer(pipe: int) -> None:
         raise OSError(errno.EPIPE, "a pipe without a writer")
 
 
-def read_text(path: Path, most: int, what: str) -> str:
-    """All of a file of UTF-8 text; the line ends become newlines.
+MOST_BYTES_OF_TEXT = 5_000_000
+"""Of a text that people write, or programs for them."""
+
+
+def read_text(path: Path, what: str, most: int = MOST_BYTES_OF_TEXT) -> str:
+    """All of a file of UTF-8 text; the line ends become newlines. Arguments are of `read_bytes`.
 
     Raises:
         InputError: as of `read_bytes`, or it is no text.
     """
     try:
-        text = read_bytes(path, most, what).decode("utf-8")
+        text = read_bytes(path, what, most).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot read {what}: not UTF-8 text") from error
     return text.replace("\r\n", "\n").replace("\r", "\n")

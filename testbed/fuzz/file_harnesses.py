@@ -18,8 +18,7 @@ from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.result_data import SCHEMA
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.setup_help.airframe_file import airframe_text, checked
-from gcs_sysid.setup_help.layouts import ASCII
+from gcs_sysid.setup_help.airframe_file import ASCII, airframe_text, checked
 from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log

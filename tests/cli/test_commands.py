@@ -10,11 +10,11 @@ import sys
 import pytest
 
 from gcs_sysid.cli.program import run
-from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_view import result_table
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 

@@ -17,8 +17,8 @@ from gcs_sysid.cli.commands import build_parser
 from gcs_sysid.cli.program import run, with_command
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.setup_help import listening
+from gcs_sysid.setup_help.airframe_file import LAYOUTS, layout_rotors
 from gcs_sysid.setup_help.checks import Sign
-from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.urls import parse_url
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from gcs_sysid.cli.headless import status_line
-from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.live.live_estimate import LiveEstimate, LiveOptions
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result_view import result_table
 from gcs_sysid.results.snapshot import LinkState
 from tests.screen.fake import advice, link, result, snapshot
 

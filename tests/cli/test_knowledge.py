@@ -8,7 +8,7 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import ScaleReference
 
 PAPER = ("--airframe", "paper")
 

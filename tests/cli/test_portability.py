@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli import failures
+from gcs_sysid.cli import program
 from gcs_sysid.cli.output import on_signals
 
 ROOT = Path(__file__).parents[2]
@@ -199,8 +199,8 @@ def test_signals_that_a_system_lacks_are_left_out(monkeypatch):
 
 def test_the_error_of_windows_for_a_reader_that_has_gone(monkeypatch):
     invalid = OSError(22, "Invalid argument")
-    assert failures.reader_has_gone(BrokenPipeError())
-    assert not failures.reader_has_gone(invalid)
-    monkeypatch.setattr(failures.os, "name", "nt")
-    assert failures.reader_has_gone(invalid)
-    assert not failures.reader_has_gone(FileNotFoundError(2, "x"))
+    assert program.reader_has_gone(BrokenPipeError())
+    assert not program.reader_has_gone(invalid)
+    monkeypatch.setattr(program.os, "name", "nt")
+    assert program.reader_has_gone(invalid)
+    assert not program.reader_has_gone(FileNotFoundError(2, "x"))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.cli.result_table import result_table
+from gcs_sysid.results.result_view import result_table
 from tests.screen.fake import result
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from gcs_sysid.cli.screens import export_result, report_session
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import MissingError
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus
 

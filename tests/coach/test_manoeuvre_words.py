@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from gcs_sysid.coach.choice import Choice
-from gcs_sysid.coach.interval_targets import excess, is_enough, shares
+from gcs_sysid.coach.choice import Choice, excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre, damped_words, sentence
 from gcs_sysid.judgement.status import NOTHING
 from gcs_sysid.model.estimate import Estimate

@@ -7,14 +7,12 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from gcs_sysid.cli.plan_command import plan_svg, plan_text
-from gcs_sysid.coach.choice import HOVER, PAUSE, make_plan
+from gcs_sysid.coach.choice import HOVER, PAUSE, make_plan, shares
 from gcs_sysid.coach.information import prior_vehicle
-from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from sim_bridge.swings import read_plan
 

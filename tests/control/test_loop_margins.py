@@ -3,12 +3,22 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.control.hover_dynamics import HoverDynamics, hover_dynamics
-from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
+from gcs_sysid.control.loop_margins import (
+    HoverDynamics,
+    frequencies,
+    hover_dynamics,
+    margins_of,
+    open_loops,
+    step_response,
+)
 from gcs_sysid.control.rate_loops import read_loop
 from gcs_sysid.control.tuning_study import LIMITS, propose
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, MissingError
-from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
+from gcs_sysid.exports.exported_vehicle import (
+    ExportedVehicle,
+    KnownEstimate,
+    MissingError,
+    drawn_vehicles,
+)
 from sim_bridge.controller import Gains
 from sim_bridge.missions import HEIGHT, Reference
 from sim_bridge.rate_controllers import CONTROLLERS

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gcs_sysid.coach.information import prior_noise, prior_vehicle
-from gcs_sysid.coach.predicted_information import predicted_information
+from gcs_sysid.coach.information import predicted_information, prior_noise, prior_vehicle
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator

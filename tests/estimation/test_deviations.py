@@ -11,10 +11,10 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.significance import Z95
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle
 from testbed.rate_loop import fly as fly_cell
 from tests.feeding import feed

@@ -10,9 +10,9 @@ from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.change_watch import LEAST_BEFORE, actuator_of, early_change
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import tuning_for
+from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble

@@ -20,10 +20,9 @@ from gcs_sysid.estimation.parameters.given_errors import (
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor
+from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from tests.known_theta import theta_from
 
 ROWS = 4000

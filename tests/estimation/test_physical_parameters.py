@@ -15,10 +15,10 @@ from gcs_sysid.estimation.parameters.physical_parameters import (
 )
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 
 CORE = CORE_OF[RotorInput.SPEED]
 

@@ -9,7 +9,7 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import ScaleReference
 
 KAPPA, SHARE = 2e-4, 0.03
 FLIGHT = TranslationFit(KAPPA, SHARE * KAPPA, 0.1, 0.01, "momentum")

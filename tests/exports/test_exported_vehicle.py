@@ -9,8 +9,8 @@ import pytest
 
 from gcs_sysid.cli.commands import EXPORT_TARGETS
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 

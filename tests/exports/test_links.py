@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import assemble
-from gcs_sysid.exports.formats import FORMATS
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, without
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gcs_sysid
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from testbed.ensemble_spread import SECONDS, STEP, spread_of
 

@@ -17,9 +17,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gcs_sysid.exports.exported_vehicle import assemble
-from gcs_sysid.exports.formats import FORMATS
-from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
+from gcs_sysid.exports import FORMATS
+from gcs_sysid.exports.exported_vehicle import assemble, drawn_vehicles
 from gcs_sysid.model.parameters import GRAVITY
 
 from .known import FULL_SPEED, TURN, VALUES, Equations, command_result, estimate

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.session.analysis import analyze_log

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.airframe import load_airframe
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, speed_result

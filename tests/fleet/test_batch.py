@@ -14,10 +14,8 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
 from gcs_sysid.cli.program import run
-from gcs_sysid.fleet.batch import BatchRun, Store
-from gcs_sysid.fleet.batch_table import read_table
-from gcs_sysid.fleet.jobs import FAILURE, Job
-from gcs_sysid.fleet.pools import LocalPool
+from gcs_sysid.fleet.batch import BatchRun, Store, read_table
+from gcs_sysid.fleet.jobs import FAILURE, Job, LocalPool
 from gcs_sysid.model.airframe import Airframe, load_airframe
 
 PAPER = ("--airframe", "paper", "--workers", "2")

@@ -11,7 +11,7 @@ pytest.importorskip("pyarrow", reason="needs the extra fleet")
 from pyarrow import parquet
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.batch_table import read_table
+from gcs_sysid.fleet.batch import read_table
 from gcs_sysid.model.parameters import REGISTRY
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"

@@ -12,8 +12,8 @@ pytest.importorskip("distributed", reason="needs the extra cluster")
 
 import distributed
 
-from gcs_sysid.fleet.batch_table import read_table
-from gcs_sysid.fleet.pools import reason
+from gcs_sysid.fleet.batch import read_table
+from gcs_sysid.fleet.jobs import reason
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.pools import LocalPool, complete, reason
+from gcs_sysid.fleet.jobs import Job, LocalPool, Task, complete, reason
 from gcs_sysid.model.airframe import load_airframe
 
 
@@ -74,7 +73,7 @@ def test_an_error_is_told_in_a_line():
 ORPHANS = """
 import sys, time
 from gcs_sysid.fleet.jobs import Task
-from gcs_sysid.fleet.pools import LocalPool
+from gcs_sysid.fleet.jobs import LocalPool
 if __name__ == "__main__":
     pool = LocalPool(2, time.sleep)
     pool.submit(1000)

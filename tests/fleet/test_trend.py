@@ -11,18 +11,17 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
-from gcs_sysid.change_test import FALSE_ALARM_RATE
 from gcs_sysid.cli.program import run
-from gcs_sysid.fleet.batch_table import row, write_table
+from gcs_sysid.fleet.batch import row, write_table
 from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.trend import mean, scatter_of, vehicles_of
-from gcs_sysid.fleet.trend_page import render, value_text
+from gcs_sysid.fleet.trend import mean, render, scatter_of, value_text, vehicles_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
+from gcs_sysid.significance import FALSE_ALARM_RATE
 
 STD = 0.01
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")

@@ -15,11 +15,10 @@ from gcs_sysid.judgement.evidence import ClockDoubt, Evidence
 from gcs_sysid.judgement.judge import Producer, Stage, judge, judged, object_to
 from gcs_sysid.judgement.prediction import RULES
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 

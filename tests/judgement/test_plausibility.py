@@ -11,7 +11,6 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import judge, judged
 from gcs_sysid.judgement.plausibility import (
@@ -27,6 +26,7 @@ from gcs_sysid.model.estimate import Estimate, Objection, Status
 from gcs_sysid.model.parameters import ARM, CORE_OF, PARAMETERS, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result_view import figures
+from gcs_sysid.significance import Z95
 
 QUAD = load_airframe("px4-quad-x").with_arm(0.25)
 # A 1.5 kg quadrotor of 0.25 m: 10-inch propellers, hover at 5200 rpm.

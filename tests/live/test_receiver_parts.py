@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from gcs_sysid.live import receiver_main, receiver_wire
+from gcs_sysid.live import receiver_main, receiver_process
 from gcs_sysid.live.live_view import Backlog
 from gcs_sysid.live.receiver_main import Outbox, RequestsDone
 from gcs_sysid.live.receiver_process import RelayedRequests
@@ -19,10 +19,9 @@ from gcs_sysid.live.reception import (
 )
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
-from gcs_sysid.telemetry.receiver import ReceivedFrames, Rival
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.transceiver import LinkReport
+from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Rival
 from testbed.payloads import unpack
 
 HERE = ("10.0.0.1", 14550)
@@ -38,21 +37,21 @@ def test_items_and_figures_arrive_as_they_were(frames):
         ReceivedFrames(1_750_000_000_000_000, frames), ResetMark(7), RecordingCut(),
         Toggled("recording to ünüsual.tlog"), Failure("a defect"), Ended(),
     ]  # fmt: skip
-    report = receiver_wire.Report(
+    report = receiver_process.Report(
         LinkReport(
             breaks=2, dropped=3, rival=Rival((1, 1), HERE, ("10.6.6.6", 666)),
             accepted=4, refused={Refusal.WRONG_KEY: 5},
         ),
         RecordingReport(active=True, path="a.tlog", lines=("recorded to b.tlog",)), 6, ("told",),
     )  # fmt: skip
-    pipe = io.BytesIO(b"".join(map(receiver_wire.packed, (*said, report))))
-    assert [receiver_wire.read_message(pipe).content for _ in (*said, report)] == [*said, report]
-    assert receiver_wire.read_message(pipe) is None
+    pipe = io.BytesIO(b"".join(map(receiver_process.packed, (*said, report))))
+    assert [receiver_process.read_message(pipe).content for _ in (*said, report)] == [*said, report]
+    assert receiver_process.read_message(pipe) is None
 
 
 def test_a_message_that_is_cut_short_is_the_end():
-    whole = receiver_wire.packed(Toggled("text"))
-    assert receiver_wire.read_message(io.BytesIO(whole[:-1])) is None
+    whole = receiver_process.packed(Toggled("text"))
+    assert receiver_process.read_message(io.BytesIO(whole[:-1])) is None
 
 
 @pytest.fixture
@@ -140,7 +139,7 @@ def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(
     outbox.put_items([RecordingCut(), Ended()])
     got = []
     while not got or not isinstance(got[-1], Ended):
-        got.append(receiver_wire.read_message(pipe).content)
+        got.append(receiver_process.read_message(pipe).content)
     outbox.close()
     handed = sum(len(item.frames) for item in got if isinstance(item, ReceivedFrames))
     assert handed + outbox.withheld == some * len(frames)

@@ -21,8 +21,8 @@ from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.urls import LinkUrl
 from testbed.payloads import unpack
 from tests.live.test_live_session import LONGEST, assert_same_numbers

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.live.log_playback import Recorded, survey
-from gcs_sysid.live.replay_session import ReplaySession
+from gcs_sysid.live.replay_session import Recorded, ReplaySession, survey
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.session.analysis import analyze_log

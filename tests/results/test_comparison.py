@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.change_test import FALSE_ALARM_RATE
 from gcs_sysid.cli.compare_command import report
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
@@ -15,6 +14,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
+from gcs_sysid.significance import FALSE_ALARM_RATE
 from gcs_sysid.web.page_json import comparison_rows
 
 STD = 0.01

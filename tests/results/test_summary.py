@@ -10,8 +10,8 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import event_of, next_anchor, values_of
 from tests.known_theta import THETA
 

@@ -11,7 +11,7 @@ from textual.geometry import Size
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.dialogs import help_text
+from gcs_sysid.screen.key_commands import help_text
 from gcs_sysid.screen.main_view import layout_classes
 from gcs_sysid.screen.parameter_table import ParameterRows
 

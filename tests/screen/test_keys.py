@@ -10,7 +10,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import Actions, EarlierResult
-from gcs_sysid.screen.dialogs import Choose, HelpScreen
+from gcs_sysid.screen.key_commands import Choose, HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen
 from gcs_sysid.screen.plots import Convergence
 

@@ -7,8 +7,9 @@ import pytest
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History, known_history, settled_range
 from gcs_sysid.results.snapshot import Advice, Gain, LinkState
-from gcs_sysid.screen import text_drawing
+from gcs_sysid.screen import formatting
 from gcs_sysid.screen.bars import advice_lines, verdict_lines
+from gcs_sysid.screen.formatting import HEIGHT
 from gcs_sysid.screen.panels import (
     HORIZON_WIDTH,
     WINGS,
@@ -34,7 +35,6 @@ from gcs_sysid.screen.snapshot_view import (
     shares,
     standing_of,
 )
-from gcs_sysid.screen.text_drawing import HEIGHT
 from gcs_sysid.screen.view import View
 
 from . import fake
@@ -101,28 +101,28 @@ def dots(lines):
 def test_a_line_is_joined_from_edge_to_edge():
     x = np.arange(40)
     line = np.linspace(-1.0, 1.0, 40)
-    drawn = dots(text_drawing.curve(x, line, line, (-1.0, 1.0), (20, 5), 2))
+    drawn = dots(formatting.curve(x, line, line, (-1.0, 1.0), (20, 5), 2))
     assert drawn[-1, 0]
     assert drawn[0, -1]
     assert drawn.any(axis=0).all()
     steep = np.where(x < 20, -1.0, 1.0)
-    drawn = dots(text_drawing.curve(x, steep, steep, (-1.0, 1.0), (20, 5), 2))
+    drawn = dots(formatting.curve(x, steep, steep, (-1.0, 1.0), (20, 5), 2))
     assert drawn[:, 19:21].any(axis=1).all()  # from bottom to top without a hole
     assert drawn[:, :19].sum() == drawn[:, :19].any(axis=0).sum()
 
 
 def test_what_lies_outside_is_not_drawn():
     x, far = np.arange(40), np.full(40, 1e9)
-    assert not dots(text_drawing.curve(x, far, far, (-1.0, 1.0), (20, 5), 2)).any()
+    assert not dots(formatting.curve(x, far, far, (-1.0, 1.0), (20, 5), 2)).any()
     jump = np.where(x < 20, 1e9, 0.0)
-    drawn = dots(text_drawing.curve(x, jump, jump, (-1.0, 1.0), (20, 5), 2))
+    drawn = dots(formatting.curve(x, jump, jump, (-1.0, 1.0), (20, 5), 2))
     assert not drawn[:, :19].any()
     assert drawn[:, 21:].any(axis=0).all()
 
 
 def test_a_long_gap_is_not_drawn_over():
     x = np.array([0, 1, 2, 30, 31])
-    drawn = dots(text_drawing.curve(x, np.zeros(5), np.zeros(5), (-1.0, 1.0), (20, 2), 3))
+    drawn = dots(formatting.curve(x, np.zeros(5), np.zeros(5), (-1.0, 1.0), (20, 2), 3))
     assert np.flatnonzero(drawn.any(axis=0)).tolist() == x.tolist()
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.screen.dialogs import HelpScreen
+from gcs_sysid.screen.key_commands import HelpScreen
 from gcs_sysid.screen.snapshot_view import playback_text
 
 from .fake import PLAYING

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_speed_stream import RotorBuffer, wild_rows
 from gcs_sysid.signals.time_base import TimeBase
+from gcs_sysid.significance import Z95
 from tests.feeding import feed, grid_of
 
 GAP = 0.04

@@ -20,7 +20,7 @@ from gcs_sysid.session.reported_layout import (
     reported_layout,
     suggested_airframe,
 )
-from gcs_sysid.setup_help.layouts import layout_rotors
+from gcs_sysid.setup_help.airframe_file import layout_rotors
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.web import log_worker

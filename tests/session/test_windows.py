@@ -5,8 +5,7 @@ from itertools import groupby, pairwise
 import numpy as np
 import pytest
 
-from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.session.analysis import take_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin

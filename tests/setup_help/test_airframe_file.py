@@ -7,17 +7,19 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor, load_airframe
 from gcs_sysid.setup_help.airframe_file import (
+    LAYOUTS,
     AirframeAnswers,
     airframe_text,
     arm_doubt,
     check_airframe,
     check_new,
     checked,
+    layout_rotors,
+    reversed_spins,
     scale_doubt,
     write_new,
 )
 from gcs_sysid.setup_help.checks import Sign, worst
-from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors, reversed_spins
 
 QUAD = layout_rotors("px4-quad-x", 0.25)
 

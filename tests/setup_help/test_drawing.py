@@ -3,8 +3,7 @@
 import pytest
 
 from gcs_sysid.model.airframe import Rotor
-from gcs_sysid.setup_help.checks import can_show
-from gcs_sysid.setup_help.layouts import (
+from gcs_sysid.setup_help.airframe_file import (
     ASCII,
     LAYOUTS,
     UNICODE,
@@ -15,6 +14,7 @@ from gcs_sysid.setup_help.layouts import (
     reversed_spins,
     rotor_table,
 )
+from gcs_sysid.setup_help.checks import can_show
 
 QUAD_X = """\
              ▲ front

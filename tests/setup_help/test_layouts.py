@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gcs_sysid.model.airframe import Rotor, builtin_names, load_airframe
-from gcs_sysid.setup_help.layouts import (
+from gcs_sysid.setup_help.airframe_file import (
     LAYOUTS,
     layout_rotors,
     place_of,

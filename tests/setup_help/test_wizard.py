@@ -7,7 +7,7 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help import wizard as say
-from gcs_sysid.setup_help.layouts import ASCII, layout_rotors, reversed_spins
+from gcs_sysid.setup_help.airframe_file import ASCII, layout_rotors, reversed_spins
 from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard, given_answers
 
 

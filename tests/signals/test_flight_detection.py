@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.sampling import Sampler

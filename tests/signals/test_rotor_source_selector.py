@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.model.airframe import CommandRange, load_airframe
+from gcs_sysid.model.airframe import CommandRange, ScaleReference, load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.redundant_commands import mean_of
 from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector

@@ -11,7 +11,7 @@ from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import parse_url
 
 WAIT = 5.0

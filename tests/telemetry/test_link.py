@@ -11,7 +11,7 @@ import pytest
 from gcs_sysid.errors import InputError, LinkError
 from gcs_sysid.telemetry.link import Link, ReceivedBytes, UdpLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0

@@ -12,7 +12,7 @@ from gcs_sysid.telemetry.link import (
     ReceivedBytes,
     open_link,
 )
-from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 

@@ -9,8 +9,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLogs
+from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.log_server import LogServer
 from sim_bridge.wire import FrameWriter

@@ -8,8 +8,7 @@ import pytest
 from gcs_sysid.argument_types import web_address
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.web.access import Access, is_loopback
-from gcs_sysid.web.site import Site
+from gcs_sysid.web.site import Access, Site, is_loopback
 
 from .conftest import Client
 

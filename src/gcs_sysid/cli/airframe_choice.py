@@ -149,8 +149,8 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     from gcs_sysid.session.reported_layout import reported_layout
     from gcs_sysid.telemetry.intake import Intake
     from gcs_sysid.telemetry.parameter_requests import ParameterRequests
-    from gcs_sysid.telemetry.receiver import ReceivedFrames
     from gcs_sysid.telemetry.requests import StreamRequests
+    from gcs_sysid.telemetry.transceiver import ReceivedFrames
 
     wait = 0.05  # s on the link at a time
     reply_within = 8.0  # s, once the vehicle is received: some 20 parameters

@@ -9,23 +9,21 @@ from gcs_sysid.cli.output import print_file, show, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
 from gcs_sysid.setup_help.airframe_file import (
+    ASCII,
+    UNICODE,
+    UNICODE_SIGNS,
     AirframeAnswers,
+    Pen,
     airframe_text,
     check_airframe,
     check_new,
     checked,
-    write_new,
-)
-from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
-from gcs_sysid.setup_help.layouts import (
-    ASCII,
-    UNICODE,
-    UNICODE_SIGNS,
-    Pen,
     draw,
     legend,
     rotor_table,
+    write_new,
 )
+from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
 from gcs_sysid.setup_help.wizard import (
     GivenAnswers,
     Wizard,

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
-from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.health_command import health_text
-from gcs_sysid.cli.result_table import result_table
+from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.health.whole_analysis import WholeAnalysis, analyze_whole
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_view import result_table
 from gcs_sysid.session.analysis import analyze_pair
 from gcs_sysid.session.chain import ChainOptions
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet import batch_table as table
+from gcs_sysid.fleet import batch as table
 from gcs_sysid.fleet.batch import (
     AIRFRAME_FILE,
     BatchRun,
@@ -22,8 +22,7 @@ from gcs_sysid.fleet.batch import (
     find_logs,
     nearest_airframe,
 )
-from gcs_sysid.fleet.jobs import Job, LogLimits, analyze_within
-from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
+from gcs_sysid.fleet.jobs import ClusterPool, Job, LocalPool, LogLimits, Pool, analyze_within
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.telemetry.log_formats import usual_endings
 

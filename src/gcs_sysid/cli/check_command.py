@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli import health_command, output
-from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.health_command import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
+from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.health.assessment import ReadLog, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Health, against_first

@@ -301,14 +301,14 @@ EXPORT_TARGETS = (
     "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
     "indiflight", "paparazzi",
 )  # fmt: skip
-"""Names of `exports.formats.FORMATS`."""
+"""Names of `exports.FORMATS`."""
 LAYOUTS = (
     "px4-quad-x", "ardupilot-quad-x", "px4-quad-plus", "ardupilot-quad-plus",
     "px4-hexa-x", "ardupilot-hexa-x", "px4-hexa-plus", "ardupilot-hexa-plus",
     "px4-octo-x", "ardupilot-octo-x", "px4-octo-plus", "ardupilot-octo-plus",
     "betaflight-quad-x",
 )  # fmt: skip
-"""Names of `setup_help.layouts.LAYOUTS`."""
+"""Names of `setup_help.airframe_file.LAYOUTS`."""
 ROTOR_INPUTS = ("speed", "command")
 """Values of `model.rotor_input.RotorInput`."""
 SHELLS = ("bash", "zsh", "fish", "powershell")

@@ -6,10 +6,14 @@ from pathlib import Path
 from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
 from gcs_sysid.cli.output import print_file, progress_bar, say
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
+from gcs_sysid.exports import FORMATS
+from gcs_sysid.exports.exported_vehicle import (
+    ExportedVehicle,
+    MissingError,
+    assemble,
+    drawn_vehicles,
+)
 from gcs_sysid.exports.file_format import Format
-from gcs_sysid.exports.formats import FORMATS
-from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
 from gcs_sysid.files import check_target, log_file, write_whole
 from gcs_sysid.report.signal_table import SignalRecorder, writer_of
 from gcs_sysid.results.result_file import read_result

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 from gcs_sysid.cli import output
 from gcs_sysid.cli.headless import say_until_end
 from gcs_sysid.cli.output import JsonLines, on_signals
-from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_view import Session
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.result_view import result_table
 from gcs_sysid.telemetry.tlog_writer import NOT_RECORDING
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
-from gcs_sysid.cli.failures import OneByOne
 from gcs_sysid.cli.output import TEXT_WIDTH
+from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log

@@ -120,7 +120,7 @@ def read_truth(path: str) -> dict[str, float]:
     Raises:
         InputError: the file cannot be read or is no such JSON.
     """
-    table = parse_json(read_text(Path(path), 1_000_000, "the truth file"), path)
+    table = parse_json(read_text(Path(path), "the truth file"), path)
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
     numbers = {
@@ -237,7 +237,7 @@ def say(text: str) -> None:
 
 def say_addresses(site: "Site", host: str) -> None:
     """Where a page is, for who may do things and for who may only look."""
-    from gcs_sysid.web.access import is_loopback
+    from gcs_sysid.web.site import is_loopback
 
     far = "" if is_loopback(host) else "; not encrypted: use a network that you trust"
     say(f"open {site.address('pilot')} in a browser (Ctrl-C ends){far}")

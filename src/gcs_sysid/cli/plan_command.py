@@ -13,15 +13,14 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.followed_session import coach_options
 from gcs_sysid.cli.output import TEXT_WIDTH, check_outputs, deliver
-from gcs_sysid.coach.choice import HOVER, Plan, Step, make_plan
+from gcs_sysid.coach.choice import HOVER, Plan, Step, make_plan, shares
 from gcs_sysid.coach.information import prior_vehicle
-from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.report.drawing import line, picture, polyline, text
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of

@@ -7,8 +7,7 @@ from pathlib import Path
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.followed_session import baseline_of, follow, is_watched, refit_interval
 from gcs_sysid.cli.output import JsonLines
-from gcs_sysid.live.log_playback import survey
-from gcs_sysid.live.replay_session import ReplaySession
+from gcs_sysid.live.replay_session import ReplaySession, survey
 
 
 def run(options: argparse.Namespace) -> int:

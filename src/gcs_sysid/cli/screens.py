@@ -91,8 +91,8 @@ def export_result(target: str, result: Result) -> str:
     Raises:
         GcsSysidError: it lacks what the format needs, or the file cannot be written.
     """
+    from gcs_sysid.exports import FORMATS
     from gcs_sysid.exports.exported_vehicle import assemble
-    from gcs_sysid.exports.formats import FORMATS
 
     vehicle = assemble(result)
     text = FORMATS[target].write(vehicle)

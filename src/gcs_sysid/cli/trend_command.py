@@ -6,10 +6,9 @@ from pathlib import Path
 from gcs_sysid.cli.output import say
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, write_whole
-from gcs_sysid.fleet import batch_table as table
+from gcs_sysid.fleet import batch as table
 from gcs_sysid.fleet.batch import TABLE
-from gcs_sysid.fleet.trend import vehicles_of
-from gcs_sysid.fleet.trend_page import render
+from gcs_sysid.fleet.trend import render, vehicles_of
 
 
 def run(options: argparse.Namespace) -> int:

@@ -31,8 +31,8 @@ from gcs_sysid.control.tuning_study import (
     with_deviations,
 )
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
-from gcs_sysid.exports.formats import FORMATS
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.report.drawing import line, picture, polyline, text

@@ -16,22 +16,28 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.control.hover_dynamics import HoverDynamics, check_needs, hover_dynamics
 from gcs_sysid.control.loop_margins import (
+    HoverDynamics,
     Margins,
     StepResponse,
+    check_needs,
     frequencies,
+    hover_dynamics,
     margins_of,
     open_loops,
     step_response,
 )
 from gcs_sysid.control.rate_loops import Autopilot, AxisGains, RateLoop, read_loop
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, complete
-from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
-from gcs_sysid.intervals import Z95
+from gcs_sysid.exports.exported_vehicle import (
+    ExportedVehicle,
+    KnownEstimate,
+    complete,
+    drawn_vehicles,
+)
 from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
+from gcs_sysid.significance import Z95
 
 
 @dataclass(frozen=True)

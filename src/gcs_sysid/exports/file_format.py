@@ -7,11 +7,9 @@ from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import UNITS, ExportedVehicle, KnownEstimate
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import INERTIA, REGISTRY
+from gcs_sysid.significance import Z95
 
-FOUR = 4
-"""Rotors that several simulators fly, and no other number."""
 ELEMENTS = {
     "ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2),
 }  # fmt: skip

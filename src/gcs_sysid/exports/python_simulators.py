@@ -30,7 +30,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
-from gcs_sysid.exports.file_format import FOUR, Format, commented, number
+from gcs_sysid.exports.file_format import Format, commented, number
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
 _RPM = 60.0 / (2.0 * math.pi)
@@ -48,13 +48,13 @@ def _rotorpy_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     lag = _divisor(vehicle, "rotorpy: RotorPy divides")
     J = vehicle.inertia_flu
     places = vehicle.rotors_flu_from_cg
-    hover = math.sqrt(vehicle["mass"] * GRAVITY / (FOUR * vehicle["k_T"]))
-    drag = (vehicle.get("linear_drag") or 0.0) / (FOUR * hover)
+    hover = math.sqrt(vehicle["mass"] * GRAVITY / (len(vehicle.rotors) * vehicle["k_T"]))
+    drag = (vehicle.get("linear_drag") or 0.0) / (len(vehicle.rotors) * hover)
     directions = ", ".join(str(-rotor.spin) for rotor in vehicle.rotors)
     rows: list[tuple[str, str, str]] = [
         ("mass", number(vehicle["mass"]), "kg"),
         *((n, number(J[a, b]), "kg m^2") for n, (a, b) in _ROTORPY_MATRIX.items()),
-        ("num_rotors", str(FOUR), "in the autopilot's motor order"),
+        ("num_rotors", str(len(vehicle.rotors)), "in the autopilot's motor order"),
     ]
     return (
         commented(head, "#")
@@ -113,7 +113,7 @@ ROTORPY = Format(
     text=_rotorpy_text,
     absent={"linear_drag": "without linear_drag there is no drag (k_d = k_z = 0)"},
     remarks=_rotorpy_remarks,
-    rotors=FOUR,
+    rotors=4,
 )
 
 
@@ -167,7 +167,7 @@ CRAZYFLOW = Format(
         "linear_drag": "without linear_drag there is no drag",
         "rotor_inertia": "without rotor_inertia there is no reaction of the propellers",
     },
-    rotors=FOUR,
+    rotors=4,
 )
 
 
@@ -178,12 +178,12 @@ def _l2f_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     c = 1.0 if c is None else c
     dynamics = {
         "rotor_positions": vehicle.rotors_flu_from_cg.tolist(),
-        "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * FOUR,
+        "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * len(vehicle.rotors),
         "rotor_torque_directions": [[0.0, 0.0, -float(r.spin)] for r in vehicle.rotors],
-        "rotor_thrust_coefficients": [[0.0, full * (1.0 - c), full * c]] * FOUR,
-        "rotor_torque_constants": [vehicle["moment_ratio"]] * FOUR,
-        "rotor_time_constants_rising": [vehicle["motor_lag"]] * FOUR,
-        "rotor_time_constants_falling": [vehicle["motor_lag"]] * FOUR,
+        "rotor_thrust_coefficients": [[0.0, full * (1.0 - c), full * c]] * len(vehicle.rotors),
+        "rotor_torque_constants": [vehicle["moment_ratio"]] * len(vehicle.rotors),
+        "rotor_time_constants_rising": [vehicle["motor_lag"]] * len(vehicle.rotors),
+        "rotor_time_constants_falling": [vehicle["motor_lag"]] * len(vehicle.rotors),
         "mass": vehicle["mass"],
         "gravity": [0.0, 0.0, -GRAVITY],
         "J": J.tolist(),
@@ -210,5 +210,5 @@ L2F = Format(
     remarks=lambda _: [
         "put `dynamics` in place of that of l2f.parameters_to_json, then parameters_from_json"
     ],
-    rotors=FOUR,
+    rotors=4,
 )

@@ -20,10 +20,10 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.significance import Z95
 
 _ROUNDS = 12
 """Reweighted least squares, of Huber's weights."""

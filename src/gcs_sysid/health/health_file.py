@@ -16,7 +16,6 @@ from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.strict_json import parse_json
 
 SCHEMA = "gcs-sysid-health/1"
-_MOST_BYTES = 5_000_000
 
 
 def document_of(health: Health) -> dict[str, Any]:
@@ -80,7 +79,7 @@ def read_baseline(path: Path) -> Baseline:
     Raises:
         InputError: it cannot be read, or holds no health.
     """
-    table = parse_json(read_text(path, _MOST_BYTES, "the baseline"), str(path))
+    table = parse_json(read_text(path, "the baseline"), str(path))
     table = table.get("health", table) if isinstance(table, dict) else table
     try:
         if table["schema"] != SCHEMA:

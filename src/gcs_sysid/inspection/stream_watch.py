@@ -11,8 +11,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, RotorFacts, RotorMessage
-from gcs_sysid.model.airframe import Airframe, Rotor
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
 from gcs_sysid.session.chain import WINDOW
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude

@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, ScaleKind
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleKind
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.saturation import Saturated

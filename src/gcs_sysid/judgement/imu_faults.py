@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import reference_values
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES, GRAVITY, REGISTRY
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.saturation import Saturated
+from gcs_sysid.significance import Z95
 
 _SYSTEMATIC = np.array([0.015, 0.015, 0.05])
 """Shares by which sound gyros and attitudes of 40 logs differ beyond their noise: gravity corrects

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES, reference_values
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import CORE_OF
+from gcs_sysid.significance import Z95
 
 
 def what_was_given(evidence: Evidence) -> Iterator[Objection]:

@@ -7,8 +7,8 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES
+from gcs_sysid.model.airframe import ScaleKind
 from gcs_sysid.model.estimate import Objection, Verdict
-from gcs_sysid.model.scale_reference import ScaleKind
 from gcs_sysid.signals.records import Stream
 
 NAMED_LOSS = 0.1

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.parameters import ARM, REGISTRY, Parameter
+from gcs_sysid.significance import Z95
 
 
 @dataclass(frozen=True)

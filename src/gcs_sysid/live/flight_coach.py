@@ -10,9 +10,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.choice import Choice, choose
-from gcs_sysid.coach.information import Noise, prior_noise, prior_vehicle, speed_noise
-from gcs_sysid.coach.interval_targets import is_enough, shares
+from gcs_sysid.coach.choice import Choice, choose, is_enough, shares
+from gcs_sysid.coach.information import (
+    Noise,
+    PredictedInformation,
+    predicted_information,
+    prior_noise,
+    prior_vehicle,
+    speed_noise,
+)
 from gcs_sysid.coach.manoeuvre_library import (
     Limits,
     Manoeuvre,
@@ -22,7 +28,6 @@ from gcs_sysid.coach.manoeuvre_library import (
     motion_words,
     sentence,
 )
-from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.snapshot import Advice, Gain

@@ -18,6 +18,7 @@ from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
 from gcs_sysid.live.live_view import RESULT_EVERY, Backlog, Session, link_status, with_link
 from gcs_sysid.live.reception import (
+    POLL,
     Ended,
     Failure,
     Item,
@@ -28,20 +29,16 @@ from gcs_sysid.live.reception import (
     Source,
     Toggled,
 )
-from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
-from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog_writer import unused_path
-from gcs_sysid.telemetry.transceiver import Transceiver
+from gcs_sysid.telemetry.transceiver import ReceivedFrames, Transceiver
 
 _LOADED_AHEAD = ("scipy.optimize",)
 """What else a flight loads where it first needs it, in the air: data would wait 0.1 s and more."""
-_POLL = 0.05
-"""s; the longest that an action of the user waits."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 1.0
 """s between snapshots; the longer one while the computer is too slow."""
 
@@ -263,7 +260,7 @@ class LiveSession(Session):
 
     def _loop(self, began: float) -> None:
         while not self._stop.is_set():
-            items = self._source.next_items(_POLL)
+            items = self._source.next_items(POLL)
             if items and not self._loaded:
                 self._load_ahead()
             now = time.monotonic()
@@ -348,7 +345,7 @@ class LiveSession(Session):
         self._source.finish()
         self._estimate.note_all(self._backlog.last_words())
         while not self._all_taken:
-            for item in self._source.next_items(_POLL):
+            for item in self._source.next_items(POLL):
                 self._accept(item)
             now = time.monotonic()
             self._backlog.look(now)

@@ -22,24 +22,25 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gcs_sysid.errors import GcsSysidError
-from gcs_sysid.live import receiver_wire as wire
-from gcs_sysid.live.reception import Failure, Item, Reception, SessionRecording
+from gcs_sysid.live.receiver_process import (
+    MOST_WAITING,
+    REQUESTS,
+    Flushed,
+    Report,
+    packed,
+    read_message,
+)
+from gcs_sysid.live.reception import POLL, Failure, Item, Reception, SessionRecording
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import ReceivedFrames
-from gcs_sysid.telemetry.transceiver import Transceiver
+from gcs_sysid.telemetry.transceiver import ReceivedFrames, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
-POLL = 0.05
-"""s; the longest that an order waits."""
 GATHER, FEW = 0.004, 64
 """s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
 costs most."""
 _OF_RECEPTION = ("follow", "mark_reset", "start_recording", "stop_recording", "cut_recording")
 """Orders that are its methods."""
-MOST_WAITING = 64 * 2**20
-"""Bytes that wait for a session that does not take them, ten minutes at 1 kHz; what comes beyond is
-recorded, and not handed over."""
 
 
 class Outbox:
@@ -70,7 +71,7 @@ class Outbox:
     def put_items(self, items: Sequence[Item]) -> None:
         """Hand over items; frames only if there is room."""
         for item in items:
-            data = wire.packed(item)
+            data = packed(item)
             if isinstance(item, ReceivedFrames) and self._size + len(data) > MOST_WAITING:
                 self.withheld += len(item.frames)
             else:
@@ -114,7 +115,7 @@ class RequestsDone:
         # (vehicle, message) -> version of MAVLink, and the interval to put back.
         self._changed: dict[tuple[tuple[int, int], int], tuple[int, int]] = {}
         self._may: dict[str, Callable[..., bool]] = {
-            **{name: getattr(gate, name) for name in wire.REQUESTS},
+            **{name: getattr(gate, name) for name in REQUESTS},
             "set_message_interval": self._set_message_interval,
         }
 
@@ -167,7 +168,7 @@ class ReceiverMain:
         self._requests = requests
         self._outbox = outbox
         self._orders = orders
-        self._report = wire.Report()
+        self._report = Report()
         self._reported = -float("inf")
         self._finished = False
 
@@ -215,8 +216,8 @@ class ReceiverMain:
         self._reported = -float("inf")
 
     def _flush(self, number: int) -> None:
-        answer = wire.Flushed(number, self._reception.flushed_recording())
-        self._outbox.put(wire.packed(answer))
+        answer = Flushed(number, self._reception.flushed_recording())
+        self._outbox.put(packed(answer))
 
     def _finish(self) -> None:
         """Take what has come so far, and end."""
@@ -235,16 +236,16 @@ class ReceiverMain:
         self._reported = now
         reception = self._reception
         events = tuple(reception.take_events())
-        report = wire.Report(
+        report = Report(
             reception.link_report, reception.recording_report, self._outbox.withheld, events
         )
         if report != self._report:
             self._report = report
-            self._outbox.put(wire.packed(report))
+            self._outbox.put(packed(report))
 
 
 def _read_orders(source: BinaryIO, orders: "queue.SimpleQueue[Sequence[Any] | None]") -> None:
-    while (order := wire.read_message(source)) is not None:
+    while (order := read_message(source)) is not None:
         orders.put(order.content)
     orders.put(None)
 
@@ -282,15 +283,15 @@ def main() -> int:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     outbox = Outbox(sys.stdout.buffer)
     try:
-        settings = wire.read_message(sys.stdin.buffer)
+        settings = read_message(sys.stdin.buffer)
         if settings is None:
             return 2
         reception, requests = open_reception(*settings.content)
     except GcsSysidError as error:
-        outbox.put(wire.packed(error))
+        outbox.put(packed(error))
         outbox.close()
         return 2
-    outbox.put(wire.packed(reception.url))
+    outbox.put(packed(reception.url))
     orders: queue.SimpleQueue[Sequence[Any] | None] = queue.SimpleQueue()
     threading.Thread(target=_read_orders, args=(sys.stdin.buffer, orders), daemon=True).start()
     threading.Thread(target=_watch_parent, args=(orders,), daemon=True).start()

@@ -1,28 +1,103 @@
-"""The session's end of a receiver in a process of its own."""
+"""The session's end of a receiver in a process of its own, and what travels between the two.
+
+Objects travel, each behind its length. To the receiver go the arguments of `open_reception`, then
+orders, each a name and its arguments. From it come the URL that was opened or the error, then
+`Report`, `Flushed` and the items of `reception`. Frames travel as they came over the link, and are
+not checked again; all else is pickled.
+"""
 
 import contextlib
+import pickle
+import struct
 import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, NamedTuple, cast
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Item, RecordingReport
 from gcs_sysid.processes import apart
-from gcs_sysid.telemetry.transceiver import LinkReport, Requests
+from gcs_sysid.telemetry.frames import join_frames, split_frames
+from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Requests
 from gcs_sysid.telemetry.urls import LinkUrl
+
+REQUESTS = (
+    "heartbeat", "set_message_interval", "get_message_interval", "request_message_interval",
+    "request_group", "read_parameter",
+)  # fmt: skip
+"""What a session may have the receiver's gate ask: the methods of `Requests`."""
+_HEAD = struct.Struct("<QI")
+"""When frames arrived, us since 1970, 0 for anything else; bytes that follow."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Figures of the moment.
+
+    Attributes:
+        link: of the link.
+        recording: of the recording.
+        withheld: frames that were recorded and not handed over.
+        events: what happened to the recording since the last report.
+    """
+
+    link: LinkReport = field(default_factory=LinkReport)
+    recording: RecordingReport = field(default_factory=RecordingReport)
+    withheld: int = 0
+    events: tuple[str, ...] = ()
+
+
+class Flushed(NamedTuple):
+    """The answer to a numbered wish: the latest recording, whole up to now; None without one."""
+
+    number: int
+    path: Path | None
+
+
+class WireMessage(NamedTuple):
+    """An object on its way; frames are not unpacked before they are wanted."""
+
+    time_us: int
+    body: bytes
+
+    @property
+    def content(self) -> Any:
+        """The object."""
+        if self.time_us:
+            return ReceivedFrames(self.time_us, split_frames(self.body))
+        return pickle.loads(self.body)
+
+
+def packed(content: object) -> bytes:
+    """An object as it is written into the pipe."""
+    if isinstance(content, ReceivedFrames):
+        body = join_frames(content.frames)
+        return _HEAD.pack(content.time_us, len(body)) + body
+    body = pickle.dumps(content)
+    return _HEAD.pack(0, len(body)) + body
+
+
+def read_message(source: BinaryIO) -> WireMessage | None:
+    """The next object out of the pipe; None when there is no more."""
+    head = source.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    time_us, size = _HEAD.unpack(head)
+    body = source.read(size)
+    return WireMessage(time_us, body) if len(body) == size else None
+
 
 COMMAND = [sys.executable, "-P", "-m", "gcs_sysid.live.receiver_main"]
 AT_ONCE = 32
 """Items taken at a time: 0.1 to 0.3 s of data."""
 MOST_WAITING = 64 * 2**20
-"""Bytes that wait here; what comes beyond waits in the receiver."""
+"""Bytes that wait here, ten minutes at 1 kHz; as many more wait in the receiver, and what comes
+beyond is recorded, and not handed over."""
 _MOST_EVENTS = 100
 
 
@@ -44,7 +119,7 @@ class RelayedRequests:
         self.signing = signing
 
     def __getattr__(self, name: str) -> Callable[..., bool]:
-        if name not in wire.REQUESTS:
+        if name not in REQUESTS:
             raise AttributeError(name)
         return partial(self._ask, name)
 
@@ -77,15 +152,15 @@ class ReceiverProcess:
         record_to: Path | None = None,
     ) -> None:
         self._wake = threading.Condition()
-        self._messages: deque[wire.WireMessage] = deque()
+        self._messages: deque[WireMessage] = deque()
         self._size = 0
         self._newest = self._taken = 0  # us since 1970
         self._over = False
         self._returned: list[Item] = []
-        self._report = wire.Report()
+        self._report = Report()
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._flushes = 0
-        self._flushed = wire.Flushed(0, None)
+        self._flushed = Flushed(0, None)
         self._ordering = threading.Lock()
         self._reader: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
@@ -107,7 +182,7 @@ class ReceiverProcess:
 
     def _opened(self, url: LinkUrl) -> LinkUrl:
         """The URL that was opened; the error if none was."""
-        first = wire.read_message(self._answers)
+        first = read_message(self._answers)
         opened = LinkError(f"{url}: the receiver process did not start")
         if first is not None:
             opened = first.content
@@ -235,27 +310,27 @@ class ReceiverProcess:
             self._ordering,
             contextlib.suppress(OSError, ValueError),
         ):  # it has died: `take` reports that
-            self._orders.write(wire.packed(content))
+            self._orders.write(packed(content))
             self._orders.flush()
 
     def _read(self) -> None:
         """Take down all that the receiver says; in a thread of its own."""
         with contextlib.suppress(OSError, ValueError):
-            while (message := wire.read_message(self._answers)) is not None:
+            while (message := read_message(self._answers)) is not None:
                 self._note(message)
         with self._wake:
             self._over = True
             self._wake.notify_all()
         self._answers.close()
 
-    def _note(self, message: wire.WireMessage) -> None:
+    def _note(self, message: WireMessage) -> None:
         content = None if message.time_us else message.content
-        if isinstance(content, wire.Report):
+        if isinstance(content, Report):
             self._report = content
             self._events.extend(content.events)
             return
         with self._wake:
-            if isinstance(content, wire.Flushed):
+            if isinstance(content, Flushed):
                 self._flushed = content
             else:
                 self._wake.wait_for(lambda: self._size < MOST_WAITING)

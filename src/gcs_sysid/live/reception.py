@@ -14,10 +14,12 @@ from typing import NamedTuple, Protocol
 
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.receiver import ReceivedFrames
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
-from gcs_sysid.telemetry.transceiver import LinkReport, Port, Requests, Transceiver
+from gcs_sysid.telemetry.transceiver import LinkReport, Port, ReceivedFrames, Requests, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
+
+POLL = 0.05
+"""s; the longest that an order waits."""
 
 
 class SessionRecording:

@@ -22,6 +22,32 @@ from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 
+ScaleKind = Literal["mass", "k_T", "T_max", "added_mass"]
+Known = tuple[float, float]
+"""A value and its standard deviation."""
+
+
+@dataclass(frozen=True)
+class ScaleReference:
+    """The fact that sets the scale.
+
+    Attributes:
+        kind: which.
+        value: of it, SI.
+        std: of the value; zero as given by a user, not where it comes from an earlier segment.
+        origin: where it comes from; empty for a user.
+        loaded: of "added_mass", k_T / m of the flight with the mass added, and its deviation.
+        given: share by which what was given at first may be wrong, which no flight shows: all
+            that is in proportion to the scale is off by it, after changes in flight too.
+    """
+
+    kind: ScaleKind
+    value: float
+    std: float = 0.0
+    origin: str = ""
+    loaded: Known | None = None
+    given: float = 0.0
+
 
 @dataclass(frozen=True)
 class Sigma:
@@ -164,9 +190,6 @@ _LEAST_CUTOFF = 0.1
 
 PRIORS = tuple(name for name, parameter in REGISTRY.items() if parameter.prior)
 """Parameters that may be known beforehand."""
-
-_MOST_BYTES = 1_000_000
-"""A file beyond this describes no airframe."""
 
 _VEHICLES = ("paper", "px4-sih")
 """Built-in airframes of one vehicle with its own size; the others are layouts to be scaled."""
@@ -437,7 +460,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
                 f"no airframe {name_or_path!r}: name a .toml file or one of {', '.join(names)}"
                 + nearest(str(name_or_path), names)
             )
-        text = read_text(path, _MOST_BYTES, "the airframe file")
+        text = read_text(path, "the airframe file")
     return parse_toml(text, where, "an airframe file"), where
 
 

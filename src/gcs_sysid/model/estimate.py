@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from gcs_sysid.intervals import Z95, interval95
+from gcs_sysid.significance import Z95, interval95
 
 Status = Literal["identified", "given", "zero", "weak", "unobservable"]
 KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})

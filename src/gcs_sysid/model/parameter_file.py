@@ -16,7 +16,6 @@ from gcs_sysid.files import read_text
 SUFFIXES = (".params", ".param", ".parm")
 REAL32, INT32 = 9, 6
 """MAV_PARAM_TYPE."""
-_MOST_BYTES = 4_000_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 
 
@@ -27,7 +26,7 @@ def read_parameter_file(path: Path) -> dict[str, float]:
         InputError: it cannot be read, or a line in it is no parameter.
     """
     found: dict[str, float] = {}
-    for number, line in enumerate(read_text(path, _MOST_BYTES, "the parameters").splitlines(), 1):
+    for number, line in enumerate(read_text(path, "the parameters").splitlines(), 1):
         text = line.strip()
         if not text or text.startswith("#"):
             continue

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.inspection.thresholds import THRESHOLDS
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.page_figures import (
@@ -33,6 +32,7 @@ from gcs_sysid.report.parts import (
 from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.results.words import event_text
+from gcs_sysid.significance import Z95
 
 _NEEDED = {
     "imu": THRESHOLDS.imu_rate,

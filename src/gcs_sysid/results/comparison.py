@@ -2,7 +2,7 @@
 
 The difference of two estimates has the variance of both together. One interval in twenty misses
 by chance, so many parameters would make a change of nothing: whether any has changed is decided
-for all of them together (`change_test`).
+for all of them together (`significance`).
 """
 
 import math
@@ -10,9 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from gcs_sysid.change_test import FALSE_ALARM_RATE, chance, holm
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import interval95
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
@@ -20,6 +18,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.words import Change
+from gcs_sysid.significance import FALSE_ALARM_RATE, chance, holm, interval95
 
 SCHEMA = "gcs-sysid/compare/1"
 

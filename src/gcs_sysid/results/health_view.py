@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.number_format import PLAIN, Notation, decimals_for, significant
 from gcs_sysid.results.result import Result
+from gcs_sysid.significance import Z95
 
 _WORDS = {
     "yaw_imbalance": ("yaw imbalance", 100.0, "% of the load", ", ccw minus cw", 1.0),

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
 from gcs_sysid.judgement.status import NOTHING
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.significance import Z95
 
 MAX_POINTS = 4096
 

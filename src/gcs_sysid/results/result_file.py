@@ -43,7 +43,7 @@ def read_result(path: Path) -> Result:
     """
     where = str(path)
     try:
-        text = read_text(path, MOST_BYTES, "the result")
+        text = read_text(path, "the result", MOST_BYTES)
     except InputError as error:
         if isinstance(error.__cause__, UnicodeDecodeError):
             raise InputError(

@@ -14,15 +14,15 @@ from gcs_sysid.estimation.changes.tracking import TrackingEvent
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
-from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.words import WRONG_AIRFRAME, disturbance_text
+from gcs_sysid.significance import Z95
 
 MIN_SECONDS = 3.0
 """Flight time in s below which nothing is claimed, unless an earlier segment determines most of

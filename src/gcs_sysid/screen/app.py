@@ -26,8 +26,15 @@ from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.bars import TransportBar
 from gcs_sysid.screen.call_outs import Announcer
-from gcs_sysid.screen.dialogs import Choose, Enter, HelpScreen
-from gcs_sysid.screen.key_commands import COMMANDS, PAGES, REPLAY_COMMANDS, bindings_of
+from gcs_sysid.screen.key_commands import (
+    COMMANDS,
+    PAGES,
+    REPLAY_COMMANDS,
+    Choose,
+    Enter,
+    HelpScreen,
+    bindings_of,
+)
 from gcs_sysid.screen.main_view import MainScreen, PageBar
 from gcs_sysid.screen.parameter_table import ParameterRows
 from gcs_sysid.screen.pilot_view import PilotScreen

@@ -12,6 +12,7 @@ from gcs_sysid.results.number_format import clock, clock_tenths, pretty_unit
 from gcs_sysid.results.snapshot import Advice, LinkState, Playback, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.formatting import HEIGHT, big
 from gcs_sysid.screen.lines import Line, Shown, WrappedLines
 from gcs_sysid.screen.snapshot_view import (
     LINK_SIGN,
@@ -28,7 +29,6 @@ from gcs_sysid.screen.snapshot_view import (
     sign_of,
     standing_of,
 )
-from gcs_sysid.screen.text_drawing import HEIGHT, big
 from gcs_sysid.screen.view import View
 
 

@@ -13,6 +13,7 @@ from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.results.summary import contradicted
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.bars import AnswerLine
+from gcs_sysid.screen.formatting import big, height_of
 from gcs_sysid.screen.lines import Line, Lines, Shown
 from gcs_sysid.screen.snapshot_view import (
     Known,
@@ -21,7 +22,6 @@ from gcs_sysid.screen.snapshot_view import (
     short_headline,
     standing_of,
 )
-from gcs_sysid.screen.text_drawing import big, height_of
 from gcs_sysid.screen.view import View
 
 _LINK_WORDS = {

@@ -13,8 +13,8 @@ from gcs_sysid.results import words
 from gcs_sysid.results.history import Acceleration, History, known_history, settled_range
 from gcs_sysid.results.number_format import round_numbers, scaled_unit
 from gcs_sysid.results.result_view import exponent_key
+from gcs_sysid.screen import formatting
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen import text_drawing
 from gcs_sysid.screen.lines import Line, Lines, Shown
 from gcs_sysid.screen.view import View
 
@@ -124,7 +124,7 @@ def shade(
     columns, lines = size
     x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * (columns - 1)).astype(np.int64)
     low, high = (
-        text_drawing.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
+        formatting.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
     )
     cell = (bounds[1] - bounds[0]) / lines
     centers = bounds[1] - cell * (np.arange(lines)[:, None] + 0.5)
@@ -166,7 +166,7 @@ class Convergence(RationedPlot):
         history, truth = view.snapshot.history, view.truth.get(view.selected)
         key = "" if found is None else exponent_key(found[0])
         scale = 10.0 ** -view.exponents.get(key, 0)
-        whole = reduced_history(history, view.selected, text_drawing.DOTS_WIDE * width, scale)
+        whole = reduced_history(history, view.selected, formatting.DOTS_WIDE * width, scale)
         if whole is None:
             missing = "history" if found is not None and found[1].shown else "estimate"
             yet = "" if view.ended else " yet"
@@ -184,8 +184,7 @@ class Convergence(RationedPlot):
         margin = max(map(len, ticks[1]), default=0) + 1
         columns = width - margin
         curve = (
-            reduced_history(history, view.selected, text_drawing.DOTS_WIDE * columns, scale)
-            or whole
+            reduced_history(history, view.selected, formatting.DOTS_WIDE * columns, scale) or whole
         )
         rows = self._rows(curve, bounds, truth, (columns, lines))
         cell = (bounds[1] - bounds[0]) / lines
@@ -209,10 +208,10 @@ class Convergence(RationedPlot):
         """The lines of the picture: band, truth and value, each over the one before."""
         columns, lines = size
         span = _span(curve)
-        wide = text_drawing.DOTS_WIDE * columns - 1
+        wide = formatting.DOTS_WIDE * columns - 1
         x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * wide).astype(np.int64)
         x, first = np.unique(x, return_index=True)
-        dots = text_drawing.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
+        dots = formatting.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
         kinds = np.where(shade(curve, span, bounds, size), _BAND, _NOTHING)
         if truth is not None:
             kinds[int((bounds[1] - truth) / (bounds[1] - bounds[0]) * lines)] = _TRUTH
@@ -268,10 +267,10 @@ def strip(
         limit: of the values at the upper edge, and minus that at the lower.
         size: columns and lines.
     """
-    per_second = (text_drawing.DOTS_WIDE * size[0] - 1) / (end - start)
+    per_second = (formatting.DOTS_WIDE * size[0] - 1) / (end - start)
     x = np.rint((t - start) * per_second).astype(np.int64)
     bridge = max(2, round(0.3 * per_second))  # a gap of more than 0.3 s is not drawn over
-    return text_drawing.curve(*text_drawing.extremes(x, values), (-limit, limit), size, bridge)
+    return formatting.curve(*formatting.extremes(x, values), (-limit, limit), size, bridge)
 
 
 def overlay(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from gcs_sysid.coach import interval_targets as targets
+from gcs_sysid.coach import choice as targets
 from gcs_sysid.judgement.status import NOTHING
 from gcs_sysid.model.estimate import KNOWN, Estimate, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF
@@ -33,7 +33,7 @@ Known = tuple[str, float | None]
 
 
 def shares(result: Result) -> dict[str, float | None]:
-    """Half of each 95 % interval over what it is measured against, see `coach.interval_targets`."""
+    """Half of each 95 % interval over what it is measured against, see `coach.choice`."""
     estimates = result.parameters
     # Flying on makes no interval narrower by what was given.
     values = {name: Estimate(e.value, e.std_data, status=e.status) for name, e in estimates.items()}

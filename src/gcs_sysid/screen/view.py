@@ -131,7 +131,7 @@ class View:
     paused: bool = False
     """The display is frozen; the session is not."""
     shares: Mapping[str, float | None] = field(default_factory=dict)
-    """Half of each 95 % interval over its reference value, see `interval_targets.shares`."""
+    """Half of each 95 % interval over its reference value, see `coach.choice.shares`."""
     baseline: str = ""
     """Name of the earlier result that is compared with."""
     comparison: Comparison | None = None

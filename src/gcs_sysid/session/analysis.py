@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.model.airframe import Airframe, ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.origin import Origin

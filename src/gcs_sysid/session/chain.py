@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.change_test import FALSE_ALARM_RATE, normal_limit
 from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
@@ -43,11 +42,10 @@ from gcs_sysid.estimation.rows.rotor_signals import cutoff_of, low_pass_delay
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.judge import Stage, judge, judged
 from gcs_sysid.judgement.status import of_rotors
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, Known, ScaleKind, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, REGISTRY, THETA
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import Known, ScaleKind, ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.history import History, HistoryRecorder
 from gcs_sysid.results.result import Result
@@ -58,6 +56,7 @@ from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.signals.time_base import TimeBase
+from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline.offline import OfflineFit

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.change_test import normal_limit
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import (
     MOST_ARM,
@@ -24,6 +23,7 @@ from gcs_sysid.model.airframe import (
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.signals.motor_order import MIXER, motor_outputs
+from gcs_sysid.significance import normal_limit
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.parameter_requests import MOST_ROTORS
 from gcs_sysid.telemetry.vehicles import MavlinkSystem

@@ -12,7 +12,7 @@ from gcs_sysid.errors import LinkError
 from gcs_sysid.setup_help.checks import SetupFinding, Sign, quoted
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
-from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 from gcs_sysid.telemetry.vehicles import MavlinkSystem, VehicleSelector
 

@@ -12,22 +12,20 @@ from gcs_sysid.argument_types import parse_given, split_prior
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Rotor
 from gcs_sysid.setup_help.airframe_file import (
+    LAYOUTS,
+    TWO_LENGTHS,
     AirframeAnswers,
+    Pen,
     airframe_text,
     arm_doubt,
     check_new,
     checked,
-    scale_doubt,
-)
-from gcs_sysid.setup_help.layouts import (
-    LAYOUTS,
-    TWO_LENGTHS,
-    Pen,
     draw,
     layout_rotors,
     legend,
     reversed_spins,
     rotor_table,
+    scale_doubt,
 )
 
 _SPINS = {"ccw": 1, "cw": -1}

@@ -15,10 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, ScaleReference
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.motor_order import MotorOrder, is_function, out_of_order
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import betainc
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.change_test import FALSE_ALARM_RATE
+from gcs_sysid.significance import FALSE_ALARM_RATE
 
 _AT_PEAK = math.sqrt(0.5)
 """Share of a sine's samples in its two last steps that are in the last one."""

@@ -23,8 +23,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.motor_order import MIXER
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
-from gcs_sysid.telemetry.blackbox_frames import DISARM, BlackboxFrames, read_frames
-from gcs_sysid.telemetry.blackbox_predictors import latest
+from gcs_sysid.telemetry.blackbox_frames import DISARM, BlackboxFrames, latest, read_frames
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording

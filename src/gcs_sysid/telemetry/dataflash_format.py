@@ -29,8 +29,8 @@ HEAD = b"\xa3\x95"
 EVERY = slice(None)
 """Rows."""
 _FMT = 0x80
-_FMT_SIZE = 89
-_HEADER = 3
+_HEADER = len(HEAD) + 1
+_FMT_SIZE = _HEADER + struct.calcsize("<BB4s16s64s")
 _LONGEST_LINE = 2**12
 
 _TYPES: dict[str, tuple[str, float | None]] = {

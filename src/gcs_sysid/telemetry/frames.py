@@ -21,13 +21,13 @@ from fastcrc import crc16
 
 from gcs_sysid.telemetry.dialect import mavlink
 
-MAGIC_1 = 0xFE
-MAGIC_2 = 0xFD
-HEADER_1 = 6
-HEADER_2 = 10
+MAGIC_1: int = mavlink.PROTOCOL_MARKER_V1
+MAGIC_2: int = mavlink.PROTOCOL_MARKER_V2
+HEADER_1: int = mavlink.HEADER_LEN_V1
+HEADER_2: int = mavlink.HEADER_LEN_V2
 CHECKSUM = 2
-SIGNATURE = 13
-FLAG_SIGNED = 0x01
+SIGNATURE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
+FLAG_SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED
 LONGEST_FRAME = HEADER_2 + 255 + CHECKSUM + SIGNATURE
 
 _mcrf4xx = crc16.mcrf4xx
@@ -37,6 +37,12 @@ CRC_EXTRA: dict[int, bytes] = {
     message_id: bytes([message.crc_extra]) for message_id, message in mavlink.mavlink_map.items()
 }
 """Message id -> CRC_EXTRA as one byte, ready to be appended to what the checksum covers."""
+LONGEST_1 = tuple(
+    mavlink.mavlink_map[message_id].unpacker.size if message_id in CRC_EXTRA else -1
+    for message_id in range(256)
+)
+"""Message id of version 1 -> bytes of its whole payload, -1 where it is unknown. A byte that claims
+more begins no good frame; that is seen before a checksum is taken of what may be garbage."""
 
 
 class Validity(StrEnum):
@@ -173,6 +179,9 @@ def find_frame(data: bytes, at: int, stop: int, *, final: bool) -> tuple[int, Fr
         if found is None:
             break
         at = found.start()
+        if data[at] == MAGIC_1 and at + HEADER_1 <= end and data[at + 1] > LONGEST_1[data[at + 5]]:
+            at += 1
+            continue
         try:
             frame = _frame_at(data, at, end)
         except _Need:

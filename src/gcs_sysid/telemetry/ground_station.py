@@ -11,11 +11,10 @@ from typing import Any
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Address
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
-from gcs_sysid.telemetry.receiver import Rival
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.stream_restoration import StreamRestoration
-from gcs_sysid.telemetry.transceiver import Port
+from gcs_sysid.telemetry.transceiver import Port, Rival
 
 _REFUSED = {
     Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",

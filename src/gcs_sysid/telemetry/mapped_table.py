@@ -19,7 +19,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import parse_toml, read_text
+from gcs_sysid.files import MOST_BYTES_OF_TEXT, parse_toml, read_text
 from gcs_sysid.model.attitude import conjugate, multiply
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
@@ -28,7 +28,6 @@ from gcs_sysid.telemetry.message_table import RPM
 from gcs_sysid.telemetry.track_collector import Recording, interpolated
 from gcs_sysid.telemetry.vehicles import multirotor_type
 
-_MOST_BYTES = 200_000
 _DEGREE = math.pi / 180.0
 _HALF = math.sqrt(0.5)
 _BODIES = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0)}
@@ -121,7 +120,7 @@ def read_mapping(path: Path) -> TableMapping:
     Raises:
         InputError: it cannot be read, or is inconsistent.
     """
-    text = read_text(path, _MOST_BYTES, "the mapping file")
+    text = read_text(path, "the mapping file")
     table = parse_toml(text, str(path), "a mapping file")
     _check_keys(path, "", table, _TOP)
     common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
@@ -406,11 +405,11 @@ def _text_form(path: Path, delimiter: str | None) -> _TextForm:
     encoding = "utf-16" if wide else "utf-16-le" if little else "utf-8-sig"
     try:
         with open(path, encoding=encoding, newline="") as file:
-            first = file.readline(_MOST_BYTES)
+            first = file.readline(MOST_BYTES_OF_TEXT)
             named = first.lower().startswith("sep=")
             if named:  # of Excel
                 delimiter = delimiter or first[4:5]
-                first = file.readline(_MOST_BYTES)
+                first = file.readline(MOST_BYTES_OF_TEXT)
     except UnicodeError:
         first = "\0"
     if not first.replace("\t", " ").rstrip("\r\n").isprintable():

@@ -18,6 +18,7 @@ from enum import Enum, auto
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 
@@ -26,7 +27,7 @@ RPM = 2.0 * math.pi / 60.0
 MOST_ROTORS = 64
 """As many as the definition of ESC_STATUS allows; its index could be higher."""
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-_MILLI_G = 9.80665e-3
+_MILLI_G = 1e-3 * GRAVITY
 """m/s^2 per thousandth of standard gravity."""
 
 

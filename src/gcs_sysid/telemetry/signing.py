@@ -20,17 +20,15 @@ from pathlib import Path
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import read_bytes, read_text
+from gcs_sysid.files import MOST_BYTES_OF_TEXT, read_bytes, read_text
 from gcs_sysid.telemetry.frames import CHECKSUM, FLAG_SIGNED, SIGNATURE, Frame, Validity
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
-KEY_SIZE = 32
+KEY_SIZE = hashlib.sha256().digest_size
 EPOCH = 1_420_070_400
 """s since 1970 of 2015-01-01, where the time of signatures begins."""
 UNITS = 100_000
 """Of the time of signatures, a second."""
-_MOST_BYTES = 4096
-"""Of a key file."""
 LARGEST_TIME = 2**48 - 1
 
 _RADIO_STATUS = MESSAGE_IDS["RADIO_STATUS"]
@@ -46,7 +44,7 @@ def read_key(path: Path | str) -> bytes:
     Raises:
         InputError: the file cannot be read, or there is no key in it.
     """
-    data = read_bytes(Path(path), _MOST_BYTES, "the signing key")
+    data = read_bytes(Path(path), "the signing key", MOST_BYTES_OF_TEXT)
     line = data.strip()
     if len(data) == KEY_SIZE and not (data.endswith(b"\n") and _is_text(line)):
         return data
@@ -147,7 +145,7 @@ class SigningClock:
 def _read_state(state: Path | None) -> int:
     """The time kept; 0 where there is none or the file is damaged."""
     try:
-        text = read_text(state, _MOST_BYTES, "the time").strip() if state else ""
+        text = read_text(state, "the time").strip() if state else ""
     except InputError:
         return 0
     return min(int(text), LARGEST_TIME) if text.isdecimal() and len(text) < 20 else 0

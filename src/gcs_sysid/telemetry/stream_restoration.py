@@ -27,7 +27,6 @@ VEHICLE_DEFAULT, OFF = 0, -1
 SAME = 0.02
 """Share by which an interval may differ and still be the one asked for: autopilots round."""
 SCHEMA = "gcs-sysid-streams/1"
-_MOST_BYTES = 100_000
 
 
 class StreamRestoration:
@@ -324,7 +323,7 @@ class StreamRestoration:
         if path is None or not path.is_file():
             return
         try:
-            table = json.loads(read_text(path, _MOST_BYTES, "the rates to restore"))
+            table = json.loads(read_text(path, "the rates to restore"))
             streams = table["streams"] if table["schema"] == SCHEMA else {}
             kept = {
                 name: (int(own), int(asked))

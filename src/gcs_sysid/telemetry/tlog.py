@@ -34,6 +34,7 @@ from gcs_sysid.telemetry.frames import (
     FLAG_SIGNED,
     HEADER_1,
     HEADER_2,
+    LONGEST_1,
     LONGEST_FRAME,
     MAGIC_1,
     MAGIC_2,
@@ -44,10 +45,12 @@ from gcs_sysid.telemetry.frames import (
     read_frame,
 )
 from gcs_sysid.telemetry.messages import message_arrays
+from gcs_sysid.telemetry.tlog_writer import RECORD_TIME
 
-STAMP = 8
+STAMP = RECORD_TIME.size
 _EMPTY_1, _EMPTY_2 = HEADER_1 + CHECKSUM, HEADER_2 + CHECKSUM
 _MAGICS = (MAGIC_1, MAGIC_2)
+_LONGEST_1 = np.array(LONGEST_1)
 _IDS = max(CRC_EXTRA) + 2
 _EXTRA = np.full(_IDS, -1, np.int16)
 """Message id -> CRC_EXTRA, -1 where none is known; the last entry is for all larger ids."""
@@ -320,7 +323,13 @@ class _RecordChain:
 
     def _are_good(self, at: Array) -> Array:
         """Those of (n,) magic bytes at which a whole frame with a right checksum begins."""
-        at = at[(self.data[at] == MAGIC_1) | (self.data[at + 2] <= FLAG_SIGNED)]
+        at = at[
+            np.where(
+                self.data[at] == MAGIC_1,
+                self.data[at + 1] <= _LONGEST_1[self.data[at + 5]],
+                self.data[at + 2] <= FLAG_SIGNED,
+            )
+        ]
         head = _headers(self.data, at)
         good: Array = at[(head["validity"] == OK) & (at + head["size"] <= len(self._content))]
         return good

@@ -24,7 +24,8 @@ NOT_RECORDING = "not recording"
 """How the line of a recording that has no file begins."""
 _NO_ROOM = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
-_stamp = struct.Struct(">Q")
+RECORD_TIME = struct.Struct(">Q")
+"""us since 1970, before each frame."""
 
 
 class TlogWriter:
@@ -107,7 +108,7 @@ class TlogWriter:
 
     def write(self, time_us: int, frames: Iterable[Frame]) -> None:
         """Record frames that arrived at `time_us` (microseconds since 1970)."""
-        stamp = _stamp.pack(time_us)
+        stamp = RECORD_TIME.pack(time_us)
         parts = [part for frame in frames for part in (stamp, frame.raw)]
         data, count = b"".join(parts), len(parts) // 2
         with self._wake:

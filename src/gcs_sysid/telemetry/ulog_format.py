@@ -29,8 +29,10 @@ from gcs_sysid.files import StretchSearch, file_windows, reading_log
 MAGIC = b"ULog\x01\x12\x35"
 _ZEROS_PIECE = 2**20
 
-_FILE_HEAD = 16
-_HEAD = 3
+_FILE_HEAD = struct.calcsize("<7sBQ")
+"""Bytes of magic, version and time."""
+_HEAD = struct.calcsize("<Hc")
+"""Bytes of length and letter."""
 _SYNC = b"\x08\x00S\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _A, _D, _S = ord("A"), ord("D"), ord("S")
 _SIZES = {

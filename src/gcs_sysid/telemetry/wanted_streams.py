@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import SIGNATURE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 
@@ -67,7 +68,6 @@ _SIZES = {
     "SERVO_OUTPUT_RAW": 49,
 }
 _ESC_TELEMETRY_SIZE = 56
-SIGNATURE_SIZE = 13
 
 
 def rotor_streams(
@@ -108,7 +108,7 @@ def bytes_per_second(rates: Mapping[str, float], rotors: int, signed: bool = Fal
     """Bytes a second that messages at these rates take on the wire."""
     total = 0.0
     for name, hz in rates.items():
-        size = _SIZES.get(name, _ESC_TELEMETRY_SIZE) + (SIGNATURE_SIZE if signed else 0)
+        size = _SIZES.get(name, _ESC_TELEMETRY_SIZE) + SIGNATURE * signed
         frames = -(-rotors // 4) if name == "ESC_STATUS" else 1
         total += size * frames * hz
     return total

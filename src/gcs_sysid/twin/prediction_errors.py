@@ -29,11 +29,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
 from gcs_sysid.model.parameters import AXES, THETA
 from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.significance import Z95
 from gcs_sysid.twin.measured_flight import MeasuredFlight
 
 _MEMORIES = (0.03, 0.1, 0.3, 1.0)

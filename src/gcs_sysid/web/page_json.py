@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.page_figures import ChartData, add_history
@@ -42,6 +41,7 @@ from gcs_sysid.screen.snapshot_view import (
     standing_of,
 )
 from gcs_sysid.screen.view import EarlierResult
+from gcs_sysid.significance import Z95
 
 
 def verdict_view(result: Result) -> dict[str, Any]:

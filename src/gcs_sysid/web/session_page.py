@@ -19,9 +19,9 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.view import Scene, SnapshotSource
 from gcs_sysid.strict_json import json_text
-from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
 from gcs_sysid.web.page_json import history_view, session_view
+from gcs_sysid.web.site import json_of, present_role, refuse
 from gcs_sysid.web.worker_process import WorkerPool
 
 Command = Callable[[Mapping[str, Any]], Any]

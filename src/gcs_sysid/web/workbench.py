@@ -19,9 +19,9 @@ from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import parse_result, read_result
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, usual_endings
-from gcs_sysid.web.access import json_of, refuse
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
 from gcs_sysid.web.page_json import comparison_rows, result_rows, verdict_view, why_no_health
+from gcs_sysid.web.site import json_of, refuse
 from gcs_sysid.web.worker_process import WorkerPool
 
 MOST_LOG = 2 << 30

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gcs_sysid.intervals import interval95
 from gcs_sysid.model.parameters import INERTIA, grouped
+from gcs_sysid.significance import interval95
 
 Kind = Literal["mass_change", "payload", "cg_shift", "inertia_change", "rotor_failure", "change"]
 CauseKind = Literal[

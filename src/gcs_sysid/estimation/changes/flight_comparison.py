@@ -8,12 +8,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.change_test import FALSE_ALARM_RATE, joint_chance
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
+from gcs_sysid.significance import FALSE_ALARM_RATE, joint_chance
 
 ENOUGH = 10.0
 """s of a flight used to decide whether the vehicle is the same."""

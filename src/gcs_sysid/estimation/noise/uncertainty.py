@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.intervals import Z95
+from gcs_sysid.significance import Z95
 
 
 def sandwich(bread: Array, scores: Array) -> Array:

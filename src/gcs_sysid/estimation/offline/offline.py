@@ -24,8 +24,8 @@ from gcs_sysid.estimation.offline.prediction_error import PredictionErrorFit, es
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.input_noise import with_sparse_readings
 from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, LagPlace
-from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.significance import Z95
 
 _DELAY_STD = 0.003
 """s, of the delay of the rotor speeds' stamps about the online estimate."""

@@ -38,11 +38,10 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.scale import resolve_scale
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 _RIDGE = 1.0
 """Bound on how far a given error may move an entry of theta, relative to its reference value. It

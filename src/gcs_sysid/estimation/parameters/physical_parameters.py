@@ -17,6 +17,7 @@ from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import (
     AXIS_DAMPINGS,
@@ -26,7 +27,6 @@ from gcs_sysid.model.parameters import (
     TIMING,
 )
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
 
 Raw = dict[str, tuple[float, float]]

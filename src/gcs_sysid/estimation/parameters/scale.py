@@ -16,8 +16,8 @@ import numpy as np
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES
+from gcs_sysid.model.airframe import Known, ScaleReference
 from gcs_sysid.model.parameters import REGISTRY, THETA
-from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 
 @dataclass(frozen=True)

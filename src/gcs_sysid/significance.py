@@ -2,11 +2,12 @@
 
 Each compares estimates of one quantity, whose difference has the variance of both; errors of what
 was given are the same in both and cancel. Whatever is compared together, in one test or in many,
-an unchanged vehicle is called changed once in a hundred times.
+an unchanged vehicle is called changed once in a hundred times. Single values have 95 % intervals.
 """
 
 import math
 from collections.abc import Sequence
+from typing import overload
 
 import numpy as np
 from scipy.special import chdtrc, ndtri, stdtr, stdtrit
@@ -53,3 +54,30 @@ def student_limit(freedom: float, rate: float = FALSE_ALARM_RATE) -> float:
 def normal_limit(rate: float = FALSE_ALARM_RATE) -> float:
     """Standard deviations that are exceeded, either way, at this rate."""
     return float(ndtri(1.0 - 0.5 * rate))
+
+
+Z95 = normal_limit(0.05)
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+@overload
+def interval95(value: float, std: float, *, not_negative: bool = False) -> tuple[float, float]: ...
+@overload
+def interval95(
+    value: float | None, std: float | None, *, not_negative: bool = False
+) -> tuple[float, float] | None: ...
+def interval95(
+    value: float | None, std: float | None, *, not_negative: bool = False
+) -> tuple[float, float] | None:
+    """The 95 % interval (normal), or None where there is no value.
+
+    Args:
+        value: estimated, or None.
+        std: its standard deviation, or None.
+        not_negative: whether the interval is cut off at zero. No true value lies below, so
+            coverage stays at least 95 %.
+    """
+    if value is None or std is None:
+        return None
+    low = value - Z95 * std
+    return (max(low, 0.0) if not_negative else low, value + Z95 * std)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.change_test import (
+from gcs_sysid.significance import (
     FALSE_ALARM_RATE,
     chance,
     holm,
