@@ -1,13 +1,15 @@
 """What misled new users, each as they met it. `docs/misreadings.md` names the test of each."""
 
 import re
+import shlex
 import socket
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.inspect_command import next_command
+from gcs_sysid.cli.airframe_choice import command_for
+from gcs_sysid.cli.commands import build_parser
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
@@ -19,6 +21,7 @@ from gcs_sysid.results.result_view import figures, result_table
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen.snapshot_view import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
+from gcs_sysid.session.reported_layout import ReportedLayout, on_circle
 from tests.screen import fake
 
 ROOT = Path(__file__).parents[1]
@@ -51,7 +54,7 @@ def test_a_built_in_layout_needs_its_arm(capsys):
 def test_grams_and_a_reinterpreted_unit_are_partial_and_say_why(capsys):
     out = printed(capsys, "analyze", SAMPLE, "--airframe", "paper", "--mass", "1500")
     assert out.startswith("partial: ")
-    assert "mass is in kg, arm in m" in out
+    assert "give --mass in kg" in out
     assert "rotor speeds were read as rad/s" in out
     assert {row[-1] for row in rows_of(out).values() if len(row) > 3} <= {"weak", "given", "status"}
 
@@ -105,17 +108,26 @@ def test_an_unobservable_row_has_no_numbers():
     assert rows["Izz"] == ["-", "-", "-", "kg", "m^2", "unobservable"]
 
 
+LAYOUT = ReportedLayout(on_circle("quad-x"), False, "how the vehicle turns", shown=True)
+
+
 @pytest.mark.parametrize(
-    ("parameters", "kind", "options"),
+    ("layout", "suggestion", "given", "options"),
     [
-        ({}, "ulog", "--airframe FILE"),
-        ({"CA_ROTOR_COUNT": 4.0}, "ulog", "--arm M"),
-        ({"FRAME_CLASS": 1.0}, "dataflash", "--arm M"),
-        ({}, "blackbox", "--airframe betaflight-quad-x --arm M"),
+        (None, None, [], "--airframe FILE.toml --arm M --mass KG"),
+        (None, "betaflight-quad-x", [], "--airframe betaflight-quad-x --arm M --mass KG"),
+        (LAYOUT, "betaflight-quad-x", [], "--arm M --mass KG"),
+        (replace(LAYOUT, sized=True), None, [], "--mass KG"),
+        (LAYOUT, None, ["--arm", "110mm", "--mass", "0.5+-1%"], "--arm 0.11 --mass 0.5+-1%"),
+        (None, None, ["--airframe", "paper", "--k-t", "1e-5"], "--airframe paper --k-t 1e-05"),
+        (LAYOUT, None, ["--airframe", "px4-quad-x"], "--airframe px4-quad-x --arm M --mass KG"),
     ],
 )
-def test_inspect_proposes_a_command_that_fits_the_log(parameters, kind, options):
-    assert next_command("a.log", parameters, kind) == f"gcs-sysid analyze a.log {options} --mass KG"
+def test_inspect_proposes_a_command_that_fits_the_log(layout, suggestion, given, options):
+    parsed = build_parser().parse_args(["analyze", "a log.bin", *given])
+    command = command_for("a log.bin", layout, parsed, suggestion)
+    assert command == f"gcs-sysid analyze 'a log.bin' {options}"
+    build_parser().parse_args(shlex.split(command.replace(" M", " 0.1").replace(" KG", " 1"))[1:])
 
 
 def test_the_headline_follows_the_target():

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from gcs_sysid.cli.airframe_choice import command_for
+from gcs_sysid.cli.commands import build_parser
 from gcs_sysid.cli.inspect_command import report
 from gcs_sysid.cli.program import run
 from gcs_sysid.inspection.inspector import inspect_log
@@ -56,6 +58,12 @@ def test_text(flight, width):
     if os.environ.get("UPDATE_GOLDEN"):
         path.write_text(rounded(text) + "\n", encoding="utf-8")
     assert rounded(text) + "\n" == path.read_text(encoding="utf-8")
+
+
+def test_health_assumes_a_layout_where_there_is_one_to_try():
+    parsed = build_parser().parse_args(["health", "a.bbl"])
+    command = command_for("a.bbl", None, parsed, "betaflight-quad-x", command="health")
+    assert command == "gcs-sysid health a.bbl --arm M --mass KG"
 
 
 @pytest.mark.slow

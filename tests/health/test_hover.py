@@ -114,7 +114,34 @@ def test_rotors_that_idle_at_their_least_command_do_not_hover(airframe):
 
 
 def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
-    assert not told(flight(commands="alone", sensors=False), airframe).available
+    health = told(flight(commands="alone", sensors=False), airframe)
+    assert not health.available
+    assert "there is no accelerometer" in health.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "what"),
+    [
+        ({"mass": 1400.0}, "1400 kg is implausible for an arm of 0.3 m"),
+        ({"mass": 0.02}, "0.02 kg is implausible"),
+        ({"k_T": 2e-9}, "kg is implausible for an arm"),
+        ({"mass": 60.0}, "takes rotors that do not fit"),
+    ],
+)
+def test_what_cannot_be_given_together_is_named_and_no_scale_comes_of_it(airframe, given, what):
+    ((name, value),) = given.items()
+    health = told(flight(), airframe.with_anchor(name, value))
+    assert health.findings[0].at == "what was given"
+    assert what in health.findings[0].what
+    assert (health.scale, health.mass) == (None, None)
+
+
+def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):
+    for mass, named in ((20.0, False), (14000.0, True)):
+        known = airframe.with_anchor("mass", mass)
+        guess = GuessedAirframe(known, "assumed", arm_std=0.5)
+        health = health_of(streams_of(flight(), known, "px4", {}), guess, HealthOptions(known), {})
+        assert any(found.at == "what was given" for found in health.findings) is named
 
 
 @pytest.mark.parametrize(
@@ -122,7 +149,7 @@ def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
 )
 def test_a_gyro_that_misreads_is_the_first_thing_said(airframe, gyro, said):
     health = told(flight(rocks=0.1, gyro=gyro, climb=False), airframe)
-    first = [f.what for f in health.findings if f.at == "the IMU"] or list(health.reasons)
+    first = [f.what for f in health.findings if f.at == "the gyro"] or list(health.reasons)
     assert said in " ".join(first[:1])
     assert bool(first) is bool(said)
 

@@ -276,10 +276,9 @@ def test_several_flights_and_the_ground_between():
             records.append(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
     inspector.add_records(block_of(records))
     found = inspector.finish("made", "tlog")
-    # The first second after the ground does not count.
     assert found.flights == (
-        pytest.approx((6.0, 25.0), abs=0.02),
-        pytest.approx((36.0, 55.0), abs=0.02),
+        pytest.approx((5.0, 25.0), abs=0.02),
+        pytest.approx((35.0, 55.0), abs=0.02),
     )
     assert found.stream(Stream.IMU).gaps == 0
     assert found.stream(Stream.IMU).samples == pytest.approx(3800, abs=3)
@@ -382,7 +381,7 @@ def test_flight_by_armed_and_turning_rotors():
     inspector.add_records(block_of(armed_and_turning()))
     found = inspector.finish("made", "tlog")
     assert found.flight_told_by == "rotors"
-    assert found.flights == (pytest.approx((6.0, 30.0), abs=0.02),)
+    assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)
 
 
 def test_an_imu_that_misreads_is_named_as_by_analyze():

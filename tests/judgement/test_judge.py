@@ -55,6 +55,14 @@ def replaced(evidence, **estimates):
     return replace(evidence, estimates={**evidence.estimates, **estimates})
 
 
+def test_what_is_small_against_a_moment_that_is_not_known_is_not_known():
+    sure = flight()
+    wide = replace(sure.estimates["Ixx"], std=1.0)
+    small = replace(sure.estimates["Ixy"], value=0.0, std=1e-6)
+    assert judged(replaced(sure, Ixy=small))["Ixy"].status == "zero"
+    assert judged(replaced(sure, Ixy=small, Ixx=wide))["Ixy"].status == "unobservable"
+
+
 def test_a_flight_that_shows_all_is_identified():
     found = judge(flight())
     assert (found.verdict, found.reasons, found.objections) == ("identified", (), ())

@@ -46,6 +46,15 @@ def test_flat_tops_are_found_with_their_share(axis, limit, sensor):
     assert one.share == pytest.approx(beyond.mean(), rel=0.05)
 
 
+@pytest.mark.parametrize("reading", [0.0, np.nan])
+def test_an_accelerometer_that_reads_nothing_is_none(reading):
+    samples = motion(1)
+    samples[:, 3:] = reading
+    (one,) = found(samples)
+    assert one.absent
+    assert one.sensor == "accelerometer"
+
+
 @pytest.mark.parametrize("block", [5, 97, 5000])
 @pytest.mark.parametrize(("axis", "limit"), [(0, 4.0), (5, 12.5)])
 def test_what_goes_on_from_the_other_end_wraps_around(axis, limit, block):

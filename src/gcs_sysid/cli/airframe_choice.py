@@ -1,11 +1,12 @@
 """Which airframe a command works with: one that is named, the vehicle's own, or a result's."""
 
 import argparse
+import shlex
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, with_given
+from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
@@ -99,40 +100,80 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     """
     if not is_auto(options):
         return airframe_of(options)
-    from gcs_sysid.session.reported_layout import reported_layout, suggested_airframe
-    from gcs_sysid.telemetry.logs import open_log
+    from gcs_sysid.health.assessment import ReadLog
+    from gcs_sysid.session.reported_layout import suggested_airframe
 
-    log = open_log(path, options.vehicle)
-    for _ in log.blocks():
-        pass
-    reported = None if log.vehicle is None else reported_layout(log.vehicle.key, log.parameters)
-    missing = _missing(reported, options, suggested_airframe(log.kind, log.vehicle))
-    if missing:
-        raise InputError(f"{path}: {missing}")
-    return _by_layout(reported, options, str(path))
+    read = ReadLog(path, options.vehicle)
+    layout = read.layout()
+    lacking = _lacking(layout, options, suggested_airframe(read.log.kind, read.log.vehicle))
+    if lacking:
+        what, give = _listed([one.what for one in lacking]), _listed([one.words for one in lacking])
+        raise InputError(f"{path}: the log does not contain the vehicle's {what}: give {give}")
+    return _by_layout(layout, options, str(path))
 
 
-def _missing(
-    reported: "ReportedLayout | None", options: argparse.Namespace, suggestion: str | None
+class _Lacking(NamedTuple):
+    """What an identification needs beside a log."""
+
+    what: str
+    option: str
+    about: str
+
+    @property
+    def words(self) -> str:
+        return f"{self.option}{self.about}"
+
+
+def _lacking(
+    layout: "ReportedLayout | None", options: argparse.Namespace, suggestion: str | None
+) -> list[_Lacking]:
+    """What neither the log nor the options give, and the options that would."""
+    out = []
+    if layout is None and is_auto(options):
+        about = " (the firmware's default order of motors; or FILE.toml)"
+        if suggestion is None:
+            about = f" or one of {', '.join(builtin_names())}"
+        out.append(_Lacking("layout", f"--airframe {suggestion or 'FILE.toml'}", about))
+    sized = layout is not None and layout.sized
+    if not is_auto(options):
+        sized = load_airframe(options.airframe).arm_known
+    if options.arm is None and not sized:
+        out.append(_Lacking("size", "--arm M", " (center to each motor)"))
+    if not _is_scale_given(options) and (is_auto(options) or layout_of(options).anchor() is None):
+        about = " (weighed; or --k-t, or --t-max with commands)"
+        out.append(_Lacking("mass", "--mass KG", about))
+    return out
+
+
+def command_for(
+    log: str,
+    layout: "ReportedLayout | None",
+    options: argparse.Namespace,
+    suggestion: str | None = None,
+    *,
+    command: Literal["analyze", "health"] = "analyze",
 ) -> str:
-    """What a log and the options lack, and all the options that give it; empty if nothing."""
-    lacking, give = [], []
-    if reported is None:
-        lacking.append("layout")
-        give.append(
-            f"--airframe {suggestion} (the firmware's default order of motors; or FILE.toml)"
-            if suggestion
-            else f"--airframe FILE.toml or one of {', '.join(builtin_names())}"
-        )
-    if options.arm is None and not (reported is not None and reported.sized):
-        lacking.append("size")
-        give.append("--arm M (center to each motor)")
-    if not _is_scale_given(options):
-        lacking.append("mass")
-        give.append("--mass KG (weighed; or --k-t, or --t-max with commands)")
-    if not give:
-        return ""
-    return f"the log does not contain the vehicle's {_listed(lacking)}: give {_listed(give)}"
+    """The command that gets more from a log: with what is given, and what is still to be given.
+
+    Args:
+        log: as it was named.
+        layout: that log or flight show; None: neither does.
+        options: given so far.
+        suggestion: airframe to try where neither log nor options give one.
+        command: its name; `health` assumes a layout by itself where there is one to try.
+    """
+    words = [f"gcs-sysid {command}", shlex.quote(log)]
+    if not is_auto(options):
+        words.append(f"--airframe {shlex.quote(options.airframe)}")
+    given = [("arm", options.arm), given_scale(options)]
+    words += [" ".join(given_words(*each)) for each in given if each and each[1] is not None]
+    assumed = command == "health" and suggestion is not None
+    words += [
+        one.option
+        for one in _lacking(layout, options, suggestion)
+        if not (assumed and one.what == "layout")
+    ]
+    return " ".join(words)
 
 
 def _listed(words: list[str]) -> str:

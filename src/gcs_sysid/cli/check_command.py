@@ -2,12 +2,13 @@
 
 import argparse
 import functools
+import shlex
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.cli import health_command, output
+from gcs_sysid.cli import airframe_choice, health_command, output
 from gcs_sysid.cli.health_command import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
 from gcs_sysid.cli.program import OneByOne
@@ -69,17 +70,15 @@ def _found(
         known = verdict_sentence(result)
         if result.verdict == "refused":
             known = f"not from this flight: {'; '.join(result.reasons)}"
-        more = [*_entry("identified", known, width), *_next(f"gcs-sysid analyze {log}")]
+        command = airframe_choice.command_for(log, health.layout, options)
+        more = [*_entry("identified", known, width), *_next(command)]
     else:
         document = document_of(health)
         inspection = inspect_log(Path(log), options.vehicle, progress, opened=opened, health=health)
         more = _entry("can be had", obtainable(inspection), width)
         against = [one for one in inspection.objections if level_of(one) != "note"]
         more += objection_lines(against[:_MOST], width)
-        if inspection.verdict != "no":
-            more += _next(next_command(log, inspection.parameters, inspection.kind))
-        else:
-            more += _next(f"gcs-sysid inspect {log}")
+        more += _next(next_command(inspection, options) or f"gcs-sysid inspect {shlex.quote(log)}")
     facts = _facts(log, health, document.get("health", document), width)
     return document, [*answer_lines(document["summary"], width), "", *facts, *more]
 

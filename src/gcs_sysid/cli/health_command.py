@@ -40,8 +40,6 @@ def run(options: argparse.Namespace) -> int:
             health = health_of_log(Path(log), given, options.vehicle)
             found.append(health)
             given = against_first(given, health)
-            if not health.available:
-                output.say(f"gcs-sysid: {log}: no result: {'; '.join(health.reasons)}")
     usable = [health for health in found if health.available]
     _deliver(options, found, usable)
     if one_by_one.failed:
@@ -74,7 +72,7 @@ def given_of(options: argparse.Namespace) -> HealthOptions:
 def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Health]) -> None:
     """Texts and files; parameters and picture are of the longest hover."""
     best = max(usable, key=lambda health: health.seconds, default=None)
-    texts = [health_text(health) for health in usable]
+    texts = [health_text(health) for health in found]
     texts += ["\n".join(trend)] if (trend := trend_text(found)) else []
     documents = [document_of(health) for health in found]
     files: list[tuple[str | None, Callable[[], str]]] = []
@@ -101,11 +99,14 @@ def health_text(health: Health, *, answered: bool = False) -> str:
     """All that hover shows of a vehicle, in lines.
 
     Args:
-        health: of a flight that hovers.
+        health: of a flight; of one that does not hover there is the first line alone.
         answered: whether the first line was given before; else it is here.
     """
     document = document_of(health)
     answer = [] if answered else [*answer_lines(document["summary"], TEXT_WIDTH), ""]
+    if not health.available:
+        others = (f"- {reason}" for reason in health.reasons[1:])
+        return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
     whole = [*_head(health, document), "", *_rotors(health), *_parameters(health), *foot]
     return "\n".join([*answer, *whole])

@@ -5,6 +5,7 @@ import shutil
 import textwrap
 import threading
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from gcs_sysid.cli import airframe_choice, output
@@ -27,6 +28,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
+from gcs_sysid.session.reported_layout import suggested_airframe
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, BY_NAME, usual_endings
@@ -54,8 +56,6 @@ _RECOGNIZED_BY = {
     "": "",
 }
 _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
-_LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
-"""Parameters of a vehicle that reports where its rotors are."""
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
@@ -83,7 +83,8 @@ def run(options: argparse.Namespace) -> int:
     # Lines of more than 120 columns are hard to read.
     width = min(shutil.get_terminal_size((80, 24)).columns, 120)
     document = (options.json, lambda: output.as_json(found.as_json()))
-    output.deliver(report(found, width), document, force=options.force)
+    text = "\n".join([report(found, width), *_next_lines(found, options)])
+    output.deliver(text, document, force=options.force)
     return 0 if found.is_received else 1
 
 
@@ -146,16 +147,6 @@ def report(found: Inspection, width: int = 80) -> str:
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def next_command(source: str, parameters: Mapping[str, float], kind: str = "") -> str:
-    """The command that identifies from a log. Layouts that vehicles report lack lengths."""
-    layout = "--airframe FILE"
-    if any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT):
-        layout = "--arm M"
-    elif kind == "blackbox":
-        layout = "--airframe betaflight-quad-x --arm M"
-    return f"gcs-sysid analyze {source} {layout} --mass KG"
-
-
 def _entry(name: str, text: str, width: int) -> list[str]:
     """A name at the left and its text beside it, wrapped."""
     lines = textwrap.wrap(
@@ -209,7 +200,10 @@ def _streams(found: Inspection, width: int) -> list[str]:
             f"{'Streams':<{_NAME}}{where:<22}{'rate':>10}{'gaps':>6}{'longest':>9}"
             f"{'missing':>9}{'repeats':>9}"
         )
-        lines += [_stream_row(stream) for stream in found.streams]
+        lines += [
+            _stream_row(list(parts))
+            for _, parts in groupby(found.streams, key=lambda part: (part.stream, part.message))
+        ]
     elif found.systems:
         lines.append("Messages")
     messages = found.telemetry.get("messages", {})
@@ -223,13 +217,19 @@ def _streams(found: Inspection, width: int) -> list[str]:
     return lines
 
 
-def _stream_row(stream: StreamFacts) -> str:
-    rate = "-" if stream.rate is None else f"{stream.rate:.1f} Hz"
-    longest = f"{stream.longest_gap:.1f} s" if stream.gaps else "-"
+def _stream_row(parts: Sequence[StreamFacts]) -> str:
+    """One message's; of the worst of several, as of ESCs that report one by one."""
+    first = parts[0]
+    rates = [part.rate for part in parts if part.rate is not None]
+    rate = f"{min(rates):.1f} Hz" if rates else "-"
+    gaps = max(part.gaps for part in parts)
+    longest = f"{max(part.longest_gap for part in parts):.1f} s" if gaps else "-"
+    message = first.message if len(parts) == 1 else f"{first.message} ({len(parts)} parts)"
     return (
-        f"  {_STREAMS.get(stream.stream, stream.stream):<{_NAME - 2}}{stream.message:<22}{rate:>10}"
-        f"{stream.gaps:>6}{longest:>9}"
-        f"{_percent(stream.missing_percent):>9}{_percent(stream.repeats_percent):>9}"
+        f"  {_STREAMS.get(first.stream, first.stream):<{_NAME - 2}}{message:<22}{rate:>10}"
+        f"{gaps:>6}{longest:>9}"
+        f"{_percent(max(part.missing_percent for part in parts)):>9}"
+        f"{_percent(max(part.repeats_percent for part in parts)):>9}"
     )
 
 
@@ -346,7 +346,6 @@ def _verdict(found: Inspection, width: int) -> list[str]:
         f"Can be identified from: {_VERDICTS[found.verdict]}",
         *_entry("Obtainable", obtainable(found), width),
         *objection_lines(found.objections, width),
-        *_next_lines(found),
     ]
 
 
@@ -371,12 +370,20 @@ def objection_lines(objections: Sequence[Objection], width: int) -> list[str]:
     return lines
 
 
-def _next_lines(found: Inspection) -> list[str]:
-    if found.verdict != "no" and found.kind != "link":
-        return ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]
-    if found.obtainable == "health" and found.kind != "link":
-        return ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
-    return []
+def next_command(found: Inspection, options: argparse.Namespace) -> str:
+    """The command that gives the most that a log has; empty where that is nothing."""
+    if found.kind == "link" or found.obtainable == "nothing":
+        return ""
+    suggestion = suggested_airframe(found.kind, found.vehicle)
+    return airframe_choice.command_for(
+        found.source, found.layout, options, suggestion,
+        command="health" if found.verdict == "no" else "analyze",
+    )  # fmt: skip
+
+
+def _next_lines(found: Inspection, options: argparse.Namespace) -> list[str]:
+    command = next_command(found, options)
+    return ["", f"Next: {command}"] if command else []
 
 
 def _of_hover(found: Inspection) -> str:

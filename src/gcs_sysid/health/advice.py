@@ -7,7 +7,7 @@ from dataclasses import replace
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
-from gcs_sysid.results.health_view import WAYS
+from gcs_sysid.results.health_view import OF_THE_DATA, WAYS
 from gcs_sysid.results.number_format import PLAIN, decimals_for
 
 _BY_BATTERY = (
@@ -19,7 +19,7 @@ def advised(health: Health) -> Health:
     """The health with what is found in it and all that is worth doing, the most important first."""
     unlike, at_full = _unlike_motors(health), _at_full_command(health)
     findings = (
-        *(Finding("the IMU", objection.reason, objection.how) for objection in health.sensors),
+        *(Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how) for doubt in health.doubts),
         *(Finding(f"the {name}", why, f"{name} {why}") for name, why in health.misread.items()),
         *_weak(health),
         *(unlike or [*_cg(health), *_yaw(health)]),

@@ -14,7 +14,7 @@ from itertools import permutations
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import NoAnswerError
 from gcs_sysid.health.hover import Averager, flight_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams, rate_of, streams_of
@@ -38,6 +38,7 @@ _ROTORS = {
 }
 ASSUMED = "assumed"
 """In the words of an origin, after the order of motors."""
+_BY_MOTION = "how the vehicle turns"
 _USUAL_ARM = 0.25
 """m, where unknown."""
 _UNKNOWN_ARM = 0.5
@@ -64,6 +65,7 @@ class GuessedAirframe:
         explained_coupled: the same by all their moments and their lift at once, which allows for
             products of inertia and a CG off the center, in whatever order the motors are.
         as_flown: where the motors are by the motion, in words, where that contradicts `airframe`.
+        layout: the rotors that log or flight show; None where they are given, or only assumed.
     """
 
     airframe: Airframe
@@ -74,6 +76,7 @@ class GuessedAirframe:
     explained: float | None = None
     explained_coupled: float | None = None
     as_flown: str = ""
+    layout: ReportedLayout | None = None
 
 
 def guess_airframe(
@@ -91,7 +94,8 @@ def guess_airframe(
         arm: m, mean distance of the rotors, for one that is not given.
 
     Raises:
-        InputError: the rotor positions are unknown.
+        NoAnswerError: the rotor positions are unknown.
+        InputError: no vehicle has such an arm.
     """
     reported = reported_layout(vehicle.key, parameters)
     if given is not None:
@@ -117,21 +121,23 @@ def _by_type(
     if reported is not None:
         airframe = Airframe("reported", reported.rotors)
         if reported.sized:
-            return GuessedAirframe(airframe, f"{reported.by} of the vehicle")
+            return GuessedAirframe(airframe, f"{reported.by} of the vehicle", layout=reported)
         origin = f"{reported.by}, {size}"
-        sized = airframe.with_arm(_USUAL_ARM)
-        return GuessedAirframe(sized, origin, _UNKNOWN_ARM, shown=reported.shown)
+        return GuessedAirframe(
+            airframe.with_arm(_USUAL_ARM), origin, _UNKNOWN_ARM, shown=reported.shown,
+            layout=reported,
+        )  # fmt: skip
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
-        raise InputError(
+        raise NoAnswerError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "
             f"{parameters['FRAME_TYPE']:.0f} are not a known frame",
             _GIVE,
         )
     if shape is None:
-        raise InputError("where are the rotors? The log does not hold the frame", _GIVE)
+        raise NoAnswerError("where are the rotors? The log does not hold the frame", _GIVE)
     if vehicle.key not in ("px4", "ardupilot"):
         if shape != "quad":
-            raise InputError("where are the rotors? The order of the motors is not known", _GIVE)
+            raise NoAnswerError("where are the rotors? The order of the motors is not known", _GIVE)
         airframe = _bare(load_airframe("betaflight-quad-x"))
         origin = f"quad X in Betaflight's order {ASSUMED}"
     else:
@@ -182,15 +188,19 @@ def layout_by_motion(
         return replace(guess, shown=shown, as_flown=as_flown), streams
     if first is None:
         return replace(guess, shown=shown), streams
-    rotors = first.rotors
     size = guess.origin.partition(f" {ASSUMED}, ")[2]
-    layout = Airframe("as flown", rotors).with_arm(airframe.arm)
+    flown = Airframe("as flown", first.rotors)
+    found = replace(
+        guess, shown=True, explained=first.least,
+        layout=ReportedLayout(flown.with_arm(1.0).rotors, False, _BY_MOTION, shown=True),
+    )  # fmt: skip
+    layout = flown.with_arm(airframe.arm)
     if np.allclose(layout.geometry, airframe.geometry, atol=1e-9):
         origin = guess.origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
-        return replace(guess, origin=origin, shown=True, explained=first.least), streams
+        return replace(found, origin=origin), streams
     origin = f"{first.name} as the flight shows: motors {first.places}; {size}"
-    found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
-    return replace(found, explained_coupled=_most_coupled(layout, seen)), streams
+    coupled = _most_coupled(layout, seen)
+    return replace(found, airframe=layout, origin=origin, explained_coupled=coupled), streams
 
 
 @dataclass(frozen=True)

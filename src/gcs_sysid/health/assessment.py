@@ -10,7 +10,7 @@ import numpy as np
 
 from gcs_sysid.argument_types import with_given
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
@@ -28,12 +28,13 @@ from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import mass_misfit
+from gcs_sysid.judgement.plausibility import misfits
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
+from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
@@ -114,7 +115,7 @@ class HoverRecords:
             span: s from the first record, between which hover counts.
 
         Raises:
-            InputError: the airframe is not known.
+            InputError: no vehicle has an arm or a scale as given.
         """
         log, blocks = self._log, self._blocks
         self._blocks = []
@@ -125,21 +126,17 @@ class HoverRecords:
             text = "no heartbeat of an autopilot was found" + (f"; found: {found}" if found else "")
             return _refused(text, source=source)
         autopilot = log.vehicle.key
-        guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+        try:
+            guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+        except NoAnswerError as error:
+            return _refused(error.reason, how=error.how, source=source)
         guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
-        airframe = guess.airframe
-        misfit = ""
         if given.mass is not None:
-            # An arm that is guessed says nothing of the mass.
-            misfit = mass_misfit(given.mass, airframe.arm) if guess.arm_std == 0.0 else ""
-            if not misfit:
-                airframe = with_given(airframe, "mass", given.mass, "--mass")
+            airframe = with_given(guess.airframe, "mass", given.mass, "--mass")
+            guess = replace(guess, airframe=airframe)
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
-        guess = replace(guess, airframe=airframe)
         health = health_of(streams, guess, given, log.parameters, span)
-        if misfit:
-            health = replace(health, assumptions=(*health.assumptions, f"no mass given: {misfit}"))
         if self.full:
             kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
             health = replace(health, assumptions=(*health.assumptions, kept))
@@ -149,9 +146,23 @@ class HoverRecords:
             vehicle=log.vehicle.as_dict(),
             autopilot=autopilot,
             parameters=dict(log.parameters),
+            layout=None if health.contradicted else guess.layout,
             explained=guess.explained,
             explained_coupled=guess.explained_coupled,
         )
+
+    def layout(self) -> ReportedLayout | None:
+        """Where the log's parameters, or its flight, have the rotors; None: neither shows it."""
+        log = self._log
+        if log is None or log.vehicle is None:
+            return None
+        try:
+            guess = guess_airframe(log.vehicle, log.parameters, None, None)
+        except NoAnswerError:
+            return None
+        if guess.layout is None:
+            guess, _ = layout_by_motion(self._blocks, guess, log.vehicle.key, log.parameters)
+        return guess.layout
 
 
 class ReadLog:
@@ -179,6 +190,15 @@ class ReadLog:
     def health(self, given: HealthOptions, span: tuple[float, float] = (0.0, math.inf)) -> Health:
         """What hover shows, as of `HoverRecords`."""
         return self._keeper.health(str(self._path), given, span)
+
+    @property
+    def log(self) -> Log:
+        """As it was opened, read to its end."""
+        return self._log
+
+    def layout(self) -> ReportedLayout | None:
+        """As of `HoverRecords`."""
+        return self._keeper.layout()
 
     def again(self) -> Log:
         """The log, to be read once more: from memory, where all of it fits there."""
@@ -227,7 +247,7 @@ def health_of(
     if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
     flight = flight_of(streams, len(airframe.rotors))
-    sensors = tuple(of_sensors(*sensors_of(streams, flight)))
+    sensors = tuple(of_sensors(*sensors_of(streams, flight), parameters))
     windows = windows_of(streams, len(airframe.rotors), flight)
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
@@ -271,9 +291,22 @@ def health_of(
     health = _compared(health, given, hover, thrust, c)
     places = [0.0 if place.value is None else place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
-    health = replace(health, weakened=weakened, watched=watched, sensors=sensors)
+    health = replace(health, weakened=weakened, watched=watched)
+    unfit = tuple(_misfits(health, guess))
+    if unfit:  # what is in proportion to it is no number
+        health = replace(health, scale=None, mass=None)
+    doubts = (*sensors, *unfit)
     misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
-    return advised(replace(health, misread=misread, battery_mass=given.battery_mass))
+    return advised(replace(health, doubts=doubts, misread=misread, battery_mass=given.battery_mass))
+
+
+def _misfits(health: Health, guess: GuessedAirframe) -> Iterator[Objection]:
+    """What was given against the flight."""
+    assert health.rotor_input is not None
+    known = {} if health.scale is None else {health.scale[0]: health.scale[1].value or 0.0}
+    if health.known_mass is not None:
+        known["mass"] = health.known_mass
+    yield from misfits(known, guess.airframe, health.rotor_input, guess.arm_std)
 
 
 def beside_analysis(health: Health, result: Result) -> Health:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.health.balance import Center
 from gcs_sysid.health.command_curve import Curve
@@ -11,6 +11,9 @@ from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
+
+if TYPE_CHECKING:  # reports, which know no logs, read health too
+    from gcs_sysid.session.reported_layout import ReportedLayout
 
 
 @dataclass(frozen=True)
@@ -110,13 +113,14 @@ class Health:
         autopilot: "px4", "ardupilot" or another key; "" when not known.
         objections: why there is no answer; empty when there is one.
         airframe: used for the balances.
+        layout: as of `GuessedAirframe`.
         rotor_input: that loads were taken from.
         seconds: of hover.
         cg: x and y from the geometric center, m.
         cg_of_hover: the same by hover, where `cg` is that of an analysis beside it, which knows it
             better; else None.
         misread: rotor stream -> why it is not read.
-        sensors: objections to the IMU's gyro or accelerometer, as an analysis raises them.
+        doubts: objections to the IMU's sensors and to what was given, as an analysis raises them.
         by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
         center: of thrust, and how drag moves it.
         rotors: in motor order.
@@ -152,13 +156,14 @@ class Health:
     autopilot: str = ""
     objections: tuple[Objection, ...] = ()
     airframe: Airframe | None = None
+    layout: "ReportedLayout | None" = None
     rotor_input: RotorInput | None = None
     rotor_source: str = ""
     seconds: float = 0.0
     cg: tuple[Estimate, Estimate] | None = None
     cg_of_hover: tuple[Estimate, Estimate] | None = None
     misread: Mapping[str, str] = field(default_factory=dict)
-    sensors: tuple[Objection, ...] = ()
+    doubts: tuple[Objection, ...] = ()
     by_wind: tuple[float, float] | None = None
     center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from gcs_sysid.judgement.status import Readiness, level_of, readiness
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.saturation import Saturated
@@ -147,6 +148,8 @@ class Inspection:
     """Why a link brings too little, as far as the link itself shows."""
     hover: float | None = None
     """Seconds of hover that `health` uses; None: not looked for."""
+    layout: ReportedLayout | None = None
+    """Where log or flight have the rotors; None: neither shows it, or not looked for."""
     explained: float | None = None
     """The smaller of the roll and pitch shares that the rotors' moments explain; None: too
     little was flown, or not looked for."""
@@ -247,7 +250,7 @@ GROUPS = {
     "motors": r"MOT_PWM_(MIN|MAX)|MOT_SPIN_(ARM|ARMED|MIN|MAX)|MOT_THST_EXPO|THR_MDL_FAC"
     r"|PWM_MAIN_(MIN|MAX)[1-8]|motorOutput\[[01]\]|(min|max)throttle|motor_poles|dshot_bidir",
     "logging": r"LOG_(BITMASK|BACKEND_TYPE|FILE_BUFSIZE|(FILE|BLK)_RATEMAX)|SDLOG_PROFILE"
-    r"|SERVO_BLH_TRATE",
+    r"|SERVO_BLH_TRATE|acc_hardware|fields_disabled_mask",
     "IMU place": r"INS_POS1_[XYZ]|IMU_POS_[XYZ]",
     "simulator": r"SIH_(MASS|I[XYZ][XYZ]|T_MAX|Q_MAX|L_ROLL|L_PITCH|KDV|KDW|T_TAU)",
 }

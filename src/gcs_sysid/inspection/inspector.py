@@ -1,6 +1,5 @@
 """From the records of a log or link to the facts about it."""
 
-import contextlib
 import math
 import time
 from collections import deque
@@ -359,11 +358,12 @@ def inspect_log(
         if progress:
             progress(log.share_read)
     found = inspector.finish(str(path), log.kind)
-    with contextlib.suppress(InputError):  # the rotors' positions are unknown
-        health = health or keeper.health(str(path), HealthOptions(airframe))
+    health = health or keeper.health(str(path), HealthOptions(airframe))
+    if health.airframe is not None:
         found = replace(
             found,
             hover=health.seconds,
+            layout=health.layout,
             explained=health.explained,
             explained_coupled=health.explained_coupled,
         )

@@ -161,7 +161,7 @@ def _imu(found: Inspection) -> Iterator[Objection]:
 
 
 def _sensors(found: Inspection) -> Iterable[Objection]:
-    return of_sensors(found.gyro, found.saturated)
+    return of_sensors(found.gyro, found.saturated, found.parameters)
 
 
 def _rotors(found: Inspection) -> Iterator[Objection]:

@@ -4,7 +4,7 @@ Samples are gathered in chunks and looked at as arrays, because a log has a mill
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +27,16 @@ from gcs_sysid.telemetry.monitor import Monitor
 class FlightWatch:
     """When the vehicle flies, as the chain's samples have it.
 
+    Args:
+        left_ground: as of `FlightDetector`.
+
     Attributes:
         known: s of the session up to which that is known.
         spans: s from take-off to landing, of each flight.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, left_ground: Mapping[float, float]) -> None:
+        self._left_ground = left_ground
         self.known = -math.inf
         self.spans: list[tuple[float, float]] = []
         self._edges: list[float] = []
@@ -62,7 +66,8 @@ class FlightWatch:
         self._edges.append(t)
         # Less than a second is a jump of the judgement.
         if len(self._edges) % 2 == 0 and t - self._edges[-2] >= 1.0 and len(self.spans) < 1000:
-            self.spans.append((self._edges[-2], t))
+            counted = self._edges[-2]
+            self.spans.append((self._left_ground.get(counted, counted), t))
 
 
 class ChainWatch:
@@ -80,7 +85,7 @@ class ChainWatch:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: RotorSource | None = None
-        self.flight = FlightWatch()
+        self.flight = FlightWatch(self._sampler.flight_detector.left_ground)
 
     def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""

@@ -1,7 +1,7 @@
 """What an IMU does not measure: a gyro that reads otherwise than the attitude turns, a limit."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -24,6 +24,8 @@ _ALIKE = 0.1
 _MOVED = 0.01
 """rad rms in an interval, below which an axis has hardly turned."""
 _GENTLER = "give it a larger range, damp its mount, or fly gentler"
+_NO_ACCELEROMETER = 1.0
+"""Betaflight's acc_hardware = NONE."""
 _DEAD = 0.1
 """Share of a turn that a dead axis reads at most."""
 
@@ -100,6 +102,8 @@ def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
 
 def saturation_reason(found: Saturated) -> str:
     """What stood at which limit, in one line."""
+    if found.absent:
+        return f"there is no {found.sensor}: it reads nothing"
     limit = f"{found.limit:.1f} m/s^2 ({found.limit / GRAVITY:.1f} g)"
     if found.sensor == "gyro":
         limit = f"{found.limit:.2f} rad/s ({math.degrees(found.limit):.0f} deg/s)"
@@ -115,6 +119,8 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
     """
     sizes = reference_values(evidence.estimates, evidence.airframe.arm)
     for found in evidence.saturated:
+        if found.absent:  # what rests on it is not observed
+            continue
         names = frozenset(
             name
             for name, size in sizes.items()
@@ -133,10 +139,29 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
 
 
 def of_sensors(
-    gyro: GyroAgainstAttitude | None, saturated: Iterable[Saturated]
+    gyro: GyroAgainstAttitude | None,
+    saturated: Iterable[Saturated],
+    parameters: Mapping[str, float],
 ) -> Iterator[Objection]:
-    """The same, whatever rests on these sensors."""
+    """The same, whatever rests on these sensors.
+
+    Args:
+        gyro: as of `Evidence`.
+        saturated: likewise.
+        parameters: the autopilot's.
+    """
     if gyro is not None and (fault := gyro_fault(gyro)) is not None:
         yield Objection(fault[0], verdict="partial", how=fault[1], by="gyro")
     for found in saturated:
-        yield Objection(saturation_reason(found), verdict="partial", how=_GENTLER, by="saturation")
+        how = _accelerometer_on(parameters) if found.absent else _GENTLER
+        yield Objection(saturation_reason(found), verdict="partial", how=how, by="saturation")
+
+
+def _accelerometer_on(parameters: Mapping[str, float]) -> str:
+    """What makes an accelerometer be read and logged, by what Betaflight has in its header."""
+    line = ""
+    if parameters.get("acc_hardware") == _NO_ACCELEROMETER:
+        line = " (in the CLI: set acc_hardware = AUTO, then save)"
+    elif "fields_disabled_mask" in parameters:
+        line = " (in the CLI: set blackbox_disable_acc = OFF, then save)"
+    return f"enable the accelerometer{line} and calibrate it"

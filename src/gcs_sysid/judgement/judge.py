@@ -83,6 +83,7 @@ PRODUCERS = (
     Producer("priors", outcome.contradicted_priors, Stage.BELIEF),
     Producer("givens", outcome.what_was_given, Stage.WIDENING),
     Producer("givens", outcome.limited_by_given, Stage.GIVEN),
+    Producer("reference", outcome.unmeasured, Stage.GIVEN),
     Producer("link", received.problems, Stage.BELIEF, first=True),
     Producer("loss", received.lost_samples, Stage.BELIEF),
 )

@@ -6,7 +6,7 @@ from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES, reference_values
 from gcs_sysid.model.estimate import Objection
-from gcs_sysid.model.parameters import CORE_OF
+from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.significance import Z95
 
 
@@ -30,6 +30,24 @@ def contradicted_priors(evidence: Evidence) -> Iterator[Objection]:
             verdict="partial",
             evidence={"flight": found.value or 0.0, "prior": value},
             how="check what the prior is of, and the mass, arm and spins that were given",
+        )
+
+
+def unmeasured(evidence: Evidence) -> Iterator[Objection]:
+    """What is small against values that the flight does not show: it may be anything."""
+    estimates = evidence.estimates
+    unknown = frozenset(
+        name
+        for name, e in estimates.items()
+        if e.status in ("zero", "identified", "weak")
+        and any(
+            other in estimates and estimates[other].status == "unobservable"
+            for other in REGISTRY[name].reference.of
+        )
+    )
+    if unknown:
+        yield Objection(
+            "what it is measured against is not known", unknown, cap="unobservable", stated=False
         )
 
 

@@ -7,7 +7,7 @@ derivation: docs/result.md, "Plausibility"); values outside come from what was e
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +18,7 @@ from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
 
@@ -120,11 +121,12 @@ def unseen_spins(evidence: Evidence) -> Iterator[Objection]:
 def implausible(evidence: Evidence) -> Iterator[Objection]:
     """Numbers that no multirotor has, however well the model fits."""
     found, airframe, everything = _known(evidence), evidence.airframe, frozenset(evidence.estimates)
-    sizes = tuple(_sizes(found, airframe, evidence.rotor_input))
-    found_wrong = [(each, everything) for each in sizes]
-    if not sizes:  # where mass and arm do not fit each other, inertia cannot fit both
-        found_wrong += [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
-        found_wrong += [(each, _BY_SPIN) for each in _spins(found, airframe, evidence.rotor_input)]
+    sizes = tuple(misfits(found, airframe, evidence.rotor_input))
+    yield from (replace(each, parameters=everything, cap="weak") for each in sizes)
+    if sizes:  # where mass and arm do not fit each other, inertia cannot fit both
+        return
+    found_wrong = [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
+    found_wrong += [(each, _BY_SPIN) for each in _spins(found, airframe, evidence.rotor_input)]
     for (reason, how), names in found_wrong:
         yield Objection(reason, names, cap="weak", verdict="partial", how=how)
 
@@ -138,47 +140,54 @@ def _known(evidence: Evidence) -> dict[str, float]:
     }
 
 
-def mass_misfit(mass: float, arm: float) -> str:
-    """Why no multirotor of an arm (m) has a mass (kg); empty where one may."""
-    low, high = (limit * arm**3 for limit in RANGES.density)
-    if low <= mass <= high:
-        return ""
-    return (
-        f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of "
-        f"this size weigh {_short(low)} to {_short(high)} kg)"
-    )
+def misfits(
+    found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput, arm_std: float = 0.0
+) -> Iterator[Objection]:
+    """Mass, thrust and arm against each other: what no multirotor has together.
 
-
-def _sizes(
-    found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
-) -> Iterable[tuple[str, str]]:
-    """Mass, thrust and arm against each other: what is wrong, and what to do."""
+    Args:
+        found: mass, and k_T or T_max; those that are known.
+        airframe: whose arm.
+        rotor_input: of the flight.
+        arm_std: relative standard deviation of the arm.
+    """
     mass, arm, rotors = found.get("mass"), airframe.arm, len(airframe.rotors)
     if mass is None:
         return
-    if misfit := mass_misfit(mass, arm):
-        yield misfit, "mass is in kg, arm in m"
+    arms = (max(arm * (1.0 - Z95 * arm_std), 0.0), arm * (1.0 + Z95 * arm_std))
+    low, high = (limit * size**3 for limit, size in zip(RANGES.density, arms, strict=True))
+    if not low <= mass <= high:
+        most = " at most" if arm_std else ""
+        yield _of_sizes(
+            f"a mass of {mass:.4g} kg is implausible for an arm of {arms[1]:.3g} m{most} "
+            f"(multirotors of this size weigh {_short(low)} to {_short(high)} kg)",
+            "give --mass in kg and --arm in m (or with their units: 1400g, 250mm)",
+        )
         return
     name = rotor_input.thrust
     thrust = found.get(name)
-    if thrust is None or thrust <= 0.0:
+    if thrust is None or thrust <= 0.0 or arm_std:
         return
     low, high = RANGES.rotor
     high *= 2.0 if _coaxial(airframe) else 1.0
     if not rotor_input.motors and not _within(thrust / arm**4, (low, high)):
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
-        yield (
+        yield _of_sizes(
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
             f"{arm:.3g} m",
             "check mass (kg), arm (m) and the unit of the rotor speeds",
         )
     ratio = rotors * thrust / (mass * GRAVITY)
     if rotor_input.motors and not _within(ratio, RANGES.thrust_to_weight):
-        yield (
+        yield _of_sizes(
             f"full thrust is {ratio:.2g} times the weight, expected "
             f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}",
             "check mass (kg), T_max (N a rotor) and the range of the commands",
         )
+
+
+def _of_sizes(reason: str, how: str) -> Objection:
+    return Objection(reason, verdict="partial", how=how, by="sizes")
 
 
 def _inertia(found: Mapping[str, float], arm: float) -> Iterable[tuple[str, str]]:

@@ -158,12 +158,13 @@ def cg_facts(
 
 
 _ROTORS = "the motor order"
-_OF_THE_DATA = {
+OF_THE_DATA = {
     "gyro": "the gyro",
     "saturation": "the IMU",
     "clock": "the clock",
     "units": "the unit of the rotor speeds",
     "priors": "what was given",
+    "sizes": "what was given",
 }
 """What to look at, by the producer of an objection to a result: the data, not the flying."""
 _LOOK_INSIDE = "gcs-sysid inspect shows what the log holds, and what it lacks"
@@ -201,7 +202,7 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
         result: of an identification of the same flight.
     """
     for objection in () if result is None else result.objections:
-        if at := _OF_THE_DATA.get(objection.by):
+        if at := OF_THE_DATA.get(objection.by):
             return FirstAnswer("LOOK AT", f"{at}: {objection.reason}", _remedy(objection))
     if health is None or health["verdict"] == "refused":
         return _unseen(health, result)
@@ -218,11 +219,6 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
     return FirstAnswer("OK", f"nothing wrong seen in {seconds}", advice[0])
 
 
-def no_answer(objection: Objection) -> FirstAnswer:
-    """That the vehicle cannot be judged, why, and what would help."""
-    return FirstAnswer("CANNOT TELL", objection.reason, _remedy(objection))
-
-
 def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAnswer:
     """Of a flight without a hover that can be judged."""
     objections = [
@@ -236,7 +232,7 @@ def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAns
     first = objections[0]
     if health is not None and health["order_contradicted"]:
         return FirstAnswer("LOOK AT", f"{_ROTORS}: {first.reason}", _remedy(first))
-    return no_answer(first)
+    return FirstAnswer("CANNOT TELL", first.reason, _remedy(first))
 
 
 def _remedy(objection: Objection) -> str:

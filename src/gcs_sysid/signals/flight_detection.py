@@ -181,9 +181,15 @@ square in the command."""
 
 
 class FlightDetector:
-    """Marks flight on the grid, block by block; how samples are grouped does not matter."""
+    """Marks flight on the grid, block by block; how samples are grouped does not matter.
+
+    Attributes:
+        left_ground: s from which a flight counts -> s at which it left the ground.
+    """
 
     def __init__(self) -> None:
+        self.left_ground: dict[float, float] = {}
+        self._counted = False
         self._t = np.nan
         self._state = 0.0
         """1 in the air, -1 on the ground, 0 not known."""
@@ -297,8 +303,13 @@ class FlightDetector:
         stood_at = np.maximum.accumulate(np.append(self._stood_at, stood_at))
         fell_at = np.maximum.accumulate(np.append(self._fell_at, np.where(falls, t, -np.inf)))
         self._stood_at, self._fell_at = float(stood_at[-1]), float(fell_at[-1])
-        counts: Mask = (t - stood_at[1:] >= TAKE_OFF) | (fell_at > stood_at)[1:]
-        return (state > 0.0) & counts
+        long_ago = t - stood_at[1:] >= TAKE_OFF
+        flies: Mask = (state > 0.0) & (long_ago | (fell_at > stood_at)[1:])
+        for i in np.flatnonzero(flies & ~np.append(self._counted, flies[:-1])).tolist():
+            left = float(stood_at[i + 1]) if long_ago[i] else -math.inf  # else it was thrown
+            self.left_ground[float(t[i])] = left if math.isfinite(left) else float(t[i])
+        self._counted = bool(flies[-1])
+        return flies
 
     def _since(self, t: Array, happens: Mask, name: str) -> Array:
         """(n,) s since something happened last; the time of it is kept under a name."""

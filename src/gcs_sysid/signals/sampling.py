@@ -137,7 +137,7 @@ class Sampler:
         self._rotors = rotors
         self._held: list[_Held] = []
         self._start, self._end = start, end
-        self._flight = FlightDetector()
+        self.flight_detector = FlightDetector()
         self.gyro_check = GyroCheck()
         """The gyro against the reported attitude, in flight."""
         self._filter: ComplementaryFilter | None = None
@@ -329,7 +329,7 @@ class Sampler:
         filtered, bias = self._attitude(self._filter, gyro, reference)
         rotors = self._rotor_streams(block, n)
         velocity = _stream(block, Stream.VELOCITY, n, 6)
-        flying = self._flight.update(
+        flying = self.flight_detector.update(
             t,
             _stream(block, Stream.IN_AIR, n, 1)[:, 0],
             _stream(block, Stream.ARMED, n, 1)[:, 0],

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import betainc
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.significance import FALSE_ALARM_RATE
 
 _AT_PEAK = math.sqrt(0.5)
@@ -47,6 +47,11 @@ class Saturated:
     limit: float
     share: float
     wraps: bool = False
+
+    @property
+    def absent(self) -> bool:
+        """Whether there is none: it never reads anything."""
+        return self.limit == 0.0
 
 
 class Saturation:
@@ -111,6 +116,12 @@ class Saturation:
             beyond += (there - here) * abs(out)
         return max(high, low), max(beyond, len(wrapped)) / max(float(self._samples[axis]), 1.0)
 
+    @property
+    def _weighs_nothing(self) -> bool:
+        """Whether the gyro reads, and the accelerometer nothing: at rest it has 1 g."""
+        nothing: Mask = self._values[0].reshape(2, 6)[:, 3:] <= 0.0
+        return bool(self._samples[:3].any() and nothing.all())
+
     def found(self) -> tuple[Saturated, ...]:
         """The sensors that certainly stood at a limit."""
         at, before = self._counts
@@ -120,6 +131,9 @@ class Saturation:
         shares = np.where(limits, at / np.tile(np.maximum(self._samples, 1.0), 2), 0.0)
         out = []
         for sensor, axes in (("gyro", slice(0, 3)), ("accelerometer", slice(3, 6))):
+            if sensor == "accelerometer" and self._weighs_nothing:
+                out.append(Saturated(sensor, 0.0, 1.0))
+                continue
             wraps = [w for axis in range(axes.start, axes.stop) if (w := self._wraps(axis))]
             if wraps:
                 limit, share = (max(each) for each in zip(*wraps, strict=True))

@@ -151,6 +151,7 @@ class _SessionReader:
         self._degrees = np.radians(0.1 if fine else 1.0)
         """rad/s of one in what the firmware counts in deg/s, or tenths of them."""
         self._motors = self._count("motor")
+        self._rotors = self._motors or self._count("eRPM") or self._count("omegaUnfiltered")
 
     def read(self) -> Recording:
         frames = self._frames
@@ -159,7 +160,7 @@ class _SessionReader:
             system=1,
             component=mavlink.MAV_COMP_ID_AUTOPILOT1,
             # No firmware writes its mixer into the header.
-            vehicle_type=multirotor_type(self._motors),
+            vehicle_type=multirotor_type(self._rotors),
             autopilot=mavlink.MAV_AUTOPILOT_GENERIC,
             parameters=self._parameters(),
             counts={f"{letter} frames": count for letter, count in frames.counts.items() if count},
@@ -288,13 +289,12 @@ class _SessionReader:
         commands = self._fields("motor", count)
         if commands is not None and count:
             recording.add(Stream.ROTOR_COMMAND, self._t, commands, source="motor")
-        count = count or self._count("eRPM")
         poles = self._header.number("motor_poles", _MOTOR_POLES)
         for name, unit in (
             ("eRPM", 100.0 * RPM / (0.5 * (poles if poles >= 2.0 else _MOTOR_POLES))),
             ("omegaUnfiltered", 1.0),
         ):
-            speeds = self._fields(name, count)
+            speeds = self._fields(name, self._rotors)
             if speeds is not None and speeds.any():
                 recording.add(Stream.ROTOR_SPEED, self._t, speeds * unit, source=name)
                 return

@@ -11,14 +11,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Objection
 from gcs_sysid.processes import end_after
-from gcs_sysid.results.health_view import no_answer, short_facts
+from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
@@ -44,16 +43,10 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
                 first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
     vehicle = opened.vehicle
     layout = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
-    facts: list[tuple[str, str]] = []
-    try:
-        health = document_of(keeper.health(str(log), HealthOptions()))
-    except InputError as error:
-        answer = no_answer(Objection(error.reason, how=error.how)).as_json()
-    else:
-        answer, facts = health["summary"], short_facts(health) if health["cg"] else []
+    health = document_of(keeper.health(str(log), HealthOptions()))
     return {
-        "answer": answer,
-        "facts": facts,
+        "answer": health["summary"],
+        "facts": short_facts(health) if health["cg"] else [],
         "vehicle": None if vehicle is None else str(vehicle),
         "duration": max(last - first, 0.0) if last > first else 0.0,
         "airframe": None
