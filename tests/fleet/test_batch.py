@@ -72,6 +72,7 @@ def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
     run(["analyze", str(flights[0]), "--airframe", "paper", "--json", str(tmp_path / "one.json")])
     (made,) = documents(tmp_path / "out").values()
     assert made.pop("log")["bytes"] == flights[0].stat().st_size
+    assert {one["name"] for one in made.pop("hover")} >= {"CG forward", "k_T"}
     alone = json.loads((tmp_path / "one.json").read_text())
     assert alone["health"]["seconds_of_hover"] > 0.0
     assert made == alone
@@ -125,6 +126,20 @@ def test_a_log_without_airframe_is_told_before_anything_is_done(batch, logs, tmp
     assert status == 2
     assert err.startswith(f"gcs-sysid: error: no airframe for {logs / 'one' / 'a.tlog'} (and for 4")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_log_without_airframe_has_its_own_layout(batch, fly, tmp_path):
+    log = fly("--mission", "hover", "--autopilot", "ardupilot", "--airframe", "ardupilot-quad-x",
+              "--duration", "12", "--seed", "2", "--rate", "20").tlog  # fmt: skip
+    status, err = batch(log, "-o", tmp_path / "fleet", "--arm", "0.25", "--mass", "1.5")
+    assert status == 0, err
+    (made,) = read_table(tmp_path / "fleet" / "fleet.parquet")
+    assert made["airframe"] == log.parent.name
+    assert {one["name"] for one in made["hover"]} >= {"CG forward", "k_T"}
+    status, err = batch(log, "-o", tmp_path / "other", "--airframe", "auto", "--mass", "1.5")
+    assert status == 2
+    assert "give --arm M" in err
 
 
 def test_an_airframe_without_a_scale_is_named(batch, logs, tmp_path):

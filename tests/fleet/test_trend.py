@@ -2,6 +2,7 @@
 
 import html.parser
 import itertools
+import math
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -83,6 +84,29 @@ def test_a_copy_counts_once_and_what_tells_nothing_is_apart():
     (vehicle,), unused = vehicles_of([*copies, broken, refused])
     assert [flight.row["path"] for flight in vehicle.flights] == ["a.tlog"]
     assert [r["path"] for r in unused] == ["c.ulg", "d.tlog"]
+
+
+def test_flights_that_show_no_more_than_their_hover_have_a_trend_and_one_proposal():
+    rows = []
+    for n in range(6):
+        made = result(verdict="refused").as_json()
+        made["hover"] = [{"name": "CG forward", "unit": "mm", "value": 2.0 * n, "std": 0.1}]
+        suggested = {"MOT_THST_EXPO": {"value": 0.5 + 0.01 * n, "std": 0.01, "std_given": 0.0,
+                                       "now": 0.65}}  # fmt: skip
+        made["health"] = {"verdict": "refused", "autopilot_parameters": suggested}
+        job = Job(Path(f"quad-9/{n}.bin"), None, given=(("mass", 1.5),))
+        rows.append(row(job, Task(job, "", str(n), 1), made, "results/x"))
+    vehicle = only(rows)
+    assert vehicle.name == "quad-9 1:1"
+    (series,) = vehicle.hover
+    assert series.values == tuple(2.0 * n for n in range(6))
+    proposal, now, count = vehicle.proposed["MOT_THST_EXPO"]
+    assert (now, count) == (0.65, 6)
+    assert proposal.value == pytest.approx(0.525)
+    assert proposal.std > 0.01 / math.sqrt(6)  # they scatter by more than each has
+    page = render("fleet", [vehicle], [])
+    assert "CG forward changes by 2.00" in page
+    assert "MOT_THST_EXPO" in page
 
 
 def test_a_step_is_found_at_its_flight_and_once():

@@ -31,6 +31,13 @@ def given_scale(options: argparse.Namespace) -> tuple[GivenName, float] | None:
     return None
 
 
+def given_of(options: argparse.Namespace) -> list[tuple[GivenName, float]]:
+    """Arm and scale, those that options set."""
+    scale = given_scale(options)
+    arm: list[tuple[GivenName, float]] = [] if options.arm is None else [("arm", options.arm)]
+    return arm if scale is None else [*arm, scale]
+
+
 def layout_of(options: argparse.Namespace, reported: Airframe | None = None) -> Airframe:
     """The airframe that is named, or the one reported, with the scale that is given, if any.
 
@@ -165,8 +172,7 @@ def command_for(
     words = [f"gcs-sysid {command}", shlex.quote(log)]
     if not is_auto(options):
         words.append(f"--airframe {shlex.quote(options.airframe)}")
-    given = [("arm", options.arm), given_scale(options)]
-    words += [" ".join(given_words(*each)) for each in given if each and each[1] is not None]
+    words += [" ".join(given_words(*each)) for each in given_of(options)]
     assumed = command == "health" and suggestion is not None
     words += [
         one.option

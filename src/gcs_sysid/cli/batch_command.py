@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gcs_sysid.cli.airframe_choice import airframe_of
+from gcs_sysid.cli.airframe_choice import airframe_of, given_of, given_scale, is_auto
 from gcs_sysid.cli.output import Deliveries, on_signals, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch as table
@@ -34,7 +34,8 @@ def run(options: argparse.Namespace) -> int:
     if not logs:
         raise InputError(f"{', '.join(options.logs)}: contains no {usual_endings(' or ')} file")
     airframes = _airframes(options, logs)
-    jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
+    given = tuple(given_of(options))
+    jobs = [Job(log, airframes[log], options.vehicle, options.offline, given) for log in logs]
     store = Store(Path(options.output), force=options.force)
     stop = threading.Event()
     work = functools.partial(analyze_within, LogLimits(options.log_timeout, options.log_memory))
@@ -63,23 +64,26 @@ def run(options: argparse.Namespace) -> int:
         )
         return 130  # as after Ctrl-C
     verdicts = batch.tally.verdicts
-    if verdicts["identified"] or verdicts["partial"]:
+    if verdicts["identified"] or verdicts["partial"] or any(row["hover"] for row in rows):
         return 0
     return 1 if verdicts["refused"] else 2
 
 
-def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airframe]:
-    """Every log's airframe: the one given, or that of the nearest airframe.toml."""
-    files = {log: options.airframe or nearest_airframe(log) for log in logs}
+def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airframe | None]:
+    """Every log's airframe: the one given, or that of the nearest airframe.toml; None: its own."""
+    files = {log: None if is_auto(options) else options.airframe for log in logs}
+    if options.airframe is None:
+        files = {log: nearest_airframe(log) for log in logs}
     missing = [log for log, file in files.items() if file is None]
-    if missing:
+    if missing and given_scale(options) is None:
         more = f" (and for {len(missing) - 1} others)" if len(missing) > 1 else ""
         raise InputError(
-            f"no airframe for {missing[0]}{more}: give --airframe for all, or put an "
-            f"{AIRFRAME_FILE} beside the logs or in a folder above"
+            f"no airframe for {missing[0]}{more}: give --mass KG and --arm M for the layout that "
+            f"each log shows, --airframe for all, or put an {AIRFRAME_FILE} beside the logs or in "
+            "a folder above"
         )
-    known = {}
-    for file in dict.fromkeys(files.values()):
+    known: dict[object, Airframe | None] = {None: None}
+    for file in dict.fromkeys(file for file in files.values() if file is not None):
         single = argparse.Namespace(**{**vars(options), "airframe": str(file)})
         try:
             known[file] = airframe_of(single)
@@ -91,6 +95,9 @@ def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airf
 
 def _summary(tally: BatchTally) -> str:
     counts = [f"{count} {word}" for word, count in tally.verdicts.items() if count]
+    hovers = sum(bool(row["hover"]) for row in tally.rows if row["verdict"] == "refused")
+    if hovers:
+        counts.append(f"{hovers} of these with CG and rotor loads from hover")
     kept = f" ({tally.kept} done before)" if tally.kept else ""
     return f"{len(tally.rows)} of {tally.total} logs{kept}: {', '.join(counts) or 'none done'}"
 

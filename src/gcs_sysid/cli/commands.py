@@ -543,8 +543,8 @@ COMMANDS = (
             option(
                 "--params",
                 "FILE",
-                "suggested autopilot parameters: .params for QGroundControl, .param for "
-                "Mission Planner; nothing is sent to a vehicle",
+                "suggested autopilot parameters, of all LOGs: .params for QGroundControl, .param "
+                "for Mission Planner; nothing is sent to a vehicle",
             ),
             option("--picture", "FILE.svg", "the vehicle from above, on a page"),
             FORCE,

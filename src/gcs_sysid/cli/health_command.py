@@ -2,7 +2,7 @@
 
 import argparse
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,13 @@ from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
-from gcs_sysid.health.autopilot_parameters import check_suffix, parameter_file, suggested
+from gcs_sysid.health.autopilot_parameters import (
+    Suggestion,
+    check_suffix,
+    parameter_file,
+    proposed,
+    suggested,
+)
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
@@ -70,18 +76,19 @@ def given_of(options: argparse.Namespace) -> HealthOptions:
 
 
 def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Health]) -> None:
-    """Texts and files; parameters and picture are of the longest hover."""
+    """Texts and files; parameters are of all flights, the picture of the longest hover."""
     best = max(usable, key=lambda health: health.seconds, default=None)
     texts = [health_text(health) for health in found]
-    texts += ["\n".join(trend)] if (trend := trend_text(found)) else []
+    if trend := trend_text(found):
+        texts.append("\n".join([*trend, *_parameters(proposed(usable), " (of all flights)")]))
     documents = [document_of(health) for health in found]
     files: list[tuple[str | None, Callable[[], str]]] = []
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
         files.append((options.json, lambda: output.as_json(document)))
-    if best is not None and options.params is not None:
+    if usable and options.params is not None:
         suffix = Path(options.params).suffix.lower()
-        files.append((options.params, lambda: parameter_file(best, suffix)))
+        files.append((options.params, lambda: parameter_file(usable, suffix)))
     if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 
@@ -108,7 +115,8 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         others = (f"- {reason}" for reason in health.reasons[1:])
         return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
-    whole = [*_head(health, document), "", *_rotors(health), *_parameters(health), *foot]
+    parameters = _parameters(suggested(health))
+    whole = [*_head(health, document), "", *_rotors(health), *parameters, *foot]
     return "\n".join([*answer, *whole])
 
 
@@ -188,12 +196,11 @@ def _cell(quantity: Estimate | None, scale: float, unit: str) -> str:
     return f"{value:.1f} {unit}" if unit == "%" else f"{value:.3f} {unit}".rstrip()
 
 
-def _parameters(health: Health) -> Iterator[str]:
-    found = suggested(health)
+def _parameters(found: Sequence[Suggestion], of: str = "") -> Iterator[str]:
     if not found:
         return
     yield ""
-    yield "Autopilot parameters that fit (nothing is sent; --params FILE writes them)"
+    yield f"Autopilot parameters that fit{of} (nothing is sent; --params FILE writes them)"
     for one in found:
         assert one.quantity.value is not None
         half = one.quantity.half or 0.0

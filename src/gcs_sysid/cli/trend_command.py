@@ -24,5 +24,5 @@ def run(options: argparse.Namespace) -> int:
     write_whole(target, render(name.name, vehicles, unused), replace=options.force)
     if vehicles:
         return 0
-    say(f"gcs-sysid: {file}: no log identified any parameter")
+    say(f"gcs-sysid: {file}: no log identified any parameter, and none hovers")
     return 1

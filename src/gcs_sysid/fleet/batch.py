@@ -51,6 +51,10 @@ _HEALTH = {
     "drift_per_minute": ("drift_per_minute", "value"),
 }
 """Part of the column `health` -> where a health file has it."""
+_HOVER = ("name", "unit", "value", "std")
+"""Of each number of the hover; the deviation is the flight's own."""
+_PROPOSED = ("name", "value", "std", "std_given", "now")
+"""Of each autopilot parameter."""
 _SCALE = ("anchor", "value", "unit", "std")
 
 Row = dict[str, Any]
@@ -97,8 +101,8 @@ def row(
         "error": error or made.get("error"),
         "verdict": made.get("verdict"),
         "reasons": made.get("reasons"),
-        "vehicle": f"{job.airframe.name} {address}" if address else None,
-        "airframe": job.airframe.name,
+        "vehicle": f"{job.airframe_name} {address}" if address else None,
+        "airframe": job.airframe_name,
         "sysid": vehicle.get("sysid"),
         "compid": vehicle.get("compid"),
         "autopilot": vehicle.get("autopilot"),
@@ -111,6 +115,8 @@ def row(
         else None,
         "version": job.settings()["version"],
         "health": _health(made.get("health")),
+        "hover": made.get("hover") or [],
+        "proposed": _proposed(made.get("health") or {}),
     }
     for key in REGISTRY:
         estimate = known.get(key)
@@ -131,6 +137,13 @@ def _health(document: Document | None) -> dict[str, float | None] | None:
     return out
 
 
+def _proposed(document: Document) -> list[dict[str, Any]]:
+    """The autopilot parameters that the hover suggests."""
+    suggested = document.get("autopilot_parameters") or {}
+    return [{part: name if part == "name" else one[part] for part in _PROPOSED}
+            for name, one in suggested.items()]  # fmt: skip
+
+
 def _time(text: str | None) -> datetime | None:
     """Of a result's `recorded`: UTC, and naive, because readers turn others to local time."""
     try:
@@ -143,7 +156,7 @@ def _schema() -> Any:
     import pyarrow as pa
 
     def struct(parts: tuple[str, ...]) -> Any:
-        numbers = ("value", "std", "std_given")
+        numbers = ("value", "std", "std_given", "now")
         return pa.struct([(n, pa.float64() if n in numbers else pa.string()) for n in parts])
 
     columns = [
@@ -166,6 +179,8 @@ def _schema() -> Any:
         ("changes", pa.int32()),
         ("version", pa.string()),
         ("health", pa.struct([(name, pa.float64()) for name in _HEALTH])),
+        ("hover", pa.list_(struct(_HOVER))),
+        ("proposed", pa.list_(struct(_PROPOSED))),
         *((name, struct(_ESTIMATE)) for name in REGISTRY),
     ]
     return pa.schema(columns, metadata={"schema": _OF_TABLE})
@@ -173,7 +188,7 @@ def _schema() -> Any:
 
 def _required() -> set[str]:
     """Columns without which a table cannot be used; older ones have no health."""
-    return set(_schema().names) - {"health"}
+    return set(_schema().names) - {"health", "hover", "proposed"}
 
 
 def write_table(path: Path, rows: list[Row]) -> None:

@@ -35,12 +35,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gcs_sysid import __version__
+from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_mapping, split_session
+from gcs_sysid.health.assessment import ReadLog
+from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.processes import compute_in_one_thread, end_after
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.reported_layout import ReportedLayout, airframe_of_layout
 
 FAILURE = "gcs-sysid/failure/1"
 """Schema of the document of a log that cannot be read."""
@@ -54,24 +58,48 @@ class Job:
 
     Attributes:
         log: its path as it was found, for people.
-        airframe: with a scale anchor.
+        airframe: with a scale anchor; None: the layout that the log shows, of `given`.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         offline: whether the estimate is the offline one.
+        given: arm and scale of the log's own layout, as parsed; priors are of airframes.
     """
 
     log: Path
-    airframe: Airframe
+    airframe: Airframe | None
     vehicle: tuple[int, int | None] | None = None
     offline: bool = False
+    given: tuple[tuple[GivenName, float], ...] = ()
+
+    @property
+    def airframe_name(self) -> str:
+        """The airframe's name; of a layout that the log shows, that of the log's folder."""
+        return self.log.absolute().parent.name if self.airframe is None else self.airframe.name
 
     def settings(self) -> dict[str, Any]:
         """All that the result depends on beside the log's content, as plain JSON values."""
+        own = dict(given_words(*each) for each in self.given)
         return {
             "version": __version__,
-            "airframe": dataclasses.asdict(self.airframe),
+            "airframe": own if self.airframe is None else dataclasses.asdict(self.airframe),
             "vehicle": self.vehicle,
             "offline": self.offline,
         }
+
+    def of_layout(self, layout: ReportedLayout | None) -> Airframe:
+        """The airframe of a layout that the log shows.
+
+        Raises:
+            InputError: it shows none, or no size.
+        """
+        if layout is None:
+            raise InputError(
+                f"{self.log}: neither its parameters nor the flight show where the rotors are",
+                "give --airframe FILE.toml",
+            )
+        airframe = airframe_of_layout(layout, dict(self.given).get("arm"))
+        for name, value in self.given:
+            airframe = with_given(airframe, name, value, GIVEN_OPTIONS[name])
+        return dataclasses.replace(airframe, name=self.airframe_name)
 
 
 @dataclass(frozen=True)
@@ -128,7 +156,16 @@ def analyze(task: Task) -> Document:
     try:
         options = ChainOptions(history_interval=None, offline=job.offline)
         log, name = Path(task.path), str(job.log)
-        made = analyze_whole(log, job.airframe, job.vehicle, options, name=name).as_json()
+        airframe, opened = job.airframe, None
+        if airframe is None:
+            read = ReadLog(log, job.vehicle)
+            airframe, opened = job.of_layout(read.layout()), read.again()
+        found = analyze_whole(log, airframe, job.vehicle, options, name=name, opened=opened)
+        hover = [
+            {"name": one.name, "unit": one.unit, "value": one.values[0], "std": one.stds[0]}
+            for one in series_of([found.health])
+        ]
+        made = {**found.as_json(), "hover": hover}
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise

@@ -9,7 +9,7 @@ The page shows every vehicle's parameters over its flights, and its changes.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib import resources
@@ -19,6 +19,8 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.fleet.batch import Row
+from gcs_sysid.health.balance import pooled
+from gcs_sysid.health.health_trend import Series, slopes
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING, Parameter
 from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, line
@@ -87,7 +89,10 @@ class Flight:
 
 @dataclass(frozen=True)
 class FleetVehicle:
-    """A vehicle's flights in the order of time, and how its parameters scatter between them."""
+    """A vehicle's flights in the order of time, and how its parameters scatter between them.
+
+    Flights that show no more than their hover are among them.
+    """
 
     name: str
     flights: tuple[Flight, ...]
@@ -97,6 +102,42 @@ class FleetVehicle:
     def changed(self) -> list[Flight]:
         """Flights at which it had changed."""
         return [flight for flight in self.flights if flight.change is not None]
+
+    @property
+    def hover(self) -> list[Series]:
+        """The numbers of the hover over all flights."""
+        found: dict[tuple[str, str], dict[int, tuple[float, float]]] = {}
+        for place, flight in enumerate(self.flights):
+            for one in flight.row.get("hover") or ():
+                at = found.setdefault((one["name"], one["unit"]), {})
+                at[place] = one["value"], one["std"]
+        nothing = math.nan, math.nan
+        return [
+            Series(name, unit, *zip(*(at.get(i, nothing) for i in range(len(self.flights))),
+                                    strict=True))
+            for (name, unit), at in found.items()
+        ]  # fmt: skip
+
+    @property
+    def proposed(self) -> dict[str, tuple[Estimate, float | None, int]]:
+        """Autopilot parameter -> its value by all flights, as it was last, and their number."""
+        found: dict[str, list[dict[str, Any]]] = {}
+        for flight in self.flights:
+            for one in flight.row.get("proposed") or ():
+                found.setdefault(one["name"], []).append(one)
+        return {
+            name: (
+                pooled(
+                    [
+                        Estimate(one["value"], one["std"], std_given=one["std_given"] or 0.0)
+                        for one in some
+                    ]
+                ),
+                some[-1]["now"],
+                len(some),
+            )
+            for name, some in found.items()
+        }
 
     @property
     def eras(self) -> list[tuple[Flight, ...]]:
@@ -117,7 +158,8 @@ def vehicles_of(rows: Iterable[Row]) -> tuple[list[FleetVehicle], list[Row]]:
     flights: dict[str, dict[str, Row]] = {}
     unused = []
     for row in sorted(rows, key=_when):
-        if row["vehicle"] is None or row["verdict"] in (None, "refused"):
+        shown = row["verdict"] not in (None, "refused") or row.get("hover")
+        if row["vehicle"] is None or not shown:
             unused.append(row)
         else:
             flights.setdefault(row["vehicle"], {}).setdefault(row["sha256"], row)
@@ -131,14 +173,16 @@ def _when(row: Row) -> tuple[bool, datetime, str]:
 
 def _vehicle(name: str, rows: Sequence[Row]) -> FleetVehicle:
     results = [result_of(row) for row in rows]
+    identified = [result.verdict != "refused" for result in results]
     level = FALSE_ALARM_RATE / max(len(rows) - 1, 1)
     scatter = scatter_of(results, level)
     flights: list[Flight] = []
     first = 0
     for place, (row, result) in enumerate(zip(rows, results, strict=True)):
         change = None
-        if place > first:
-            comparison = compare(predicted(results[first:place], scatter), result)
+        before = [results[i] for i in range(first, place) if identified[i]]
+        if before and identified[place]:
+            comparison = compare(predicted(before, scatter), result)
             found = tuple(
                 difference
                 for difference in comparison.differences.values()
@@ -353,7 +397,7 @@ def _overview(vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> Markup
     words = f"{_count(len(vehicles), 'vehicle')}, {_count(flights, 'flight')}. "
     if changed:
         words += f"Changed: {names_text([vehicle.name for vehicle in changed])}."
-    else:
+    elif not any(_changes(vehicle) for vehicle in vehicles):
         words += "No change seen." if flights > len(vehicles) else ""
     if unused:
         words += f" {_count(len(unused), 'log')} without a result."
@@ -385,12 +429,19 @@ def _overview(vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> Markup
     )
 
 
-def _changes_text(vehicle: FleetVehicle) -> str:
-    return "; ".join(
+def _changes(vehicle: FleetVehicle) -> list[str]:
+    """What is otherwise from a flight on, and what moves from flight to flight."""
+    steps = (
         f"flight {flight.number}: {names_text([d.name for d in flight.change.differences])}"
         for flight in vehicle.changed
         if flight.change is not None
-    ) or ("no change seen" if len(vehicle.flights) > 1 else PAGE.nothing)
+    )
+    return [*steps, *slopes(vehicle.hover)]
+
+
+def _changes_text(vehicle: FleetVehicle) -> str:
+    nothing = "no change seen" if len(vehicle.flights) > 1 else PAGE.nothing
+    return "; ".join(_changes(vehicle)) or nothing
 
 
 def _section(place: int, vehicle: FleetVehicle) -> Markup:
@@ -418,11 +469,63 @@ def _section(place: int, vehicle: FleetVehicle) -> Markup:
         table("Differences with their 95 % intervals", columns, changes) if changes else None,
         *(note(text) for text in notes),
         note(_FEW) if changes and len(vehicle.flights) < FEWEST else None,
-        element("h3", "Parameters over flights"),
-        legend(*_LEGEND),
-        grid("three", figures),
+        *(
+            [element("h3", "Parameters over flights"), legend(*_LEGEND), grid("three", figures)]
+            if figures
+            else []
+        ),
+        *_hover(vehicle),
         element("details", element("summary", "The flights"), _flights(vehicle)),
     )
+
+
+def _hover(vehicle: FleetVehicle) -> Iterator[Markup]:
+    """What hover shows of all flights, and the autopilot parameters by all of them."""
+    series = vehicle.hover
+    if not series:
+        return
+    yield element("h3", "Hover over flights")
+    for text in slopes(series):
+        yield note(f"{text}.")
+    yield grid("three", [hover_figure(vehicle, one.in_power()) for one in series])
+    rows: list[list[Child]] = [
+        [
+            name,
+            PAGE.number(now, 4),
+            PAGE.measure(estimate.value or 0.0, estimate.half, ""),
+            str(flights),
+        ]
+        for name, (estimate, now, flights) in vehicle.proposed.items()
+    ]
+    if rows:
+        columns = [
+            Column("Parameter"), Column("Now", numbers=True), Column("By hover", numbers=True),
+            Column("Flights", numbers=True),
+        ]  # fmt: skip
+        about = "Autopilot parameters that fit, with 95 % intervals over the flights"
+        yield table(about, columns, rows)
+
+
+def hover_figure(vehicle: FleetVehicle, series: Series) -> Markup:
+    """A number of the hover with its 95 % intervals, each by the flight's own scatter."""
+    points = [
+        IntervalPoint(
+            number, value, value - Z95 * std, value + Z95 * std,
+            f"flight {number}: {PAGE.measure(value, Z95 * std, PAGE.unit(series.unit))}",
+            "identified",
+        )
+        for number, (value, std) in enumerate(zip(series.values, series.stds, strict=True), 1)
+        if math.isfinite(value) and math.isfinite(std)
+    ]  # fmt: skip
+    span = min(point.low for point in points), max(point.high for point in points)
+    count = len(vehicle.flights)
+    chart = FlightsChart("", PAGE.unit(series.unit), count, span, WIDTH, HEIGHT)
+    drawing = element(
+        "svg", *chart.axes(), *chart.points(points), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img",
+        aria_label=f"{series.name} over the flights of {vehicle.name}",
+    )  # fmt: skip
+    caption = element("figcaption", element("span", series.name, class_="title"))
+    return element("figure", caption, element("div", drawing, class_="plot trend"), class_="drawn")
 
 
 def _change_rows(flight: Flight) -> list[list[Child]]:

@@ -15,11 +15,12 @@ loads the file, sees the differences and decides.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.estimate import Estimate
@@ -53,6 +54,22 @@ def suggested(health: Health) -> tuple[Suggestion, ...]:
         return ()
     of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)
     return () if of is None else tuple(of(health))
+
+
+def proposed(flights: Sequence[Health]) -> tuple[Suggestion, ...]:
+    """What flights of one vehicle determine together: one value each.
+
+    Args:
+        flights: in their order; those of other vehicles and without a hover do not count.
+    """
+    found: dict[str, list[Suggestion]] = {}
+    for health in flights:
+        for one in () if health.apart else suggested(health):
+            found.setdefault(one.name, []).append(one)
+    return tuple(
+        replace(some[-1], quantity=pooled([one.quantity for one in some]))
+        for some in found.values()
+    )
 
 
 def _make(health: Health, name: str, quantity: Estimate | None, note: str) -> Iterator[Suggestion]:
@@ -181,22 +198,20 @@ def check_suffix(path: Path) -> None:
         )
 
 
-def parameter_file(health: Health, suffix: str) -> str:
+def parameter_file(flights: Sequence[Health], suffix: str) -> str:
     """The file's text.
 
     Args:
-        health: of a flight.
+        flights: of one vehicle, that hover; at least one.
         suffix: of the file: ".params" is QGroundControl's, others are Mission Planner's.
 
     Raises:
-        InputError: the flight suggests no parameter.
+        InputError: they suggest no parameter.
     """
-    found = suggested(health)
+    found, health = proposed(flights), flights[-1]
+    names = ", ".join(Path(flight.source).name for flight in flights if not flight.apart)
     if not found:
-        raise InputError(
-            f"{health.source}: this flight suggests no parameters of its autopilot"
-            + ("" if health.available else ": nothing hovers in it")
-        )
+        raise InputError(f"{names}: no hover there suggests parameters of the autopilot")
     address = int(health.vehicle.get("sysid") or 1), int(health.vehicle.get("compid") or 1)
     values: dict[str, float] = {}
     notes: dict[str, str] = {}
@@ -207,9 +222,9 @@ def parameter_file(health: Health, suffix: str) -> str:
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
         values[one.name], notes[one.name] = round(value, 6), f"{interval} ({one.note}{now})"
+    seconds = sum(flight.seconds for flight in flights if not flight.apart)
     lines = [
-        f"# Suggested by gcs-sysid health from {Path(health.source).name}, "
-        f"{health.seconds:.0f} s of hover.",
+        f"# Suggested by gcs-sysid health from {names}, {seconds:.0f} s of hover.",
         "# Values with 95 % intervals; review each before writing it to the vehicle.",
         *(f"# Assumed: {text}" for text in health.assumptions),
         "#",

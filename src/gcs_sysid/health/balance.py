@@ -12,7 +12,8 @@ CG is the intercept, and unbiased however poorly the inertia is known.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -101,6 +102,26 @@ def mean_of(values: Array, half: float) -> Estimate:
     """The mean of (n,) ratios over windows half s apart, for other flights too."""
     fit = robust_fit(np.ones((len(values), 1)), values, between=half)
     return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+
+
+def pooled(flights: Sequence[Estimate]) -> Estimate:
+    """One value of several flights', each with a value: their weighted mean.
+
+    Where they scatter by more than each has by itself, the interval is that of their scatter
+    (Birge's ratio, with Student's t for as many flights). What was given is the same in all.
+    """
+    last, n = flights[-1], len(flights)
+    value = np.array([one.value for one in flights], dtype=float)
+    own = np.array([one.std_data or 0.0 for one in flights])
+    if n < 2 or not (own > 0.0).all():
+        return last
+    weight = 1.0 / own**2
+    mean = float(weight @ value / weight.sum())
+    birge = float(weight @ (value - mean) ** 2) / (n - 1)
+    more = birge * (float(stdtrit(n - 1, 0.975)) / Z95) ** 2
+    given = float(np.mean([one.std_given for one in flights]))
+    std = math.hypot(math.sqrt(max(more, 1.0) / float(weight.sum())), given)
+    return replace(last, value=mean, std=std, std_given=given)
 
 
 def long_memory(series: Array, half: float) -> Array:

@@ -170,7 +170,7 @@ def trend_text(flights: Sequence[Health]) -> list[str]:
     lines += ["", "      share of the thrust"]
     lines += _table(shares, 15 if len(shares) <= _SIDE_BY_SIDE else 9)
     changes = [
-        *_slopes(series),
+        *slopes(series),
         *(
             f"{name}: {condition_text(health.condition)}"
             for health, name in zip(usable[1:], names[1:], strict=True)
@@ -204,15 +204,15 @@ def _cell(value: float, std: float, width: int) -> str:
     return f"{text:>{width}}"
 
 
-def _slopes(series: Sequence[Series]) -> Iterator[str]:
-    """The trends that are surely some, among all."""
+def slopes(series: Sequence[Series]) -> Iterator[str]:
+    """The trends that are surely some, among all, in words."""
     steady = [one.in_power() for one in series if one.known >= _FEWEST]
-    slopes = [one.slope() for one in steady]
+    found = [one.slope() for one in steady]
     chances = [
         student_chance(slope / std, one.known - 2)
-        for one, (slope, std) in zip(steady, slopes, strict=True)
+        for one, (slope, std) in zip(steady, found, strict=True)
     ]
-    for one, (slope, std), chance in zip(steady, slopes, holm(chances), strict=True):
+    for one, (slope, std), chance in zip(steady, found, holm(chances), strict=True):
         if chance < FALSE_ALARM_RATE:
             half = student_limit(one.known - 2, 0.05) * std
             text = PLAIN.measure(slope, half, one.unit)

@@ -13,6 +13,7 @@ from gcs_sysid.results.health_view import FirstAnswer, first_answer
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.telemetry.logs import Log
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ def analyze_whole(
     observers: Sequence[Observer] = (),
     *,
     name: str | None = None,
+    opened: Log | None = None,
 ) -> WholeAnalysis:
     """Identify from a recording, and assess the hover in it.
 
@@ -64,6 +66,7 @@ def analyze_whole(
         progress: called with the share of the log done, 0 to 1, now and then.
         observers: look on.
         name: of the log for people; None: its path.
+        opened: the log, opened by the caller.
 
     Raises:
         InputError: the file cannot be read as a log.
@@ -71,7 +74,8 @@ def analyze_whole(
     options = options or ChainOptions(history_interval=None)
     keeper = HoverRecords()
     result = analyze_log(
-        log, airframe, vehicle, options, progress, observers=observers, keeper=keeper
-    )
+        log, airframe, vehicle, options, progress, observers=observers, keeper=keeper,
+        opened=opened,
+    )  # fmt: skip
     found = keeper.health(name or str(log), HealthOptions(airframe), (options.start, options.end))
     return WholeAnalysis(result, beside_analysis(found, result))
