@@ -336,6 +336,27 @@ def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name,
     assert times == sorted(times)
 
 
+@pytest.mark.parametrize("piece", [1, 7, 1000])
+def test_of_frames_that_come_again_over_a_second_radio_one_counts(sender, piece):
+    times = [1.0 + 0.02 * i for i in range(400)]
+    once = [(t, sender.heartbeat() if i % 50 == 0 else sender.imu(t)) for i, t in enumerate(times)]
+    twice = sorted(once + [(t + 3.0, frame) for t, frame in once], key=lambda each: each[0])
+    found = []
+    for frames in (once, twice):
+        intake = Intake()
+        frames = [frame for _, frame in frames]
+        records = [
+            record
+            for first in range(0, len(frames), piece)
+            for record in intake.frames(frames[first : first + piece])
+        ]
+        found.append(records)
+        assert intake.decoder.clock.reboots == 0
+        assert intake.monitor.lost_percent == 0.0
+    assert found[0] == found[1]
+    assert intake.as_dict()["copies"] == len(once)
+
+
 def test_every_message_has_a_fate(sender, make_sender):
     intake = Intake()
     imu = mavlink.MAVLink_highres_imu_message

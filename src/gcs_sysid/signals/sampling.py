@@ -1,5 +1,6 @@
 """From records to aligned samples: time base, complementary filter, flight detection."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -7,16 +8,19 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.model import attitude
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.gyro_check import GyroCheck
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
 from gcs_sysid.signals.rotor_units import RotorSource, are_pulses
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.time_base import Block, TimeBase
+from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 
 _STEP_BACK = 1.0
 """s; records further back than this are not late: the clock was set back."""
@@ -141,6 +145,7 @@ class Sampler:
         self.gyro_check = GyroCheck()
         """The gyro against the reported attitude, in flight."""
         self._filter: ComplementaryFilter | None = None
+        self._jumps = VelocityJumps()
         self._first: float | None = None
         self._began = self._newest = 0.0
 
@@ -328,7 +333,7 @@ class Sampler:
             self._filter.restart()
         filtered, bias = self._attitude(self._filter, gyro, reference)
         rotors = self._rotor_streams(block, n)
-        velocity = _stream(block, Stream.VELOCITY, n, 6)
+        velocity = self._velocity(block, n, force)
         flying = self.flight_detector.update(
             t,
             _stream(block, Stream.IN_AIR, n, 1)[:, 0],
@@ -377,6 +382,13 @@ class Sampler:
                 flt.restart()
                 bias[run] = flt.bias
         return out, bias
+
+    def _velocity(self, block: Block, n: int, force: Array) -> Array:
+        """(n, 6) velocity, missing where an estimator reset it, and position."""
+        velocity = _stream(block, Stream.VELOCITY, n, 6)
+        jumps = self._jumps.update(self.time_base.dt, velocity[:, :3], force, fresh=block.fresh)
+        velocity[jumps, :3] = np.nan
+        return velocity
 
     def _rotor_streams(self, block: Block, n: int) -> dict[str, Array]:
         """(n, rotors) of every source of rotor speeds or commands, as they came."""
@@ -436,6 +448,42 @@ class Sampler:
 
 _STOPPED_SPEED, _STOPPED_COMMAND = 5.0, 1e-6
 """rad/s and commands up to which a rotor stands: none turns as slowly, but ESCs are noisy."""
+
+
+class VelocityJumps:
+    """Finds where a velocity changes by more than the accelerometer measured.
+
+    Whatever the attitude, v' less gravity is as long as the specific force. By how much it is
+    longer scatters with the noise of both; an estimator that resets its velocity stands out.
+    """
+
+    _MEMORY = 10.0
+    """s over which that scatter is averaged."""
+    _LIMIT = normal_limit(FALSE_ALARM_RATE / 1000.0)
+    """Of the scatter: one false jump in a minute or two, which costs a gap of one sample."""
+
+    def __init__(self) -> None:
+        self._last = np.full((1, 6), np.nan)
+        self._power = GRAVITY**2
+
+    def update(self, dt: float, velocity: Array, force: Array, *, fresh: bool) -> Mask:
+        """(n,) the grid points, `dt` s apart, of (n, 3) m/s and m/s^2, that a jump leads to."""
+        if fresh:
+            self._last[:] = np.nan
+        values = np.vstack([self._last, np.hstack([velocity, force])])
+        self._last = values[-1:].copy()
+        apart = np.diff(values[:, :3], axis=0) / dt - (0.0, 0.0, GRAVITY)
+        felt = np.linalg.norm(values[:, 3:], axis=1)
+        excess = np.linalg.norm(apart, axis=1) - np.maximum(felt[1:], felt[:-1])
+        jumps: Mask = np.zeros(len(excess), bool)
+        known = np.isfinite(excess)
+        if known.any():
+            keep = math.exp(-dt / self._MEMORY)
+            counted = np.clip(excess[known], -GRAVITY, GRAVITY) ** 2
+            power, _ = lfilter([1.0 - keep], [1.0, -keep], counted, np.array([keep * self._power]))
+            self._power = float(power[-1])
+            jumps[known] = excess[known] > self._LIMIT * np.sqrt(power)
+        return jumps
 
 
 class _Unseen:

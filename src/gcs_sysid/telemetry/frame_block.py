@@ -5,7 +5,7 @@ the next 16 bits of the message, joined by exclusive or, index the state after t
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -101,8 +101,8 @@ def _equal_lengths(data: Array, at: Array, size: int, extra: Array) -> Array:
     return state if size % 2 else (state >> 8) ^ _BYTE[(state ^ extra) & 0xFF]
 
 
-OK, UNKNOWN, BAD_CRC = range(3)
-_VALIDITY = (Validity.OK, Validity.UNKNOWN, Validity.BAD_CRC)
+_VALIDITY = tuple(Validity)
+OK, UNKNOWN, BAD_CRC, REPEATED = range(len(_VALIDITY))
 _NUMBERS = {validity: number for number, validity in enumerate(_VALIDITY)}
 _ROOM = bytes(LONGEST_FRAME)
 
@@ -126,7 +126,7 @@ class FrameBlock:
         system: (n,) uint8.
         component: (n,) uint8.
         version: (n,) uint8, 1 or 2.
-        validity: (n,) uint8: `OK`, `UNKNOWN` or `BAD_CRC`.
+        validity: (n,) uint8: `OK`, `UNKNOWN`, `BAD_CRC` or `REPEATED`.
     """
 
     data: Array
@@ -193,6 +193,26 @@ class FrameBlock:
         columns = {name: getattr(self, name)[start:stop] for name in _COLUMNS}
         return FrameBlock(data=self.data, number=self.number + start, **columns)
 
+    @property
+    def keys(self) -> Array:
+        """(n,) uint64, the same for the same frame alone: of header, checksum and first bytes."""
+        lead = rows_of(self.data, self.payload_at, 8).view("<u8")[:, 0]
+        lead = lead << (8 * np.maximum(8 - self.payload_size.astype(np.int64), 0)).astype(np.uint64)
+        lead[self.payload_size == 0] = 0
+        end = self.payload_at + self.payload_size
+        whole = self.message_id.astype(np.uint64)
+        for part in (
+            self.sequence,
+            self.system,
+            self.component,
+            self.data[end],
+            self.data[end + 1],
+        ):
+            whole = whole << np.uint64(8) | part
+        # An odd number of the golden ratio spreads stamps, which are alike, over all bits.
+        keys: Array = lead * np.uint64(0x9E3779B97F4A7C15) ^ whole
+        return keys
+
     def frame(self, index: int) -> Frame:
         """One of them as an object."""
         return next(iter(self.part(index, index + 1)))[1]
@@ -214,6 +234,41 @@ class FrameBlock:
                 system, component, sequence, message_id, payload, raw, version, signed,
                 _VALIDITY[valid],
             )  # fmt: skip
+
+
+class SeenFrames:
+    """Finds frames that came before, as over two radios; a minute of a fast link is remembered."""
+
+    _KEPT = 32_768
+    """Frames that are remembered, at least."""
+
+    def __init__(self) -> None:
+        self.repeated = 0
+        """How many there were."""
+        self._newer: set[int] = set()
+        self._older: set[int] = set()
+
+    def mark(self, frames: FrameBlock) -> FrameBlock:
+        """Frames in the order received; those that repeat one before are `REPEATED`."""
+        rows = np.flatnonzero(frames.validity == OK)
+        keys = frames.keys[rows].tolist()
+        some = set(keys)
+        if len(some) == len(keys) and all(map(some.isdisjoint, (self._newer, self._older))):
+            self._remember(some)
+            return frames
+        again = np.zeros(len(keys), bool)
+        for i, key in enumerate(keys):
+            again[i] = key in self._newer or key in self._older
+            self._remember({key})
+        self.repeated += int(np.count_nonzero(again))
+        validity = frames.validity.copy()
+        validity[rows[again]] = REPEATED
+        return replace(frames, validity=validity)
+
+    def _remember(self, keys: set[int]) -> None:
+        self._newer |= keys
+        if len(self._newer) >= self._KEPT:
+            self._older, self._newer = self._newer, set()
 
 
 _COLUMNS = [field.name for field in fields(FrameBlock) if field.name not in ("data", "number")]

@@ -54,6 +54,8 @@ class Validity(StrEnum):
     """No CRC_EXTRA is known for the type: the content is unchecked."""
     BAD_CRC = "bad_crc"
     """Checksum wrong although the chain is intact: a changed definition, or corrupted."""
+    REPEATED = "repeated"
+    """The same frame, byte for byte, came before, as over a second radio."""
 
 
 _VALIDITIES = tuple(Validity)

@@ -13,7 +13,7 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, REPEATED, FrameBlock, SeenFrames, counts_of
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
@@ -75,6 +75,7 @@ class Intake:
         self.turning: set[str] = set()
         self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
+        self._seen = SeenFrames()
         self._others: set[tuple[int, int]] = set()
         self._contradictions = Contradictions()
         self._events: list[IntakeEvent] = []
@@ -129,6 +130,7 @@ class Intake:
             Their records and the events; `take_events` does not return these again.
         """
         out = TrackCollector()
+        frames = self._seen.mark(frames)
         at, most = 0, len(frames)
         while at < len(frames):
             part = frames.part(at, min(at + most, len(frames)))
@@ -215,7 +217,7 @@ class Intake:
         assert chosen is not None
         dropped, clock = self.decoder.dropped_messages, self.decoder.clock
         before, reboots = clock.now, clock.reboots
-        chosens = self._from(frames, chosen)
+        chosens = self._from(frames, chosen) & (frames.validity != REPEATED)
         taken = self.decoder.decode(frames, (frames.validity == OK) & chosens, out)
         frames, chosens = frames.part(0, taken.frames), chosens[: taken.frames]
         good = frames.validity == OK
@@ -310,6 +312,7 @@ class Intake:
             "reboots": self.decoder.clock.reboots,
             "dropped": dict(self.decoder.dropped),
             "fates": dict(self.fates),
+            "copies": self._seen.repeated,
         }
 
     @property
