@@ -16,9 +16,12 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from tests.feeding import feed
 
 
+SELDOM = ChainOptions(history_interval=1.0)
+
+
 @pytest.fixture
 def watched():
-    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
+    chain = Chain(load_airframe("paper"), SELDOM)
     prediction = LivePrediction(chain)
     chain.observers.append(prediction.add_samples)
     return chain, prediction
@@ -95,7 +98,7 @@ def test_what_was_given_out_does_not_change(watched, paper_records):
 @pytest.mark.slow
 def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     chain, _ = watched
-    alone = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
+    alone = Chain(load_airframe("paper"), SELDOM)
     feed(chain, paper_records)
     feed(alone, paper_records)
     assert chain.finish() == alone.finish()

@@ -33,7 +33,7 @@ class Stage:
         self.now = 100.0
         airframe = airframe or load_airframe("paper")
         recorded = path if isinstance(path, Recorded) else survey(path, airframe)
-        self.session = ReplaySession(recorded, speed, clock=lambda: self.now, **options)
+        self.session = ReplaySession(recorded, speed, 0.5, clock=lambda: self.now, **options)
         self.published = []
 
     @property
@@ -73,8 +73,8 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def flight(fly):
-    """All axes at 100 Hz for 50 s, with ground before and after."""
-    return fly("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "5")
+    """All axes at 50 Hz for 50 s, with ground before and after."""
+    return fly("--mission", "all-axes", "--rate", "50", "--duration", "40", "--seed", "5")
 
 
 @pytest.fixture(scope="module")
@@ -259,14 +259,14 @@ def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
 def test_rates_are_those_of_the_last_seconds(recorded):
     stage = Stage(recorded)
     stage.play(20.0)
-    assert stage.snapshot.link.rates["imu"] == pytest.approx(100.0, rel=0.05)
+    assert stage.snapshot.link.rates["imu"] == pytest.approx(50.0, rel=0.05)
     assert stage.snapshot.link.vehicle.startswith("PX4")
     assert [v.chosen for v in stage.snapshot.link.vehicles] == [True]
 
 
 def test_it_goes_on_over_a_reboot(fly):
     flight = fly(
-        *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
+        *("--mission", "all-axes", "--rate", "50", "--duration", "30", "--seed", "5"),
         *("--trap", "reboot=12"),
     )
     stage = Stage(flight.tlog)
@@ -311,7 +311,7 @@ def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
     flight = fly(
-        *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
+        *("--mission", "all-axes", "--rate", "50", "--duration", "30", "--seed", "5"),
         *("--autopilot", "ardupilot"),
     )
     frames = list(read_tlog(flight.tlog))
