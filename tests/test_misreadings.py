@@ -14,11 +14,11 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
-from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.result_view import figures, result_table
 from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.results.words import PLAIN
 from gcs_sysid.screen.snapshot_view import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.session.reported_layout import ReportedLayout, on_circle

@@ -15,8 +15,8 @@ SOURCES = Path(gcs_sysid.__file__).parent
 BETWEEN_PROCESSES = {"web/worker_process.py"}
 """What one part of the program tells another."""
 NO_NUMBERS = {
-    "fleet/jobs.py", "report/signal_table.py", "setup_help/airframe_file.py", "web/workbench.py",
-    "telemetry/stream_restoration.py",
+    "fleet/jobs.py", "report/data.py", "setup_help/airframe_file.py", "web/workbench.py",
+    "telemetry/wanted_streams.py",
 }  # fmt: skip
 """Names and whole numbers, or what `json_text` has made already."""
 NO_NULLS = {"exports/python_simulators.py"}

@@ -15,7 +15,6 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.chain import Chain, ChainOptions
 from tests.feeding import feed
 
-
 SELDOM = ChainOptions(history_interval=1.0)
 
 

@@ -15,8 +15,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import StreamRequests
-from gcs_sysid.telemetry.stream_restoration import SCHEMA, StreamRestoration
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
+from gcs_sysid.telemetry.wanted_streams import SCHEMA, StreamRestoration
 from sim_bridge.ardupilot import LOOP_STEPS, STEP_US, ArduPilot
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4

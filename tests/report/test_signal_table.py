@@ -9,7 +9,7 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.report.signal_table import SignalRecorder, writer_of
+from gcs_sysid.report.data import SignalRecorder, writer_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log

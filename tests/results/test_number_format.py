@@ -6,8 +6,8 @@ import math
 import pytest
 
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.results import number_format, words
-from gcs_sysid.results.number_format import (
+from gcs_sysid.results import words
+from gcs_sysid.results.words import (
     PAGE,
     PLAIN,
     engineering_exponent,
@@ -18,7 +18,7 @@ from gcs_sysid.results.number_format import (
 
 
 def test_examples_run():
-    assert doctest.testmod(number_format).failed == 0
+    assert doctest.testmod(words).failed == 0
 
 
 @pytest.mark.parametrize(

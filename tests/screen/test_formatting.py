@@ -3,7 +3,7 @@ import math
 import pytest
 
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.number_format import clock, clock_tenths, duration
+from gcs_sysid.results.words import clock, clock_tenths, duration
 from gcs_sysid.screen import formatting as fmt
 
 from . import fake

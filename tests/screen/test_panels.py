@@ -10,6 +10,7 @@ from gcs_sysid.results.snapshot import Advice, Gain, LinkState
 from gcs_sysid.screen import formatting
 from gcs_sysid.screen.bars import advice_lines, verdict_lines
 from gcs_sysid.screen.formatting import HEIGHT
+from gcs_sysid.screen.main_view import blocks
 from gcs_sysid.screen.panels import (
     HORIZON_WIDTH,
     WINGS,
@@ -18,7 +19,6 @@ from gcs_sysid.screen.panels import (
     horizon,
     message_line,
 )
-from gcs_sysid.screen.pilot_view import blocks
 from gcs_sysid.screen.plots import (
     overlay,
     reduced_history,

@@ -6,7 +6,7 @@ import pytest
 
 from gcs_sysid.results.snapshot import Advice, LinkState
 from gcs_sysid.screen.formatting import big
-from gcs_sysid.screen.pilot_view import PilotScreen, blocks, pilot_lines
+from gcs_sysid.screen.main_view import PilotScreen, blocks, pilot_lines
 from gcs_sysid.screen.view import View
 
 from . import fake

@@ -10,9 +10,9 @@ from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name
-from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
+from gcs_sysid.telemetry.wanted_streams import StreamRestoration
 from testbed.payloads import unpack
 
 KEY = hashlib.sha256(b"correct horse").digest()

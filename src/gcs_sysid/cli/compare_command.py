@@ -8,10 +8,9 @@ from gcs_sysid.cli import output
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare, comparison_sentences
-from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.result_view import figures, number_figures
-from gcs_sysid.results.words import CHANGE
+from gcs_sysid.results.words import CHANGE, percent_column, scaled_unit
 from gcs_sysid.significance import Z95
 
 _WIDTH = 100

@@ -15,7 +15,7 @@ from gcs_sysid.exports.exported_vehicle import (
 )
 from gcs_sysid.exports.file_format import Format
 from gcs_sysid.files import check_target, log_file, write_whole
-from gcs_sysid.report.signal_table import SignalRecorder, writer_of
+from gcs_sysid.report.data import SignalRecorder, writer_of
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
 

@@ -25,7 +25,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text
-from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.results.words import PLAIN
 
 
 def run(options: argparse.Namespace) -> int:

@@ -22,8 +22,8 @@ from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.drawing import line, picture, polyline, text
-from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.summary import priors_for, values_of
+from gcs_sysid.results.words import PLAIN
 from gcs_sysid.setup_help.checks import can_show
 from gcs_sysid.strict_json import json_text
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.results.words import PLAIN
 
 RAMP = 1.0
 """s, over which a swing grows at the start of a maneuver and fades at its end."""

@@ -37,11 +37,10 @@ from gcs_sysid.report.parts import (
     table,
 )
 from gcs_sysid.results.comparison import Comparison, Difference, compare
-from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.result_view import figures, names_text, number_figures
-from gcs_sysid.results.words import VERDICT
+from gcs_sysid.results.words import PAGE, VERDICT
 from gcs_sysid.significance import FALSE_ALARM_RATE, Z95, normal_limit, student_limit
 
 FEWEST = 4

@@ -8,7 +8,7 @@ from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
 from gcs_sysid.results.health_view import OF_THE_DATA, WAYS
-from gcs_sysid.results.number_format import PLAIN, decimals_for
+from gcs_sysid.results.words import PLAIN, decimals_for
 
 _BY_BATTERY = (
     "Battery travel = shift × vehicle mass / battery mass (computed with --mass and --battery-mass)"

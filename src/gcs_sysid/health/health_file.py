@@ -12,7 +12,7 @@ from gcs_sysid.health.vehicle_health import Baseline, Health
 from gcs_sysid.judgement.status import hover_verdict
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.health_view import first_answer, off_words
-from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.results.words import PLAIN
 from gcs_sysid.strict_json import parse_json
 
 SCHEMA = "gcs-sysid-health/1"

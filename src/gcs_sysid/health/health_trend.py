@@ -16,7 +16,7 @@ from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.number_format import PLAIN, power_of_ten, times_power
+from gcs_sysid.results.words import PLAIN, power_of_ten, times_power
 from gcs_sysid.significance import FALSE_ALARM_RATE, Z95, holm, student_chance, student_limit
 
 _SHARE = "share of rotor "

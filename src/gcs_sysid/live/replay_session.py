@@ -22,13 +22,7 @@ from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
 from gcs_sysid.live.live_view import RESULT_EVERY, Session, picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import (
-    FoundVehicle,
-    LinkState,
-    LinkStatus,
-    Playback,
-    speed_text,
-)
+from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus, Playback, speed_text
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin

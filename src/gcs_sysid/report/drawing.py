@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.report.parts import Markup, element
-from gcs_sysid.results.number_format import PAGE, power_of_ten, round_numbers, times_power
+from gcs_sysid.results.words import PAGE, power_of_ten, round_numbers, times_power
 
 INK, SOFT, PALE, BLUE, RED = "#222222", "#666666", "#b8b8b8", "#1f6fb4", "#c2571a"
 

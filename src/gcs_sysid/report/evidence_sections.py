@@ -29,9 +29,8 @@ from gcs_sysid.report.parts import (
     section,
     table,
 )
-from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.results.words import event_text
+from gcs_sysid.results.words import PAGE, event_text
 from gcs_sysid.significance import Z95
 
 _NEEDED = {

@@ -19,8 +19,8 @@ from gcs_sysid.report.drawing import (
 )
 from gcs_sysid.report.parts import Markup, element, note, section
 from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
-from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result_view import number_figures
+from gcs_sysid.results.words import PAGE
 from gcs_sysid.significance import Z95
 
 _WIDTH, _HEIGHT = 900.0, 632.0

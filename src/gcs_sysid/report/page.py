@@ -9,8 +9,7 @@ from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.report.page_figures import ChartData
 from gcs_sysid.report.parts import Child, Column, Markup, element, facts, html_page, section, table
 from gcs_sysid.results.health_view import first_answer
-from gcs_sysid.results.number_format import PAGE
-from gcs_sysid.results.words import VERDICT
+from gcs_sysid.results.words import PAGE, VERDICT
 from gcs_sysid.strict_json import json_text
 
 _CONTENTS = (

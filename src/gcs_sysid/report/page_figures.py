@@ -15,10 +15,9 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.results.history import History, known_history, settled_range
-from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
-from gcs_sysid.results.words import event_text
+from gcs_sysid.results.words import PAGE, event_text
 from gcs_sysid.significance import Z95
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200

@@ -27,7 +27,6 @@ from gcs_sysid.report.parts import (
 )
 from gcs_sysid.results import words
 from gcs_sysid.results.health_view import way
-from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import segment_estimates
 from gcs_sysid.results.result_view import (
@@ -37,6 +36,7 @@ from gcs_sysid.results.result_view import (
     said_in_sentence,
     verdict_sentence,
 )
+from gcs_sysid.results.words import PAGE
 
 
 def verdict(data: ReportData) -> Markup:

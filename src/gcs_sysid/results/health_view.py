@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from gcs_sysid.model.estimate import Objection
-from gcs_sysid.results.number_format import PLAIN, Notation, decimals_for, significant
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.words import PLAIN, Notation, decimals_for, significant
 from gcs_sysid.significance import Z95
 
 _WORDS = {

@@ -12,10 +12,9 @@ import numpy as np
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.results.number_format import pretty_unit
 from gcs_sysid.results.result_data import ResultData
 from gcs_sysid.results.result_view import parameter_rows, rows
-from gcs_sysid.results.words import VERDICT
+from gcs_sysid.results.words import VERDICT, pretty_unit
 from gcs_sysid.significance import Z95
 
 if TYPE_CHECKING:

@@ -13,19 +13,21 @@ from typing import Any, Literal, NamedTuple
 
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, INERTIA, REGISTRY, Parameter, grouped
-from gcs_sysid.results.number_format import (
+from gcs_sysid.results.result_data import ResultData, Scale
+from gcs_sysid.results.words import (
     PAGE,
     PLAIN,
+    STATUS,
+    WAITING,
     Notation,
     decimals_for,
+    event_text,
     percent_column,
     rounded,
     scaled_unit,
     significant,
     times_power,
 )
-from gcs_sysid.results.result_data import ResultData, Scale
-from gcs_sysid.results.words import STATUS, WAITING, event_text
 from gcs_sysid.significance import Z95
 
 

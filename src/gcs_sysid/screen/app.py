@@ -35,9 +35,8 @@ from gcs_sysid.screen.key_commands import (
     HelpScreen,
     bindings_of,
 )
-from gcs_sysid.screen.main_view import MainScreen, PageBar
+from gcs_sysid.screen.main_view import MainScreen, PageBar, PilotScreen
 from gcs_sysid.screen.parameter_table import ParameterRows
-from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.view import EarlierResult, Scene, SnapshotSource, View

@@ -8,9 +8,9 @@ from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Static
 
-from gcs_sysid.results.number_format import clock, clock_tenths, pretty_unit
 from gcs_sysid.results.snapshot import Advice, LinkState, Playback, Snapshot
 from gcs_sysid.results.summary import before_data, contradicted
+from gcs_sysid.results.words import clock, clock_tenths, pretty_unit
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.formatting import HEIGHT, big
 from gcs_sysid.screen.lines import Line, Shown, WrappedLines

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.model.estimate import Estimate, Status
-from gcs_sysid.results.number_format import decimals_for, engineering_exponent
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import exponent_key, rows
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.results.words import Change
+from gcs_sysid.results.words import Change, decimals_for, engineering_exponent
 
 UNKNOWN = "?"
 """Written where there is no number."""

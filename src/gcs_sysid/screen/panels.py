@@ -8,8 +8,8 @@ from typing import Any
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
-from gcs_sysid.results.number_format import PLAIN, clock_tenths, data_rate, grouped
 from gcs_sysid.results.snapshot import Event, LinkStatus
+from gcs_sysid.results.words import PLAIN, clock_tenths, data_rate, grouped
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.lines import Line, Lines, ScrolledLines, Shown
 from gcs_sysid.screen.snapshot_view import LINK_SIGN, MessageRate, message_rates

@@ -11,8 +11,8 @@ from textual.message import Message
 
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results import words
-from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
+from gcs_sysid.results.words import percent_column, scaled_unit
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.lines import Line, Lines, Shown, WrappedLines
 from gcs_sysid.screen.snapshot_view import converged

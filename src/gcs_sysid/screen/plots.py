@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results import words
 from gcs_sysid.results.history import Acceleration, History, known_history, settled_range
-from gcs_sysid.results.number_format import round_numbers, scaled_unit
 from gcs_sysid.results.result_view import exponent_key
+from gcs_sysid.results.words import round_numbers, scaled_unit
 from gcs_sysid.screen import formatting
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.lines import Line, Lines, Shown

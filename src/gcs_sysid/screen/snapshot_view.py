@@ -15,7 +15,6 @@ from gcs_sysid.model.estimate import KNOWN, Estimate, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
-from gcs_sysid.results.number_format import PLAIN, clock, duration
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Advice,
@@ -27,6 +26,7 @@ from gcs_sysid.results.snapshot import (
     speed_text,
 )
 from gcs_sysid.results.summary import before_data, contradicted
+from gcs_sysid.results.words import PLAIN, clock, duration
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""

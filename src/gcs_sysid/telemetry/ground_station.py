@@ -13,8 +13,8 @@ from gcs_sysid.telemetry.link import Address
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.signing import Refusal
-from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Port, Rival
+from gcs_sysid.telemetry.wanted_streams import StreamRestoration
 
 _REFUSED = {
     Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",

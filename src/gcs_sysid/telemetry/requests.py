@@ -11,7 +11,6 @@ from types import MappingProxyType
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
-from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import (
@@ -20,6 +19,7 @@ from gcs_sysid.telemetry.wanted_streams import (
     GROUPS,
     IMU,
     USABLE,
+    StreamRestoration,
     bytes_per_second,
     fitting_groups,
     fitting_rates,

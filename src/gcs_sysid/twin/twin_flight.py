@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.results.number_format import significant
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.words import significant
 from gcs_sysid.twin.prediction_errors import QUANTITIES, Accuracy, Growth
 
 if TYPE_CHECKING:

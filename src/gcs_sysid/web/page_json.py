@@ -12,7 +12,6 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.page_figures import ChartData, add_history
 from gcs_sysid.results.comparison import Comparison, Difference, compare, comparison_sentences
 from gcs_sysid.results.history import known_history
-from gcs_sysid.results.number_format import PAGE, clock, clock_tenths, duration
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import (
     Figures,
@@ -23,7 +22,7 @@ from gcs_sysid.results.result_view import (
 )
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
 from gcs_sysid.results.summary import before_data
-from gcs_sysid.results.words import CHANGE, VERDICT
+from gcs_sysid.results.words import CHANGE, PAGE, VERDICT, clock, clock_tenths, duration
 from gcs_sysid.screen.snapshot_view import (
     LINK_SIGN,
     call_outs,
