@@ -1,22 +1,47 @@
 """The first line of every answer on a log."""
 
+import math
+
 import pytest
 
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.health_view import first_answer, health_fact, short_facts
+from gcs_sysid.significance import Z95
 from tests.screen.fake import health
 
 QUANTITY = {"value": 0.25, "std": 0.001, "std_given": 0.0, "unit": "1"}
 
 
 def document(**changed):
-    return {**health(), "order_contradicted": False, "findings": [], **changed}
+    own = {"airframe": load_airframe("paper").as_json(), "order_contradicted": False}
+    return {**health(), **own, "findings": [], **changed}
 
 
 def test_a_flight_without_findings_is_ok_and_says_what_tells_more():
     answer = first_answer(document(advice=["give --arm"]))
     assert answer.line.startswith("OK: nothing wrong seen in ")
     assert answer.action == "give --arm"
+
+
+def test_ok_says_within_what_and_is_not_said_where_a_dead_rotor_would_not_show():
+    whole = document()
+    assert ", CG within " in first_answer(whole).line
+    arm = max(abs(rotor["x"]) for rotor in whole["airframe"]["rotors"])
+    for share, word in ((0.2, "OK"), (0.3, "CANNOT TELL")):
+        wide = {"value": 0.0, "std": share * arm / Z95, "std_given": 0.0, "unit": "m"}
+        answer = first_answer(document(cg={"x": wide, "y": {**wide, "std": 0.0}}))
+        assert answer.word == word
+        assert f"{1e3 * share * arm:.0f} mm" in answer.line
+
+
+def test_of_an_arm_that_is_assumed_lengths_are_shares():
+    guessed = document(arm={"value": 0.25, "std": 0.125})
+    guessed["cg"] = {axis: {"value": 0.01, "std": math.hypot(0.005, 0.002), "std_given": 0.0}
+                     for axis in "xy"}  # fmt: skip
+    shown = dict(short_facts(guessed))["CG"]
+    assert shown.startswith("4 % forward, 4 % right of the arm (± 1.6 %)")
+    assert "mm" not in first_answer(guessed).line
 
 
 def test_what_is_found_first_is_to_be_looked_at_and_the_rest_counted():

@@ -22,6 +22,7 @@ from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.results.result_view import verdict_sentence
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.reported_layout import suggested_airframe
 from gcs_sysid.telemetry.logs import Log
 
 _NAME = 16
@@ -69,8 +70,9 @@ def _found(
         document, health = whole.as_json(), whole.health
         known = verdict_sentence(result)
         if result.verdict == "refused":
-            known = f"not from this flight: {'; '.join(result.reasons)}"
-        command = airframe_choice.command_for(log, health.layout, options)
+            known = f"not from this flight: {'; '.join(result.reasons[:1])}"
+        suggestion = suggested_airframe(opened.kind, opened.vehicle)
+        command = airframe_choice.command_for(log, health.layout, options, suggestion)
         more = [*_entry("identified", known, width), *_next(command)]
     else:
         document = document_of(health)
@@ -85,7 +87,9 @@ def _found(
 
 def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> Iterator[str]:
     if not health.available or health.rotor_input is None:
-        yield from _entry(Path(log).name, "; ".join(health.reasons), width)
+        yield Path(log).name
+        for reason in health.reasons[1:]:  # the first one is the answer
+            yield from textwrap.wrap(f"- {reason}", width, subsequent_indent="  ")
         return
     rotors = f"rotors by {health.rotor_input.words} ({health.rotor_source})"
     yield from textwrap.wrap(f"{Path(log).name}: {health.seconds:.0f} s of hover, {rotors}", width)

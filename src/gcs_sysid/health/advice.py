@@ -7,7 +7,7 @@ from dataclasses import replace
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
-from gcs_sysid.results.health_view import OF_THE_DATA, WAYS
+from gcs_sysid.results.health_view import OF_THE_DATA, WAYS, cg_length
 from gcs_sysid.results.words import PLAIN, decimals_for
 
 _BY_BATTERY = (
@@ -38,7 +38,7 @@ def advised(health: Health) -> Health:
 def _to_know_more(health: Health, *, unlike: bool) -> Iterator[str]:
     """What would say more of a vehicle in which nothing need be wrong."""
     if not health.arm_known:
-        yield "give --arm: the CG in mm scales with it"
+        yield "give --arm M, from the center to a motor: the CG is in mm then"
     if health.scale is None and health.rotor_input is not None:
         yield f"weigh the vehicle and give --mass KG for {health.rotor_input.thrust}"
     if health.condition is None and len(health.rotors) == 4 and not unlike:
@@ -82,15 +82,17 @@ def _cg(health: Health) -> Iterator[Finding]:
     off, moves = [], []
     mass, battery = health.known_mass, health.battery_mass
     scale = 1.0 if battery is None or mass is None else mass / battery
+    arm = health.airframe.arm
     for place, ways in zip(health.cg, WAYS.values(), strict=True):
-        value, half = place.value, place.half
-        assert value is not None
-        assert half is not None
-        if abs(value) < max(half, TUNING.worth_moving * health.airframe.arm):
+        assert place.value is not None
+        assert place.std is not None
+        value, half, unit = cg_length(place.value, place.std, arm, health.arm_std)
+        worth, _, _ = cg_length(TUNING.worth_moving * arm, 0.0, arm, health.arm_std)
+        if abs(value) < max(half, worth):
             continue
         where, back = ways if value > 0.0 else ways[::-1]
-        off.append(f"{1e3 * abs(value):.{decimals_for(1e3 * half, most=1)}f} mm {where}")
-        moves.append(f"{PLAIN.measure(1e3 * scale * abs(value), 1e3 * scale * half, 'mm')} {back}")
+        off.append(f"{abs(value):.{decimals_for(half, most=1)}f} {unit} {where}")
+        moves.append(f"{PLAIN.measure(scale * abs(value), scale * half, unit)} {back}")
     if not moves:
         return
     do = f"shift the CG {' and '.join(moves)}. " + _BY_BATTERY

@@ -100,7 +100,10 @@ def guess_airframe(
     reported = reported_layout(vehicle.key, parameters)
     if given is not None:
         shown = reported is not None and reported.shown and not differences(given, reported)
-        return GuessedAirframe(given, f"{given.name}, as given", shown=shown)
+        origin, std = f"{given.name}, as given", 0.0
+        if not given.arm_known:
+            origin, std = f"{origin}, its arm of {given.arm:g} m assumed: give --arm", _UNKNOWN_ARM
+        return GuessedAirframe(given, origin, std, shown=shown)
     found = _by_type(vehicle, parameters, reported)
     if arm is not None:
         layout = found.origin.partition(", its arm")[0]
@@ -176,14 +179,16 @@ def layout_by_motion(
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
-    shown = _least(own) >= TUNING.surely_explained
+    likeliest, rival = _likeliest(count, seen)
+    ours = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, _least(own))
+    best = likeliest is not None and not likeliest.differs(ours)
+    shown = _least(own) >= (TUNING.least_explained if best else TUNING.surely_explained)
     coupled = _most_coupled(airframe, seen)
     guess = replace(guess, explained=_least(own), explained_coupled=coupled)
-    first = _clearly_best(count, seen)
+    clear = max(TUNING.least_explained, TUNING.more_explained * rival)
+    first = likeliest if likeliest is not None and likeliest.least >= clear else None
     if not guess.assumed:
-        as_flown = (
-            "" if guess.shown or first is None else _contradiction(first, airframe, _least(own))
-        )
+        as_flown = "" if guess.shown or first is None else _contradiction(first, ours)
         shown = guess.shown or (shown and not as_flown)
         return replace(guess, shown=shown, as_flown=as_flown), streams
     if first is None:
@@ -223,21 +228,19 @@ class _Candidate:
         )
 
 
-def _clearly_best(count: int, seen: Sequence[tuple[Array, Array]]) -> _Candidate | None:
-    """The layout that explains the motion far better than any other; None where none does."""
+def _likeliest(count: int, seen: Sequence[tuple[Array, Array]]) -> tuple[_Candidate | None, float]:
+    """The layout that explains the motion best, and what the best with rotors elsewhere does."""
     ranked = [_ranked(count, *motion) for motion in seen]
     best = max(filter(None, ranked), key=lambda layouts: layouts[0].least, default=None)
     if best is None:  # no usual layout has as many rotors
-        return None
+        return None, 0.0
     first = best[0]
     rival = max((other.least for other in best[1:] if other.differs(first)), default=0.0)
-    least = max(TUNING.least_explained, TUNING.more_explained * rival)
-    return first if first.least >= least else None
+    return first, rival
 
 
-def _contradiction(first: _Candidate, airframe: Airframe, explained: float) -> str:
+def _contradiction(first: _Candidate, own: _Candidate) -> str:
     """Where the motors are as flown; empty where the airframe explains the motion as well."""
-    own = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, explained)
     if first.least < TUNING.more_explained * own.least or not first.differs(own):
         return ""
     return "motor " + first.places.replace(" ", " is ", 1)

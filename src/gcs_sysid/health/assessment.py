@@ -33,6 +33,7 @@ from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.results.health_view import HOVER
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
@@ -247,7 +248,8 @@ def health_of(
     if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
     flight = flight_of(streams, len(airframe.rotors))
-    sensors = tuple(of_sensors(*sensors_of(streams, flight), parameters))
+    gyro, saturated = sensors_of(streams, flight)
+    sensors = tuple(of_sensors(gyro, saturated, parameters))
     windows = windows_of(streams, len(airframe.rotors), flight)
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
@@ -258,7 +260,8 @@ def health_of(
     c = curve.c.value if curve is not None and rotor_input.motors else None
     thrust = thrust_of(windows, c)
     if rotor_input.motors and c is None:
-        return _refused("nothing was seen in flight", airframe=airframe)
+        reason, how = _no_hover(windows)
+        return _refused(reason, how=how, airframe=airframe)
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
@@ -266,7 +269,9 @@ def health_of(
         # A sensor that reads otherwise than the vehicle moves is the cause of the rest.
         reason, how = _no_hover(windows)
         unseen = _refused(reason, how=how, airframe=airframe)
-        return replace(unseen, objections=(*sensors, *unseen.objections))
+        # Without an accelerometer nothing is calm.
+        others = () if any(each.absent for each in saturated) else unseen.objections
+        return replace(unseen, objections=(*sensors, *others))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         reason, how = _ORDER
@@ -284,7 +289,7 @@ def health_of(
         curve=curve,
         motor_lag=None if streams.commands is None else windows.lag,
         idle=idle_output(streams),
-        arm_known=guess.arm_std == 0.0,
+        arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
     )
     health = with_throttle(health, streams, windows, hover, curve)
@@ -399,12 +404,12 @@ def _missing(streams: Streams) -> tuple[str, ...]:
 def _no_hover(windows: Windows) -> tuple[str, str]:
     """Why there is no hover to judge by, and what to do."""
     if not len(windows.t):
-        return "never seen in the air with IMU and rotor data together", ""
+        return "never seen in the air, with IMU and rotor data together", HOVER
     if windows.idle.all():
-        return "the rotors only idle, at no command above their least: never in the air", ""
+        return "the rotors only idle, at no command above their least: never in the air", HOVER
     flown = len(windows.t) * windows.half
     calm = f"{windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough"
-    return f"hardly hovers: {calm}", "hover for 10 s"
+    return f"hardly hovers: {calm}", HOVER
 
 
 def _own_curve(parameters: Mapping[str, float]) -> tuple[float | None, str]:

@@ -57,6 +57,11 @@ def document_of(health: Health) -> dict[str, Any]:
         "stretches_watched": health.watched,
         "load": None if health.load is None else health.load.as_json(),
         "airframe": None if health.airframe is None else health.airframe.as_json(),
+        "arm": (
+            None
+            if health.airframe is None
+            else {"value": health.airframe.arm, "std": health.arm_std, "unit": "m"}
+        ),
         "autopilot_parameters": {
             one.name: {**one.quantity.as_json(), "now": one.now, "note": one.note}
             for one in suggested(health)

@@ -133,7 +133,7 @@ class Health:
         curve: of thrust over commands; None without commands.
         drift: change of the thrust for a command (or a speed) in a minute, relative.
         idle: least output at which all rotors were measured turning; None where not seen.
-        arm_known: whether the size of the airframe is.
+        arm_std: m, of an arm that is assumed; 0.0 where the size of the airframe is known.
         battery: V, highest, lowest and median; None where not logged.
         battery_mass: kg, of the battery, which may be moved; None: not given.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
@@ -184,7 +184,7 @@ class Health:
     explained_coupled: float | None = None
     load: Load | None = None
     idle: float | None = None
-    arm_known: bool = True
+    arm_std: float = 0.0
     battery: tuple[float, float, float] | None = None
     battery_mass: float | None = None
     assumptions: tuple[str, ...] = ()
@@ -198,6 +198,11 @@ class Health:
         if self.airframe is not None and self.airframe.mass is not None:
             return self.airframe.mass
         return None if self.mass is None else self.mass.value
+
+    @property
+    def arm_known(self) -> bool:
+        """Whether the size of the airframe is."""
+        return self.arm_std == 0.0
 
     @property
     def through_motors(self) -> bool:

@@ -44,6 +44,36 @@ def half_of(quantity: Mapping[str, Any]) -> float:
     return Z95 * float(quantity["std"] or 0.0)
 
 
+def cg_length(value: float, std: float, arm: float, arm_std: float) -> tuple[float, float, str]:
+    """A place of the CG for people, and the half of its interval: in mm where the size is known.
+
+    An arm that is only assumed says nothing of mm: then it is percent of the arm.
+
+    Args:
+        value: m.
+        std: m, with the arm's part.
+        arm: m.
+        arm_std: m, of an arm that is assumed; 0.0 where it is known.
+
+    Returns:
+        Place, half and their unit.
+    """
+    factor, unit = (1e3, "mm") if not arm_std else (100.0 / arm, "% of the arm")
+    own = math.sqrt(max(std**2 - (value * arm_std / arm) ** 2, 0.0)) if arm_std else std
+    return factor * value, factor * Z95 * own, unit
+
+
+def _cg_along(health: Mapping[str, Any], axis: str) -> tuple[float, float, str]:
+    """As of `cg_length`, from a health file's content."""
+    place = health["cg"][axis]
+    return _length(health, place["value"] or 0.0, place["std"] or 0.0)
+
+
+def _length(health: Mapping[str, Any], value: float, std: float) -> tuple[float, float, str]:
+    arm = health.get("arm") or {"value": 1.0, "std": 0.0}  # files of earlier versions
+    return cg_length(value, std, arm["value"], arm["std"])
+
+
 def telling(quantity: Mapping[str, Any] | None, span: float | None = None) -> bool:
     """Whether a number says anything: its interval does not hold all that it may be.
 
@@ -90,15 +120,16 @@ def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
     Returns:
         For each: name and value.
     """
-    off = []
-    for axis in WAYS:
-        place = health["cg"][axis]
-        size = short({**place, "value": abs(place["value"])}, 1e3)
-        off.append(f"{size} mm {way(axis, place['value'])}")
-    half = 1e3 * max(half_of(health["cg"][axis]) for axis in WAYS)
+    places = {axis: _cg_along(health, axis) for axis in WAYS}
+    half, unit = max((half, unit) for _, half, unit in places.values())
+    unit, _, whole = unit.partition(" ")
+    off = ", ".join(
+        f"{_short(abs(value), own)} {unit} {way(axis, value)}"
+        for axis, (value, own, _) in places.items()
+    )
     source = "as identified" if "cg_by_hover" in health else "by hover"
     within = PLAIN.fixed(half, decimals_for(half, most=1))
-    out = [("CG", f"{off[0]}, {off[1]} (± {within} mm), {source}")]
+    out = [("CG", f"{' '.join([off, *whole.split()])} (± {within} {unit}), {source}")]
     shares = [rotor["thrust_share"] for rotor in health["rotors"]]
     if all(map(telling, shares)):
         out.append(("rotors carry", f"{', '.join(short(one, 100.0) for one in shares)} %"))
@@ -128,7 +159,10 @@ def quantity_text(quantity: Mapping[str, Any]) -> str:
 
 def short(quantity: Mapping[str, Any], factor: float = 1.0) -> str:
     """A value to one digit of its interval and no more than three of its own."""
-    value, half = factor * float(quantity["value"]), factor * half_of(quantity)
+    return _short(factor * float(quantity["value"]), factor * half_of(quantity))
+
+
+def _short(value: float, half: float) -> str:
     most = 2 - (math.floor(math.log10(abs(value))) if value else 0)
     decimals = min(most, -math.floor(math.log10(half)) if half > 0.0 else most)
     return PLAIN.fixed(value if decimals >= 0 else round(value, decimals), max(decimals, 0))
@@ -141,16 +175,17 @@ def cg_facts(
 
     Returns:
         For each: name, distance with its interval, way, and the half interval of rotors that are
-        identical, in mm, or which source it is of.
+        identical, or which source it is of.
     """
     out = []
     for name, axis in (("along", "x"), ("across", "y")):
         quantity = health["cg"][axis]
-        value, std = quantity["value"] or 0.0, quantity["std"] or 0.0
-        size = notation.measure(1e3 * abs(value), 1e3 * half_of(quantity), "mm")
-        alike = 1e3 * Z95 * max(std**2 - quantity["std_given"] ** 2, 0.0) ** 0.5
+        std = quantity["std"] or 0.0
+        value, half, unit = _cg_along(health, axis)
+        size = notation.measure(abs(value), half, unit)
+        alike = half * max(1.0 - (quantity["std_given"] / std) ** 2, 0.0) ** 0.5 if std else 0.0
         identical = notation.fixed(alike, decimals_for(max(alike, 0.01)))
-        source = f"identical rotors: ± {identical} mm"
+        source = f"identical rotors: ± {identical} {unit}"
         if "cg_by_hover" in health:
             source = "as identified"
         out.append((f"CG {name}", size, way(axis, value), source))
@@ -167,6 +202,7 @@ OF_THE_DATA = {
     "sizes": "what was given",
 }
 """What to look at, by the producer of an objection to a result: the data, not the flying."""
+HOVER = "hover for 30 s, in calm air"
 _LOOK_INSIDE = "gcs-sysid inspect shows what the log holds, and what it lacks"
 
 
@@ -214,9 +250,32 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
         return FirstAnswer("LOOK AT", f"{first['at']}: {first['what']}{also}", first["do"])
     seconds = f"{health['seconds_of_hover']:.0f} s of hover"
     if not all(telling(rotor["thrust_share"]) for rotor in health["rotors"]):
-        return FirstAnswer("CANNOT TELL", f"{seconds} show no rotor's load", "hover for 30 s")
+        return FirstAnswer("CANNOT TELL", f"{seconds} show no rotor's load", HOVER)
+    if vague := _vague_cg(health):
+        return FirstAnswer("CANNOT TELL", f"{seconds} leave the CG open by {vague}", HOVER)
     advice = (*health["advice"], "keep it with --json: --baseline shows what changes in a flight")
-    return FirstAnswer("OK", f"nothing wrong seen in {seconds}", advice[0])
+    value, half, unit = max((_cg_along(health, axis) for axis in WAYS), key=_farthest)
+    within = PLAIN.fixed(_farthest((value, half, unit)), decimals_for(half, most=1))
+    what = f"nothing wrong seen in {seconds}, CG within {within} {unit} of the center"
+    return FirstAnswer("OK", what, advice[0])
+
+
+def _farthest(place: tuple[float, float, str]) -> float:
+    return abs(place[0]) + place[1]
+
+
+def _vague_cg(health: Mapping[str, Any]) -> str:
+    """The CG's interval, where it holds a rotor that gives nothing; else empty.
+
+    Without its thrust the center of thrust is off by that rotor's place over their number.
+    """
+    rotors = health["airframe"]["rotors"]
+    for axis in WAYS:
+        _, half, unit = _cg_along(health, axis)
+        farthest = max(abs(rotor[axis]) for rotor in rotors)
+        if half > _length(health, farthest / len(rotors), 0.0)[0]:
+            return f"± {PLAIN.fixed(half, decimals_for(half, most=1))} {unit}"
+    return ""
 
 
 def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAnswer:
@@ -228,7 +287,7 @@ def _unseen(health: Mapping[str, Any] | None, result: Result | None) -> FirstAns
     if not objections and result is not None:
         objections = list(result.objections)
     if not objections:
-        return FirstAnswer("CANNOT TELL", "no hover to judge by", "hover for 30 s")
+        return FirstAnswer("CANNOT TELL", "no hover to judge by", HOVER)
     first = objections[0]
     if health is not None and health["order_contradicted"]:
         return FirstAnswer("LOOK AT", f"{_ROTORS}: {first.reason}", _remedy(first))
