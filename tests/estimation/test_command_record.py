@@ -9,6 +9,7 @@ import pytest
 
 from gcs_sysid.coach.information import predicted_information, prior_noise, prior_vehicle
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.window_fit import fit_lag_places
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import command_record
@@ -16,6 +17,7 @@ from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
+from gcs_sysid.estimation.rows.thrust_drift import Drift
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from sim_bridge.doublets import ALL_MISSIONS
@@ -102,6 +104,40 @@ def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeyp
     assert max(number for number in makings if number is not None) > 15
     np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-3)
     np.testing.assert_allclose(std, std_of_all, rtol=1e-3)
+
+
+def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
+    t = DT * np.arange(len(samples.gyro))[:, None]
+    turned = samples.gyro + 4.0 * np.sin(2.0 * np.pi * 0.4 * t + np.arange(3.0))
+    estimator = flown(truth, replace(samples, gyro=turned, rates=turned))
+    window = estimator._record.rotation
+    explained = fit_lag_places(
+        window.batches, window.counts, estimator._record.basis, estimator._record.noise(0)[None],
+        estimator._record.places(), SECONDS,
+    )  # fmt: skip
+    assert explained is None or explained.r_squared[:2].min() < 0.3
+    found, std = outcome(estimator)
+    for place in (0, 1):  # Ixx, Iyy
+        assert abs(found[place] - usual.outcome[0][place]) < 4.0 * std[place]
+        assert std[place] < 0.5 * found[place]
+    assert estimator.fit().rotation.whiteners
+
+
+def test_quick_samples_are_averaged(truth, samples):
+    totals = []
+    for n in (1, 2):
+        record = CommandRecord(truth.geometry, DT / n, 1.0)
+        parts = (np.repeat(part, n, axis=0) for part in (samples.speeds, samples.gyro))
+        commands, gyro = parts
+        still = np.zeros(len(gyro))
+        for start in range(0, len(gyro), 701):
+            piece = slice(start, start + 701)
+            record.add_samples(
+                commands[piece], gyro[piece], gyro[piece], Drift(still[piece], still[piece])
+            )
+        record.tune(None, float(commands.mean()))
+        totals.append(record.white.total)
+    np.testing.assert_allclose(totals[1], totals[0], rtol=1e-9, atol=1e-9 * totals[0].max())
 
 
 def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, monkeypatch):

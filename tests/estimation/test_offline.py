@@ -219,12 +219,18 @@ def test_calm_air_needs_no_instruments():
 
 @pytest.fixture(scope="module")
 def gusty():
-    """20 s of doublets in gusts at 250 Hz, gyro samples means of two, and what was made of them."""
+    """20 s of doublets in gusts at 250 Hz, gyro samples means of two, and what was made of them.
+
+    Samples are missing twice, a sixth of a second apart.
+    """
     vehicle = Vehicle()
     (flight,) = fly(
         vehicle, EXCITATIONS["doublets"], DISTURBANCES["ou3.5"],
         flights=1, seconds=20.0, rate=250.0, seed=3,
     )  # fmt: skip
+    gyro = flight.gyro.copy()
+    gyro[2000:2030] = gyro[2072:2100] = np.nan
+    flight = replace(flight, gyro=gyro)
     tracker = Tracker(vehicle.geometry, T, EstimatorTuning(), keep=True)
     tracker.update(T * np.arange(len(flight.gyro)), flight)
     return vehicle, tracker, tracker.fit()

@@ -48,6 +48,14 @@ def test_rotors_are_blamed_only_where_something_was_flown(share):
     assert by(explaining(0.9), "data") == []
 
 
+def test_no_attitude_is_a_note():
+    seen = frozenset({Stream.IMU, Stream.ROTOR_SPEED})
+    flown = replace(explaining(0.9), received=replace(ALL, seen=seen))
+    (reason,) = by(flown, "data")
+    assert reason.startswith("no attitude")
+    assert judge(flown).verdict == judge(explaining(0.9)).verdict
+
+
 @pytest.mark.parametrize(
     ("received", "said"),
     [
@@ -58,7 +66,7 @@ def test_rotors_are_blamed_only_where_something_was_flown(share):
         ({"has_rotors": False}, "no rotor speeds and no commands in flight"),
         ({"has_rotors": False, "refused": {"RPM": "jumps"}}, "RPM jumps"),
         ({"outdated": True}, "came too late"),
-        ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "no attitude"),
+        ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "too little flight"),
         ({"input_lost": "ESC stopped"}, "ESC stopped"),
         ({}, "too little flight"),
     ],

@@ -12,7 +12,7 @@ from gcs_sysid.inspection.facts import (
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.prediction import is_still
-from gcs_sysid.judgement.received import TOO_MUCH_LOSS
+from gcs_sysid.judgement.received import NO_ATTITUDE, TOO_MUCH_LOSS
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES
@@ -203,7 +203,7 @@ def _is_quick(source: RotorMessage) -> bool:
 def _attitude_and_velocity(found: Inspection) -> Iterator[Objection]:
     attitude = found.stream(Stream.ATTITUDE)
     if attitude is None:
-        yield _blocks("no attitude (ATTITUDE or ATTITUDE_QUATERNION)", _faster(found))
+        yield _note(NO_ATTITUDE, _faster(found))
     elif (attitude.rate or 0.0) < LIMITS.attitude_rate:
         yield _limits(
             f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)

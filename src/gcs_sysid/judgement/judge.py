@@ -62,6 +62,7 @@ PRODUCERS = (
     Producer("clock", clock_doubt.wrong_clock, Stage.WIDENING),
     Producer("estimator", received.estimator, Stage.BELIEF, first=True),
     Producer("data", received.missing_data, Stage.BELIEF, first=True),
+    Producer("data", received.without_attitude, Stage.BELIEF),
     Producer("arm", plausibility.placeholder_arm, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),

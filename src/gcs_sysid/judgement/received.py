@@ -80,6 +80,13 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
             return
 
 
+def without_attitude(evidence: Evidence) -> Iterator[Objection]:
+    """What was identified, was so without the attitude."""
+    received = evidence.received
+    if received is not None and evidence.fit.rotation and Stream.ATTITUDE not in received.seen:
+        yield Objection(NO_ATTITUDE, verdict="identified")
+
+
 def problems(evidence: Evidence) -> Iterator[Objection]:
     """What link or log say of themselves."""
     if not evidence.no_vehicle:
@@ -103,6 +110,10 @@ def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
     return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)
 
 
+NO_ATTITUDE = (
+    "no attitude (ATTITUDE or ATTITUDE_QUATERNION): thrust rests on the accelerometer alone"
+)
+"""What its absence costs; a moment of inertia needs none."""
 _Reasons = tuple[tuple[str, str], ...]
 """What is wrong, and what to do."""
 
@@ -128,8 +139,6 @@ def _missing(received: Received, anchor: ScaleKind) -> _Reasons:
     if received.outdated:
         late = "the autopilot's parameters came too late to set filters and ranges"
         return ((late, "analyze the recording"),)
-    if Stream.ATTITUDE not in seen:
-        return (("no attitude (ATTITUDE or ATTITUDE_QUATERNION)", ""),)
     return ()
 
 

@@ -154,8 +154,8 @@ class Reference:
 
     @property
     def kappa(self) -> float:
-        """k_T / m (T_max / m); NaN where thrust is not watched."""
-        return -float(self.matrix[0, TOTAL])
+        """k_T / m (T_max / m); 1 where thrust is not watched: moments need but its changes."""
+        return -float(self.matrix[0, TOTAL]) if self.watched[0] else 1.0
 
     @property
     def watched(self) -> Mask:

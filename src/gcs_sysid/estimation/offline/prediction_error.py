@@ -254,7 +254,7 @@ def _whitened(
         for run in runs:
             white = innovations(run.rows, whitener)
             whole = len(white) // size
-            blocks = white[: whole * size].reshape(whole, size, -1)
+            blocks = white[: whole * size].reshape(whole, size, basis.width)
             moments[first : first + whole, place] = np.swapaxes(blocks, 1, 2) @ blocks
             first += whole
             rest = white[whole * size :]

@@ -7,16 +7,22 @@ are known, rows are formed once and the samples are dropped. The samples alone d
 estimates are requested.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.disturbance import RULES
-from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.priors import (
+    COORDINATE_MEAN,
+    COORDINATE_STD,
+    N_UNKNOWNS,
+    Unknown,
+)
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
@@ -24,6 +30,7 @@ from gcs_sysid.estimation.noise.whitening import Whitener, bank_for_commands
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, Coordinate, LagOf
 from gcs_sysid.estimation.rows.motor_linearization import (
+    STEP,
     LocalDynamics,
     MeanThrust,
     MotorRows,
@@ -192,6 +199,8 @@ _JUMPS = 1.0 / 16.0
 deviation: each falls anywhere between two, and a flight has some twenty. Damping is what such a
 delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with the samples."""
 
+_SAMPLES_A_ROW = 3
+"""Means of faster samples show all that rows do, and less of what shakes the gyro."""
 _TIMING = np.array([Unknown.DELAY, Unknown.LAG])
 FitWindow = Callable[[], RotationFit | None]
 """Fits the symmetric window of some instant."""
@@ -218,9 +227,13 @@ class CommandRecord:
         curve: float | None = None,
         gyro_cutoff: float | None = None,
     ) -> None:
-        self._geometry, self._dt, self._batch_time, self._curve = geometry, dt, batch_time, curve
         # Behind a linear lag the order does not matter, and the curve hardly bends so fast.
         self._low_pass = low_pass_for(gyro_cutoff, dt)
+        self._together = max(round(STEP / (_SAMPLES_A_ROW * dt)), 1)
+        self._rest: _Samples | None = None
+        """Samples that wait for those they are averaged with."""
+        self._dt = dt = self._together * dt
+        self._geometry, self._batch_time, self._curve = geometry, batch_time, curve
         self._kept: list[_Samples | None] | None = []
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
@@ -282,17 +295,27 @@ class CommandRecord:
             rates: (n, 3) rad/s.
             drift: for which the commands were corrected.
         """
-        self._samples += len(inputs)
         if self._low_pass is not None:
             inputs = self._low_pass.update(inputs)
+        parts = self._averaged((inputs, gyro, rates, drift.applied, drift.fallen))
+        self._samples += len(parts[0])
         if self._kept is not None:
-            parts = inputs, gyro, rates, drift.applied, drift.fallen
-            self._kept.append(tuple(part.copy() for part in parts))  # type: ignore[arg-type]
+            self._kept.append(parts)
         if self._now is not None:
-            _add(self._now.maker, self._now.white, inputs, gyro, rates)
+            _add(self._now.maker, self._now.white, *parts[:3])
+
+    def _averaged(self, parts: _Samples) -> _Samples:
+        """Means of so many samples each; copies."""
+        if self._rest is not None:
+            parts = _of_each(np.concatenate, zip(self._rest, parts, strict=True))
+        n = self._together
+        whole = len(parts[0]) // n * n
+        self._rest = _of_each(lambda part: part[whole:].copy(), parts)
+        return _of_each(lambda part: part[:whole].reshape(-1, n, *part.shape[1:]).mean(1), parts)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
+        self._rest = None
         if self._low_pass is not None:
             self._low_pass.restart()
         if self._kept:
@@ -343,6 +366,9 @@ class CommandRecord:
         if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
             at = np.rint(slow.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
             starts.append((at, "speed" if slow.lag_place is None else slow.lag_place.of))
+        if not starts:
+            # Where slow motion is the air's, as in fast flight, quick motion may be the rotors'.
+            starts.append((COORDINATE_MEAN, LAGS_OF[0]))
         last = seconds >= LAST
         found = self._found(starts, hover, LAGS_OF if sought or last else ())
         if found is not None:
@@ -531,6 +557,11 @@ class CommandRecord:
         maker.restart()
         white.restart()
         return maker, white
+
+
+def _of_each(make: Callable[[Any], Array], parts: Iterable[Any]) -> _Samples:
+    inputs, gyro, rates, applied, fallen = (make(part) for part in parts)
+    return inputs, gyro, rates, applied, fallen
 
 
 def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:

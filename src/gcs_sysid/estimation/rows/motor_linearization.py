@@ -46,7 +46,7 @@ _MOVED = np.array([0.0, 0.0, 0.05, 0.05, 0.1])
 """By how much curve, asymmetry and exponent are moved for their derivatives; lag by a twentieth."""
 _SPACING = 0.004
 """s between the delays that a parabola is laid through."""
-_STEP = 0.012
+STEP = 0.012
 """s of a row. Between commands 4 ms apart the motors' response is not observable; beyond 30 Hz they
 are not of first order, and electronic speed controllers have lags of their own."""
 _SETTLED = 6.0
@@ -134,7 +134,7 @@ class LocalDynamics(ActuatorDynamics):
 
 def step_of(dt: float) -> OneStep:
     """The step of rows of commands that come every `dt` s."""
-    return OneStep(dt, (0,), max(round(_STEP / dt), 1), mean=False)
+    return OneStep(dt, (0,), max(round(STEP / dt), 1), mean=False)
 
 
 @dataclass(frozen=True)
