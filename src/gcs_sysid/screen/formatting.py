@@ -141,8 +141,6 @@ DOTS_WIDE, DOTS_HIGH = 2, 4
 """Dots of one character."""
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 """Of each dot of a character: (row, column)."""
-HEIGHT = 3
-"""Lines of the smallest letters."""
 
 _GLYPHS = {
     " ": ("..", "..", "..", "..", ".."),
@@ -193,7 +191,7 @@ _GLYPHS = {
     "Z": ("###", "..#", ".#.", "#..", "###"),
 }
 """Five rows of dots a letter."""
-_ROWS = 5
+_ROWS = len(_GLYPHS["Z"])
 _BLOCKS = {"..": " ", "##": "█", "#.": "▀", ".#": "▄"}
 
 
@@ -273,6 +271,10 @@ def curve(
 def height_of(scale: int) -> int:
     """Lines of letters whose dots are so many columns wide."""
     return (_ROWS * scale + 1) // 2
+
+
+HEIGHT = height_of(1)
+"""Lines of the smallest letters."""
 
 
 def big(text: str, scale: int = 1) -> list[str]:

@@ -32,7 +32,7 @@ class GroundStation:
         rotors: how many the airframe has.
         rate: Hz wished for IMU and rotors.
         connects_once: whether a connection that is closed means that the sender has finished.
-        state_folder: where the rates to restore are kept, see `stream_restoration`; None: nowhere.
+        state_folder: where the rates to restore are kept, see `wanted_streams`; None: nowhere.
 
     Attributes:
         lost: whether a vehicle received before is silent now, or the link is gone.

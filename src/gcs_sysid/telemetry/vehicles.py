@@ -16,7 +16,7 @@ _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
 
-RADIO = (51, 68)
+RADIO = (ord("3"), ord("D"))
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
 INERTIAL_IDS = frozenset(MESSAGE_IDS[name] for name in INERTIAL)
 """Ids of the messages with IMU data."""

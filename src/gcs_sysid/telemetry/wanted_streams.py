@@ -21,7 +21,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import SIGNATURE
+from gcs_sysid.telemetry.frames import CHECKSUM, HEADER_2, LONGEST_1, SIGNATURE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, MOST_OF_GROUP, SHORTEST_INTERVAL
 from gcs_sysid.telemetry.transceiver import Requests
@@ -67,7 +67,7 @@ GROUPS = {
 ESC_GROUP = MessageGroup(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
 """The group with ESC_TELEMETRY, which brings much besides."""
 
-LAST_ID_OF_VERSION_1 = 255
+LAST_ID_OF_VERSION_1 = len(LONGEST_1) - 1
 ARDUPILOT_LOOP_RATE = 400.0
 """Hz: SCHED_LOOP_RATE of a copter, unless it reports another."""
 _ATTITUDE, _POSITION = 100.0, 50.0
@@ -84,7 +84,11 @@ _SIZES = {
     "ACTUATOR_OUTPUT_STATUS": 88,
     "SERVO_OUTPUT_RAW": 49,
 }
-_ESC_TELEMETRY_SIZE = 56
+_ESC_TELEMETRY_SIZE = (
+    HEADER_2
+    + mavlink.mavlink_map[mavlink.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4].unpacker.size
+    + CHECKSUM
+)
 
 
 def rotor_streams(

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from aiohttp import web
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import MOST_BYTES_OF_LOG
 from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
@@ -28,7 +29,7 @@ MOST_LOG = 2 << 30
 """Bytes of a log."""
 MOST_KEPT = 24
 """Logs and results at once; the oldest go."""
-MOST_BYTES = 4 << 30
+MOST_BYTES = MOST_BYTES_OF_LOG
 """Of all of them."""
 _SANDBOX = {
     # The report brings a policy of its own, by the hashes of its script and style.
