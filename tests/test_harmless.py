@@ -105,7 +105,7 @@ def test_messages_are_packed_by_the_gate_alone():
         for name, nodes in modules(TOOL)
         if any(function.startswith("mavlink.MAVLink") for function, _ in called(nodes))
     }
-    assert packers == {"telemetry/outgoing.py", "telemetry/marks.py"}
+    assert packers == {"telemetry/outgoing.py", "telemetry/tlog_writer.py"}
 
 
 def test_every_way_out_of_the_gate_is_known():

@@ -15,7 +15,7 @@ from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer
-from gcs_sysid.report.health_picture import health_section
+from gcs_sysid.report.page import health_section
 from gcs_sysid.results.result import Result
 from gcs_sysid.screen.panels import health_lines
 from gcs_sysid.session.reported_layout import place_words, usual_layouts

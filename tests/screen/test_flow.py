@@ -13,7 +13,7 @@ from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.key_commands import help_text
 from gcs_sysid.screen.main_view import layout_classes
-from gcs_sysid.screen.parameter_table import ParameterRows
+from gcs_sysid.screen.panels import ParameterRows
 
 from . import fake
 

@@ -12,9 +12,8 @@ from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.tlog_writer import TlogWriter
+from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
 
 pytestmark = pytest.mark.slow
 

@@ -14,11 +14,11 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Stamp
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import SequenceCount
 from gcs_sysid.telemetry.tlog import TlogReader
+from gcs_sysid.telemetry.tlog_writer import reset_mark
 from tests.telemetry.conftest import random_message
 
 START = 1_750_000_000_000_000

@@ -4,7 +4,7 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.marks import RESET_TEXT, is_reset_mark, reset_mark
+from gcs_sysid.telemetry.tlog_writer import RESET_TEXT, is_reset_mark, reset_mark
 
 
 @pytest.fixture

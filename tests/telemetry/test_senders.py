@@ -6,8 +6,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
-from gcs_sysid.telemetry.marks import RESET_TEXT
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
+from gcs_sysid.telemetry.tlog_writer import RESET_TEXT
 from gcs_sysid.telemetry.transceiver import Receiver, Transceiver, Whereabouts
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import Contradictions

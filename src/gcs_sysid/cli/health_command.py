@@ -90,7 +90,7 @@ def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Heal
         suffix = Path(options.params).suffix.lower()
         files.append((options.params, lambda: parameter_file(usable, suffix)))
     if best is not None and options.picture is not None:
-        from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
+        from gcs_sysid.report.page import health_picture  # only who asks waits for it
 
         alike = [health for health in usable if not health.apart]
         series = series_of(alike) if len(alike) > 1 else ()

@@ -26,7 +26,7 @@ from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.intake import FrameGathering, Intake
 from gcs_sysid.telemetry.logs import Telemetry
-from gcs_sysid.telemetry.marks import reset_mark
+from gcs_sysid.telemetry.tlog_writer import reset_mark
 from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.tlog_writer import TlogWriter
+from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
 from gcs_sysid.telemetry.transceiver import LinkReport, Port, ReceivedFrames, Requests, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 

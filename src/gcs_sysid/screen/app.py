@@ -36,7 +36,7 @@ from gcs_sysid.screen.key_commands import (
     bindings_of,
 )
 from gcs_sysid.screen.main_view import MainScreen, PageBar, PilotScreen
-from gcs_sysid.screen.parameter_table import ParameterRows
+from gcs_sysid.screen.panels import ParameterRows
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.view import EarlierResult, Scene, SnapshotSource, View

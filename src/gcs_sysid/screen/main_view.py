@@ -24,8 +24,7 @@ from gcs_sysid.screen.bars import AnswerLine, Banner, CoachPanel, StatusLine, Ve
 from gcs_sysid.screen.formatting import big, height_of
 from gcs_sysid.screen.key_commands import COMMANDS, PAGES, bindings_of
 from gcs_sysid.screen.lines import Line, Lines, Shown
-from gcs_sysid.screen.panels import AttitudePanel, EventLog, HealthPanel, LinkPanel
-from gcs_sysid.screen.parameter_table import ParameterTable
+from gcs_sysid.screen.panels import AttitudePanel, EventLog, HealthPanel, LinkPanel, ParameterTable
 from gcs_sysid.screen.plots import AccelerationPanel, Convergence
 from gcs_sysid.screen.snapshot_view import (
     Known,

@@ -15,11 +15,11 @@ from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, REPEATED, FrameBlock, SeenFrames, counts_of
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+from gcs_sysid.telemetry.tlog_writer import is_reset_mark
 from gcs_sysid.telemetry.track_collector import TrackCollector
 from gcs_sysid.telemetry.vehicles import (
     INERTIAL_IDS,

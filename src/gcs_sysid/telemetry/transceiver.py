@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, Protocol
 
 from gcs_sysid.telemetry.frames import Frame, FrameScanner, Validity
 from gcs_sysid.telemetry.link import Address, Link
-from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM, Gate
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
+from gcs_sysid.telemetry.tlog_writer import is_reset_mark
 from gcs_sysid.telemetry.urls import LinkUrl
 
 _STATES = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE"))

@@ -17,8 +17,7 @@ from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
 from gcs_sysid.report.data import Recorder, gather, provenance_of
-from gcs_sysid.report.health_picture import health_picture
-from gcs_sysid.report.page import render
+from gcs_sysid.report.page import health_picture, render
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text

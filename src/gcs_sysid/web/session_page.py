@@ -22,7 +22,7 @@ from gcs_sysid.strict_json import json_text
 from gcs_sysid.web.log_request import PICTURE
 from gcs_sysid.web.page_json import history_view, session_view
 from gcs_sysid.web.site import json_of, present_role, refuse
-from gcs_sysid.web.worker_process import WorkerPool
+from gcs_sysid.web.workbench import WorkerPool
 
 Command = Callable[[Mapping[str, Any]], Any]
 

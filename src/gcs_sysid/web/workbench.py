@@ -1,21 +1,27 @@
-"""Logs that are dropped on the page, what is made of them, and the comparison of two results."""
+"""Logs that are dropped on the page, what is made of them, and the comparison of two results.
+
+A log is analyzed in a process of its own, a worker: it is started, its messages are passed on, and
+it is ended when it is no longer needed.
+"""
 
 import asyncio
 import contextlib
 import json
 import secrets
 import shutil
+import sys
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from aiohttp import web
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import MOST_BYTES_OF_LOG
 from gcs_sysid.model.airframe import builtin_names, load_airframe
+from gcs_sysid.processes import one_thread_environment
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import parse_result, read_result
@@ -23,7 +29,89 @@ from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, usual_endings
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
 from gcs_sysid.web.page_json import comparison_rows, result_rows, verdict_view, why_no_health
 from gcs_sysid.web.site import json_of, refuse
-from gcs_sysid.web.worker_process import WorkerPool
+
+T = TypeVar("T")
+
+
+class WorkerPool:
+    """A few processes at once; later jobs wait.
+
+    Args:
+        most: processes at once.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._free = asyncio.Semaphore(most)
+        self._users: set[asyncio.Task[Any]] = set()
+
+    async def ended(self) -> None:
+        """Wait until cancelled jobs have ended their processes."""
+        if self._users:
+            await asyncio.wait(self._users)
+
+    async def run(self, job: Mapping[str, Any]) -> AsyncGenerator[dict[str, Any], None]:
+        """What a worker says about a job, the last of it `done` or `error`.
+
+        The process is ended when the iterator is closed or its task cancelled, as it is when the
+        browser that wanted it goes.
+        """
+        if (user := asyncio.current_task()) is not None:
+            self._users.add(user)
+            user.add_done_callback(self._users.discard)
+        if self._free.locked():
+            yield {"progress": 0.0, "stage": "waiting for another analysis"}
+        async with self._free:
+            starting = asyncio.ensure_future(
+                asyncio.create_subprocess_exec(
+                    *(sys.executable, "-P", "-m", "gcs_sysid.web.log_worker"),
+                    stdin=asyncio.subprocess.PIPE,
+                    stdout=asyncio.subprocess.PIPE,
+                    stderr=asyncio.subprocess.DEVNULL,
+                    limit=1 << 20,
+                    env=one_thread_environment(),
+                )
+            )
+            try:
+                process = await asyncio.shield(starting)
+            except asyncio.CancelledError:
+                await _end(await _settled(starting))
+                raise
+            assert process.stdin is not None
+            assert process.stdout is not None
+            ended = False
+            try:
+                process.stdin.write(json.dumps(job).encode() + b"\n")
+                with contextlib.suppress(ConnectionError):
+                    await process.stdin.drain()
+                said: dict[str, Any] = {}
+                async for line in process.stdout:
+                    said = json.loads(line)
+                    yield said
+                if not said.keys() & {"done", "error"}:
+                    yield {"error": "the analysis ended unexpectedly; is there enough memory?"}
+                ended = True
+            finally:
+                await _end(process, kill=not ended)
+
+
+async def _end(process: asyncio.subprocess.Process, *, kill: bool = True) -> None:
+    """Leave neither the process nor its pipes behind."""
+    if process.stdin is not None:
+        process.stdin.close()
+    if kill:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+    await _settled(asyncio.ensure_future(process.communicate()))
+    await asyncio.sleep(0)  # the pipes are closed by the loop
+
+
+async def _settled(future: "asyncio.Future[T]") -> T:
+    """What becomes of a future, however often the wait for it is cancelled."""
+    while not future.done():
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.shield(future)
+    return future.result()
+
 
 MOST_LOG = 2 << 30
 """Bytes of a log."""
