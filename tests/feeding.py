@@ -1,4 +1,4 @@
-"""Records given to a chain or a time base as a live session gives them: a few at a time."""
+"""Records given to a chain or a time base as a live session gives them: in pieces."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain as joined
@@ -10,7 +10,7 @@ from gcs_sysid.signals.records import Record
 from gcs_sysid.signals.time_base import Block, TimeBase
 from testbed.recordings import block_of
 
-AT_ONCE = 64
+AT_ONCE = 512
 
 
 def pieces(records: Iterable[Record], at_once: int = AT_ONCE) -> Iterator[RecordBlock]:

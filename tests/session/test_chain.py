@@ -18,9 +18,9 @@ from tests.feeding import feed
 END_ONLY = ChainOptions(history_interval=None)
 
 
-def run(records, options=END_ONLY, airframe=None):
+def run(records, options=END_ONLY, airframe=None, **how):
     chain = Chain(airframe or load_airframe("paper"), options)
-    feed(chain, records)
+    feed(chain, records, **how)
     return chain, chain.finish()
 
 
@@ -59,7 +59,7 @@ def test_it_identifies_the_flight(whole, paper_flight):
 @pytest.mark.slow
 @pytest.mark.parametrize("tick", [0.001, 1.0])
 def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
-    _, other = run(paper_records, replace(END_ONLY, tick=tick))
+    _, other = run(paper_records, replace(END_ONLY, tick=tick), at_once=50)
     for name, estimate in whole.parameters.items():
         bar = 1e-5 * estimate.std
         assert other.parameters[name].value == pytest.approx(estimate.value, rel=1e-7, abs=bar)

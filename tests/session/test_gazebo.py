@@ -14,7 +14,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs" / "public"
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.thorough,  # slow commands of another flight: tests/session/test_real_logs.py
     pytest.mark.skipif(not LOGS.is_dir(), reason="no ../shared/logs beside the project"),
 ]
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.interpolation import FAR, interpolate
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.telemetry.logs import open_log
-from testbed.recordings import records_of
 from tests.feeding import grid_of
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
@@ -139,7 +139,7 @@ def test_no_other_samples_are_taken_beyond_a_gap():
 
 
 @pytest.mark.slow
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8)
 @given(delays=st.lists(st.floats(0.0, 0.015), min_size=1, max_size=50))
 def test_order_between_streams_does_not_matter_within_the_lag(delays):
     """The grid stays 40 ms behind: two attitudes at 100 Hz (20 ms) and 15 ms of delay fit in."""
@@ -195,7 +195,7 @@ def one_by_one(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
-    [0, 1, 2, 5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (3, 4, 6, 7))],
+    [0, 5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3, 4, 6, 7))],
 )
 @pytest.mark.parametrize("at_once", [7, 300, 10**6])
 def test_how_samples_are_cut_does_not_matter(seed, at_once):
@@ -247,8 +247,7 @@ def run_of_lossy(share):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tick", [0.001, 0.3])
-@pytest.mark.parametrize("share", [0.2, 0.5])
+@pytest.mark.parametrize(("tick", "share"), [(0.001, 0.2), (0.3, 0.5)])
 def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick, share):
     often, usually = Run(lossy(share), tick, at_once=1), run_of_lossy(share)
     upto = usually.t < 5.7
@@ -461,10 +460,11 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
 def test_a_real_ardupilot_log_has_one_grid(shared_logs):
     """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
     base, fresh = TimeBase(), 0
-    records = records_of(open_log(shared_logs / "ardupilot-sitl.tlog"))
-    imu = (r for r in records if r.stream is Stream.IMU)
-    for block in grid_of(base, imu, 20):
-        base.flown += 0.1
-        fresh += block.fresh
+    for block in open_log(shared_logs / "ardupilot-sitl.tlog").blocks():
+        imu = RecordBlock(tuple(track for track in block.tracks if track.stream is Stream.IMU))
+        for window in imu.windows(20):
+            for made in base.feed_tracks(window.tracks):
+                base.flown += 0.1
+                fresh += made.fresh
     assert base.dt == pytest.approx(0.004, rel=0.01)
     assert (base.restarts, fresh) == (0, 1)
