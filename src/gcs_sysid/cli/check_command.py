@@ -68,11 +68,12 @@ def _found(
         result = analyze_log(Path(log), airframe, options.vehicle, chain, progress, opened=opened)
         whole = WholeAnalysis(result, beside_analysis(health, result))
         document, health = whole.as_json(), whole.health
+        suggestion = suggested_airframe(opened.kind, opened.vehicle)
+        command = airframe_choice.command_for(log, health.layout, options, suggestion)
         known = verdict_sentence(result)
         if result.verdict == "refused":
             known = f"not from this flight: {'; '.join(result.reasons[:1])}"
-        suggestion = suggested_airframe(opened.kind, opened.vehicle)
-        command = airframe_choice.command_for(log, health.layout, options, suggestion)
+            command = f"gcs-sysid inspect {shlex.quote(log)}"
         more = [*_entry("identified", known, width), *_next(command)]
     else:
         document = document_of(health)

@@ -24,7 +24,7 @@ from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text
+from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text, telling
 from gcs_sysid.results.words import PLAIN
 
 
@@ -143,11 +143,9 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
         yield _line("  wind contribution", perhaps)
     for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
         yield from _fact(document, key)
-    if health.scale is not None:
-        name, quantity = health.scale
-        yield _line(name, quantity_text(quantity.as_json()))
-    if health.mass is not None:
-        yield _line("mass", quantity_text(health.mass.as_json()))
+    for name in ("k_T", "T_max", "mass"):
+        if telling(quantity := document.get(name)):
+            yield _line(name, quantity_text(quantity or {}))
     if health.curve is not None:
         curve = health.curve
         origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"

@@ -20,7 +20,7 @@ def advised(health: Health) -> Health:
     unlike, at_full = _unlike_motors(health), _at_full_command(health)
     findings = (
         *(Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how) for doubt in health.doubts),
-        *(Finding(f"the {name}", why, f"{name} {why}") for name, why in health.misread.items()),
+        *_misread(health),
         *_weak(health),
         *(unlike or [*_cg(health), *_yaw(health)]),
         *_margins(health),
@@ -33,6 +33,13 @@ def advised(health: Health) -> Health:
         *(f"{name} was {what}" for name, what in at_full.items()),
     ]
     return replace(health, findings=findings, advice=tuple(dict.fromkeys(advice)))
+
+
+def _misread(health: Health) -> Iterator[Finding]:
+    """Rotor streams that are not used, each for a cause and perhaps with what to do."""
+    for name, why in health.misread.items():
+        what, _, do = why.partition(": ")
+        yield Finding("the rotors", f"{name}: {what}", do or f"{name}: {what}")
 
 
 def _to_know_more(health: Health, *, unlike: bool) -> Iterator[str]:

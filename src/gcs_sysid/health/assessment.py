@@ -408,7 +408,9 @@ def _no_hover(windows: Windows) -> tuple[str, str]:
     if windows.idle.all():
         return "the rotors only idle, at no command above their least: never in the air", HOVER
     flown = len(windows.t) * windows.half
-    calm = f"{windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough"
+    if windows.hovering.all():
+        return f"only {flown:.1f} s in the air with all that hover takes", HOVER
+    calm = f"{windows.seconds:.1f} s of {flown:.1f} s in the air are calm enough"
     return f"hardly hovers: {calm}", HOVER
 
 

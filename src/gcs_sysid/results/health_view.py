@@ -79,12 +79,15 @@ def telling(quantity: Mapping[str, Any] | None, span: float | None = None) -> bo
 
     Args:
         quantity: of the file; None: not known.
-        span: of all values that it may have; None: any size above zero.
+        span: of all values that it may have, about zero, beyond which it is an artifact; None: any
+            size above zero, which is known where its interval is within a factor of three.
     """
     if quantity is None or quantity["value"] is None:
         return False
-    most = abs(float(quantity["value"])) if span is None else 0.5 * span
-    return half_of(quantity) < most
+    value, half = abs(float(quantity["value"])), half_of(quantity)
+    if span is None:
+        return 2.0 * half < value
+    return half < 0.5 * span and value - half < span
 
 
 def health_fact(
