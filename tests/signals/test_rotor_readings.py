@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.signals.rotor_readings import held_rotor, odd_reading
+from gcs_sysid.signals.rotor_readings import held_rotor, moved_columns, odd_reading
 
 SPIN = np.array([1.0, 1.0, -1.0, -1.0])
 T = np.arange(0.0, 2.5, 0.004)
@@ -32,6 +32,35 @@ def test_another_pole_count_is_an_odd_reading(ratio):
     assert found.ratio == pytest.approx(ratio, rel=0.03)
     assert found.by_command
     assert "rotor 3 reads" in found.words
+
+
+@pytest.mark.parametrize("ratio", [12.0 / 14.0, 14.0 / 12.0])
+def test_one_rotor_of_eight_is_found_as_one_of_four(ratio):
+    u, omega = flown(rotors=8)
+    omega[:, 5] *= ratio
+    assert odd_reading(omega, u, np.tile(SPIN, 2)).by_command
+
+
+def test_a_tumble_is_no_pole_count():
+    """What lasts for a part of the stretch says nothing of a constant."""
+    u, omega = flown()
+    omega[:200, 3] *= np.linspace(0.1, 1.0, 200)
+    assert odd_reading(omega, u, SPIN) is None
+
+
+def columns(values):
+    return [(T, column) for column in values.T]
+
+
+def test_columns_that_change_places_are_found():
+    rng = np.random.default_rng(3)
+    u = 0.4 + 0.05 * np.sin(2.0 * T[:, None] * (1.0, 2.0, 3.0, 4.0))
+    omega = 800.0 * np.sqrt(u / 0.4) + rng.normal(0.0, 5.0, u.shape)
+    assert moved_columns(columns(omega), columns(u)) == ""
+    assert "rotor 2 follows the command of rotor 4" in moved_columns(
+        columns(omega[:, [0, 3, 2, 1]]), columns(u)
+    )
+    assert moved_columns(columns(rng.normal(800.0, 5.0, u.shape)), columns(u)) == ""
 
 
 def test_a_weak_motor_turns_as_fast_as_it_must():

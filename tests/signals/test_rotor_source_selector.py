@@ -412,6 +412,14 @@ def repeating(v, every):
     return v[np.arange(len(v)) // every * every]
 
 
+def test_one_rotor_that_is_read_less_often_than_the_others_makes_speeds_give_way():
+    t, u, v = signals()
+    v[:, 2] = repeating(v[:, 2], 4)
+    rotor_selector = judged(commands(u, t), speeds(v, t))
+    assert rotor_selector.choice.kind == "command"
+    assert "repeats old readings of rotor 3" in rotor_selector.choice.refused["ESC_STATUS"]
+
+
 def test_speeds_that_repeat_old_readings_give_way():
     t, u, v = signals()
     rotor_selector = judged(commands(u, t), speeds(repeating(v, 20), t))

@@ -47,6 +47,11 @@ def is_function(name: str) -> bool:
     return any(pattern.fullmatch(name) for pattern in _FUNCTION.values())
 
 
+def is_in_several_orders(name: str) -> bool:
+    """Whether a stream of this name comes once in each order that it may have."""
+    return _BY in name
+
+
 def motor_of(autopilot: str, function: float) -> int:
     """The motor, from 0, that an output of a function drives; -1: none."""
     motors = _MOTORS.get(autopilot, ())

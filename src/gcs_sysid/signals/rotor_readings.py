@@ -5,20 +5,20 @@ otherwise either turns otherwise, or its ESC reports another number of poles. Ya
 torque balances in hover, so that the stream by which it does not is the wrong one.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
 
 _APART = 0.1
 """Share by which a speed differs from what its command gives the others: motors of one make scatter
 by 3 %; pole counts of 12 and 14 make 15 %."""
-_OUT_OF_BALANCE = 0.05
-"""Share of the load by which yaw is out of balance beyond that by the other stream: one rotor of
-four that is 10 % off."""
-_HOLDS, _FEWEST, _HELD = 0.15, 5, 0.2
+_HOLDS, _FEWEST, _HELD = 0.1, 5, 0.2
 """s and repeats for which a rotor's reading stays the same while most others change, and the share
 of time in such holds from which its readings are not those of its rotor."""
 
@@ -46,6 +46,10 @@ class OddReading:
         )
 
 
+_PARTS = 8
+"""Of a stretch, in each of which a rotor's reading must differ alike."""
+_FEW = 50
+"""Readings, fewer than which do not show whose command they follow."""
 _ROUNDED = 3.0
 """Least steps by which a reading must usually change in the time of a hold."""
 
@@ -58,21 +62,33 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
         commands: (m, rotors) likewise, of the same stretch of flight.
         spin: (rotors,) 1 or -1.
     """
-    if len(speeds) < 2 or len(commands) < 2:
+    if min(len(speeds), len(commands)) < 2 * _PARTS:
         return None
-    omega, u = np.nanmean(speeds, axis=0), np.nanmean(commands, axis=0)
+    omega, u = (
+        np.array([np.nanmean(part, axis=0) for part in np.array_split(values, _PARTS)])
+        for values in (speeds, commands)
+    )
     if not (np.isfinite(omega).all() and np.isfinite(u).all() and omega.min() > 0.0):
         return None
     # One slope for all, from how much either moves: lag shifts it, and does not scale it.
     moves = float(np.median(np.nanstd(commands, axis=0)))
     slope = float(np.median(np.nanstd(speeds, axis=0))) / moves if moves > 0.0 else 0.0
-    expected = np.median(omega - slope * (u - np.median(u))) + slope * (u - np.median(u))
-    ratio = omega / expected
-    rotor = int(np.abs(np.log(np.maximum(ratio, 1e-9))).argmax())
-    if not expected.min() > 0.0 or abs(ratio[rotor] - 1.0) < _APART:
+    asked = slope * (u - np.median(u, axis=1, keepdims=True))
+    expected = np.median(omega - asked, axis=1, keepdims=True) + asked
+    if not expected.min() > 0.0:
         return None
-    by_speed, by_command = (abs(spin @ w**2) / float((w**2).sum()) for w in (omega, expected))
-    return OddReading(rotor, float(ratio[rotor]), by_speed > by_command + _OUT_OF_BALANCE)
+    # A pole count is the same all the time; what a throw or a tumble does is not.
+    ratios = np.log(omega / expected)
+    means, stds = ratios.mean(axis=0), ratios.std(axis=0, ddof=1) / math.sqrt(_PARTS)
+    limit = student_limit(_PARTS - 1, FALSE_ALARM_RATE / len(means)) * stds
+    rotor = int((np.abs(means) - limit).argmax())
+    ratio = math.exp(float(means[rotor]))
+    if abs(ratio - 1.0) < _APART or abs(means[rotor]) < limit[rotor]:
+        return None
+    w, e = omega.mean(axis=0), expected.mean(axis=0)
+    by_speed, by_command = (abs(spin @ v**2) / float((v**2).sum()) for v in (w, e))
+    # One rotor of n that is off by so much in speed turns the balance by twice that over n.
+    return OddReading(rotor, ratio, by_speed > by_command + 2.0 * _APART / len(spin))
 
 
 def together(rotors: Sequence[tuple[Array, Array]]) -> Array:
@@ -80,6 +96,41 @@ def together(rotors: Sequence[tuple[Array, Array]]) -> Array:
     n = min(len(v) for _, v in rotors)
     out: Array = np.column_stack([v[:n] for _, v in rotors])
     return out
+
+
+def moved_columns(
+    speeds: Sequence[tuple[Array, Array]], commands: Sequence[tuple[Array, Array]]
+) -> str:
+    """Why speeds are not used whose columns changed places; empty where each follows its command.
+
+    Args:
+        speeds: times and values of each rotor, of the same stretch of flight as
+        commands: likewise.
+    """
+    t = speeds[0][0]
+    t = t[(t > commands[0][0][0]) & (t < commands[0][0][-1])]
+    if len(t) < _FEW:
+        return ""
+    # What sets a rotor apart from the others is that of its command.
+    own, asked = (
+        np.column_stack([np.interp(t, *rotor) for rotor in rotors]) for rotors in (speeds, commands)
+    )
+    own, asked = (v - v.mean(axis=0) for v in (own, asked))
+    own, asked = (v - v.mean(axis=1, keepdims=True) for v in (own, asked))
+    power = math.sqrt(float((own**2).sum() * (asked**2).sum()))
+    if not power > 0.0:
+        return ""
+    alike = own.T @ asked / power
+    rotors, follows = linear_sum_assignment(-alike)
+    left = 1.0 - float(alike[rotors, follows].sum())
+    # More alike than not, and in their own places twice as much is left.
+    if left > 0.5 or 1.0 - float(np.trace(alike)) < 2.0 * left:
+        return ""
+    rotor = int(np.argmax(follows != rotors))
+    return (
+        f"has columns that changed places: rotor {rotor + 1} follows the command of rotor "
+        f"{follows[rotor] + 1}"
+    )
 
 
 def held_reading(rotors: Sequence[tuple[Array, Array]]) -> str:
