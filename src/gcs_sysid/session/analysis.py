@@ -73,7 +73,7 @@ def analyze_log(
     """
     options = options or ChainOptions(history_interval=None)
 
-    def read(options: ChainOptions, opened: Log | None = None) -> Chain:
+    def read(options: ChainOptions, opened: Log | None = None, *, again: bool = False) -> Chain:
         log = opened or open_log(path, wanted)
         chain = Chain(airframe, options, anchor, Origin(log, str(path), wanted))
         for observer in observers:
@@ -81,13 +81,12 @@ def analyze_log(
             chain.observers.append(observer.take)
         if keeper is not None:
             keeper.begin(log)
-        take_log(chain, log, keeper, progress)
-        return chain
+        if take_log(chain, log, keeper, progress, whole=again):
+            return chain
+        # A ground station that fetched the parameters in flight or after it: they held all along.
+        return read(replace(options, parameters=dict(chain.rotor_selector.parameters)), again=True)
 
     chain = read(options, opened)
-    if chain.outdated:
-        # A ground station that fetched the parameters after the flight: they held all along.
-        chain = read(replace(options, parameters=dict(chain.rotor_selector.parameters)))
     result = chain.finish()
     for observer in observers:
         observer.end(chain)
@@ -99,17 +98,25 @@ def take_log(
     log: Log,
     keeper: RecordKeeper | None = None,
     progress: Callable[[float], None] | None = None,
-) -> None:
-    """Give a chain a whole recording.
+    *,
+    whole: bool = True,
+) -> bool:
+    """Give a chain a recording.
 
     Args:
         chain: that takes it.
         log: not yet read.
         keeper: gets the records first.
         progress: called with the share of the log done, 0 to 1, now and then.
+        whole: whether parameters that come too late for the estimate change nothing; else the
+            chain takes but the parameters of what follows them.
+
+    Returns:
+        Whether the chain took all of it.
     """
     done = 0.0
-    for block in log.blocks():
+    blocks = log.blocks()
+    for block in blocks:
         if keeper is not None:
             keeper.add_records(block)
         for window in block.windows(WINDOW):
@@ -117,6 +124,11 @@ def take_log(
                 done = log.share_read
                 progress(done)
             chain.take(window)
+        if chain.outdated and not whole:
+            for rest in blocks:
+                chain.learn_parameters(rest)
+            return False
+    return True
     if progress:
         progress(1.0)
 

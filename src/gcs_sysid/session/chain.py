@@ -239,11 +239,15 @@ class Chain:
         for part in block.windows():
             for _, event in part.events:
                 self._take_event(event)
-            for _, parameter in part.parameters:
-                self.rotor_selector.learn(parameter.source, parameter.values[0])
+            self.learn_parameters(part)
             for samples in self.sampler.feed_tracks(part.tracks):
                 self.learn(samples)
         return self.renewals > before
+
+    def learn_parameters(self, block: RecordBlock) -> None:
+        """Take the autopilot's parameters alone."""
+        for _, parameter in block.parameters:
+            self.rotor_selector.learn(parameter.source, parameter.values[0])
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
