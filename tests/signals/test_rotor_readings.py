@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.signals.rotor_readings import held_rotor, moved_columns, odd_reading
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.signals.rotor_readings import (
+    held_rotor,
+    moved_columns,
+    odd_reading,
+    unbalanced_reading,
+)
 
 SPIN = np.array([1.0, 1.0, -1.0, -1.0])
 T = np.arange(0.0, 2.5, 0.004)
@@ -46,6 +52,24 @@ def test_a_tumble_is_no_pole_count():
     u, omega = flown()
     omega[:200, 3] *= np.linspace(0.1, 1.0, 200)
     assert odd_reading(omega, u, SPIN) is None
+
+
+@pytest.mark.parametrize("name", ["px4-quad-x", "px4-hexa-x", "px4-octo-x"])
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_without_commands_balance_shows_a_reading_that_is_wrong(name, ratio):
+    geometry = load_airframe(name).geometry
+    _, omega = flown(rotors=geometry.shape[1])
+    # A CG that is off, yaw trim, and a weak propeller are no wrong reading.
+    x, y, spin = geometry
+    loads = 1.0 + 0.1 * (x - y) / np.hypot(x, y) + 0.05 * spin
+    loads[1] *= 1.3
+    sound = omega * np.sqrt(loads)
+    assert unbalanced_reading(sound, geometry) is None
+    sound[:, 2] *= ratio
+    found = unbalanced_reading(sound, geometry)
+    assert found.rotor == 2
+    assert found.ratio == pytest.approx(ratio, rel=0.25)
+    assert "balances the others" in found.words
 
 
 def columns(values):

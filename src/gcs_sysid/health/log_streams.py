@@ -12,7 +12,12 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.motor_order import MotorOrder, out_of_order
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together
+from gcs_sysid.signals.rotor_readings import (
+    held_reading,
+    odd_reading,
+    together,
+    unbalanced_reading,
+)
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 
@@ -156,6 +161,8 @@ def streams_of(
         odd = odd_reading(_turning(speeds), _turning(commands), airframe.geometry[2])
         if odd is not None and odd.by_command:
             refused[speeds.source], speeds = odd.words, None
+    elif speeds is not None and (odd := unbalanced_reading(_turning(speeds), airframe.geometry)):
+        refused[speeds.source], speeds = odd.words, None
     return Streams(start, plain, speeds, commands, refused)
 
 

@@ -40,10 +40,12 @@ class OddReading:
     @property
     def words(self) -> str:
         """Why its speeds are not used."""
-        return (
-            f"rotor {self.rotor + 1} reads {self.ratio:.2f} times the speed that the others have "
-            "at its command, and yaw would be out of balance: check the pole count of its ESC"
-        )
+        reads = f"rotor {self.rotor + 1} reads {self.ratio:.2f} times the speed that"
+        if self.by_command:
+            reads += " the others have at its command, and yaw would be out of balance"
+        else:
+            reads += " balances the others"
+        return f"{reads}: check the pole count of its ESC"
 
 
 _PARTS = 8
@@ -89,6 +91,60 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
     by_speed, by_command = (abs(spin @ v**2) / float((v**2).sum()) for v in (w, e))
     # One rotor of n that is off by so much in speed turns the balance by twice that over n.
     return OddReading(rotor, ratio, by_speed > by_command + 2.0 * _APART / len(spin))
+
+
+def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
+    """The rotor whose speed no balance of a hover bears out, if one does; without any commands.
+
+    Squared speeds of alike rotors are those of a CG that is off, of yaw trim, and of propellers
+    that scatter, which are all normal. That one reads any other speed is another hypothesis: it
+    holds where the others' speeds without it are as much likelier as such readings are rare.
+
+    Args:
+        speeds: (n, rotors) in any unit, all turning; NaN: no reading.
+        geometry: (3, rotors) as of the airframe.
+    """
+    if len(speeds) < 2 or speeds.shape[1] < 4:
+        return None
+    # A throw or a tumble has no balance: both halves must have the same rotor.
+    found = [_unbalanced(half, geometry) for half in np.array_split(speeds, 2)]
+    return found[0] if found[0] and found[1] and found[0].rotor == found[1].rotor else None
+
+
+def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
+    """The same of one stretch."""
+    rotors = speeds.shape[1]
+    squares = np.nanmean(speeds**2, axis=0)
+    if not (np.isfinite(squares).all() and squares.min() > 0.0):
+        return None
+    loads = np.log(squares)
+    # A CG a tenth of the arm off shifts a fifth of the load, and a motor's tilt a tenth to yaw.
+    arm = np.hypot(*geometry[:2]).mean()
+    modes = np.vstack([2.0 * _APART * geometry[:2] / arm, _APART * geometry[2]])
+    covariance = modes.T @ modes + (0.5 * _APART) ** 2 * np.eye(rotors)
+    keeps = [np.arange(rotors) != rotor for rotor in range(rotors)]
+    # The reading itself may be anything from a quarter to four times.
+    gains = [
+        _likelihood(loads[keep], covariance[np.ix_(keep, keep)]) - math.log(2.0 * math.log(16.0))
+        for keep in keeps
+    ]
+    rotor = int(np.argmax(gains))
+    keep, level = keeps[rotor], float(loads[keeps[rotor]].mean())
+    weights = np.linalg.solve(covariance[np.ix_(keep, keep)], covariance[keep, rotor])
+    factor = math.exp(0.5 * (loads[rotor] - level - float(weights @ (loads[keep] - level))))
+    sure = gains[rotor] - _likelihood(loads, covariance) > math.log(rotors / FALSE_ALARM_RATE)
+    # Less than half of its thrust no propeller gives that flies.
+    if not sure or abs(math.log(factor)) < 0.5 * math.log(2.0):
+        return None
+    return OddReading(rotor, factor, by_command=False)
+
+
+def _likelihood(values: Array, covariance: Array) -> float:
+    """Logarithm of the normal density of (n,) values, whatever their common level is."""
+    contrasts = np.linalg.svd(np.ones((1, len(values))))[2][1:]
+    apart, variance = contrasts @ values, 2.0 * math.pi * contrasts @ covariance @ contrasts.T
+    square = 2.0 * math.pi * float(apart @ np.linalg.solve(variance, apart))
+    return -0.5 * (square + float(np.linalg.slogdet(variance)[1]))
 
 
 def together(rotors: Sequence[tuple[Array, Array]]) -> Array:

@@ -33,6 +33,7 @@ from gcs_sysid.signals.rotor_readings import (
     moved_columns,
     odd_reading,
     together,
+    unbalanced_reading,
 )
 from gcs_sysid.signals.rotor_units import (
     DEFINED_SPEEDS,
@@ -181,6 +182,7 @@ class RotorSourceSelector:
         self.never_moved = False
         """Whether the latest choice was lost for a rotor that has stood still ever since."""
         self._standing: set[tuple[int, float]] = set()
+        self._misread: dict[str, str] = {}
         self._found_dead: dict[str, set[tuple[int, float]]] = {}
         self._airframe = airframe
         self._order: MotorOrder | None = None
@@ -369,6 +371,12 @@ class RotorSourceSelector:
             odd = next(filter(None, (self._odd(stretch, stretches[c]) for c in commands)), None)
             if odd is not None and odd.by_command:
                 refused[name] = odd.words
+                continue
+            measured = together(stretch.rotors(count))
+            if not commands and (odd := unbalanced_reading(measured, self._airframe.geometry)):
+                self._misread[name] = odd.words
+            if name in self._misread:  # a pole count is the same all the time
+                refused[name] = self._misread[name]
                 continue
             why, scale = RotorInput.SPEED.words, 1.0
             if name not in DEFINED_SPEEDS and self._too_slow(stretch):
