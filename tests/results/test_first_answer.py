@@ -40,7 +40,7 @@ def test_of_an_arm_that_is_assumed_lengths_are_shares():
     guessed["cg"] = {axis: {"value": 0.01, "std": math.hypot(0.005, 0.002), "std_given": 0.0}
                      for axis in "xy"}  # fmt: skip
     shown = dict(short_facts(guessed))["CG"]
-    assert shown.startswith("4 % forward, 4 % right of the arm (± 1.6 %)")
+    assert shown.startswith("4.0 ± 1.6 % forward, 4.0 ± 1.6 % right of the arm")
     assert "mm" not in first_answer(guessed).line
 
 

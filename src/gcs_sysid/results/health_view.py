@@ -124,15 +124,13 @@ def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
         For each: name and value.
     """
     places = {axis: _cg_along(health, axis) for axis in WAYS}
-    half, unit = max((half, unit) for _, half, unit in places.values())
-    unit, _, whole = unit.partition(" ")
+    unit, _, whole = places["x"][2].partition(" ")
     off = ", ".join(
-        f"{_short(abs(value), own)} {unit} {way(axis, value)}"
-        for axis, (value, own, _) in places.items()
+        f"{PLAIN.measure(abs(value), half, unit)} {way(axis, value)}"
+        for axis, (value, half, _) in places.items()
     )
     source = "as identified" if "cg_by_hover" in health else "by hover"
-    within = PLAIN.fixed(half, decimals_for(half, most=1))
-    out = [("CG", f"{' '.join([off, *whole.split()])} (± {within} {unit}), {source}")]
+    out = [("CG", f"{' '.join([off, *whole.split()])}, {source}")]
     shares = [rotor["thrust_share"] for rotor in health["rotors"]]
     if all(map(telling, shares)):
         out.append(("rotors carry", f"{', '.join(short(one, 100.0) for one in shares)} %"))
