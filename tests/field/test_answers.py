@@ -5,6 +5,9 @@ import pytest
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.inspection.inspector import inspect_log
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
 
 ANSWERS = {
     "betaflight/hiro-no-accelerometer.bfl": (
@@ -13,6 +16,16 @@ ANSWERS = {
     "betaflight/bf2026-inertia-refused.bfl": ("LOOK AT the CG: ", "shift the CG"),
     "other/ground-run-pt1-082.bin": ("CANNOT TELL: never seen in the air", "hover for"),
 }  # fmt: skip
+
+
+@pytest.mark.slow  # a whole analysis of 8 s
+def test_without_an_accelerometer_analysis_and_inspection_say_so(shared_log):
+    log = shared_log("field/betaflight/hiro-no-accelerometer.bfl")
+    airframe = load_airframe("betaflight-quad-x").with_arm(0.11).with_anchor("mass", 0.5)
+    result, found = analyze_log(log, airframe), inspect_log(log)
+    assert (result.verdict, found.verdict, found.obtainable) == ("refused", "no", "nothing")
+    for objections in (result.objections, found.objections):
+        assert any("there is no accelerometer" in objection.reason for objection in objections)
 
 
 @pytest.mark.slow

@@ -72,8 +72,8 @@ def _found(
         command = airframe_choice.command_for(log, health.layout, options, suggestion)
         known = verdict_sentence(result)
         if result.verdict == "refused":
-            against = [each.words for each in result.objections if each.verdict != "identified"]
-            known = f"not from this flight: {next(iter([*against, *result.reasons]), '')}"
+            why = [each.words for each in result.objections if each.verdict != "identified"]
+            known = f"not from this flight: {next(iter([*why, *result.reasons]), '')}"
             command = f"gcs-sysid inspect {shlex.quote(log)}"
         more = [*_entry("identified", known, width), *_next(command)]
     else:

@@ -160,8 +160,13 @@ def _imu(found: Inspection) -> Iterator[Objection]:
         yield _note(f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
 
 
-def _sensors(found: Inspection) -> Iterable[Objection]:
-    return of_sensors(found.gyro, found.saturated, found.parameters)
+def _sensors(found: Inspection) -> Iterator[Objection]:
+    # What carries the vehicle is seen by its acceleration or its velocity.
+    absent = any(each.absent for each in found.saturated)
+    blind = absent and found.stream(Stream.VELOCITY) is None
+    for objection in of_sensors(found.gyro, found.saturated, found.parameters):
+        blocks = blind and objection.by == "saturation"
+        yield _blocks(objection.reason, objection.how) if blocks else objection
 
 
 def _rotors(found: Inspection) -> Iterator[Objection]:

@@ -103,6 +103,7 @@ class Evidence:
         layout: what the vehicle says against the airframe.
         layout_notes: what it says otherwise where they agree in kind.
         problems: of link or log.
+        parameters: the autopilot's.
         imu_loss: IMU samples that are missing, as in a result's telemetry.
         note: on the estimator, for those who asked for another.
         apart: name -> share of the value by which the offline estimate differs from the online one
@@ -130,6 +131,7 @@ class Evidence:
     layout: tuple[str, ...] = ()
     layout_notes: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
     imu_loss: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
     apart: Mapping[str, float] = field(default_factory=dict)

@@ -120,6 +120,8 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
     sizes = reference_values(evidence.estimates, evidence.airframe.arm)
     for found in evidence.saturated:
         if found.absent:  # what rests on it is not observed
+            how = _accelerometer_on(evidence.parameters)
+            yield Objection(saturation_reason(found), verdict="partial", how=how)
             continue
         names = frozenset(
             name

@@ -68,6 +68,7 @@ class Origin:
             layout=self.airframe_problems(evidence.airframe),
             layout_notes=() if self._layout is None else notes(evidence.airframe, self._layout),
             problems=telemetry.problems,
+            parameters=telemetry.parameters,
             imu_loss=telemetry.as_dict().get("imu_loss", {}),
         )
 

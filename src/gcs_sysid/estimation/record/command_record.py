@@ -543,13 +543,15 @@ class CommandRecord:
         bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
-        latest = next((part for part in reversed(self._kept) if part is not None), None)
+        # A stretch of which nothing could be used has no samples.
+        latest = next((p for p in reversed(self._kept) if p is not None and len(p[3])), None)
         for joined, run in groupby(self._kept, lambda part: part is not None):
             if not joined:
                 maker.restart()
                 white.restart()
                 continue
-            assert latest is not None
+            if latest is None:
+                continue
             some = [part for part in run if part is not None]
             inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
             factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
