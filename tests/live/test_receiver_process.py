@@ -189,7 +189,8 @@ def test_a_receiver_that_is_killed_ends_the_session_with_a_line(receiver, paper_
     session.start()
     raws = raws_of(paper_flight.tlog)
     send(source, raws)
-    until(lambda: session.latest().link.received == len(raws))
+    distinct = len(set(raws))  # one that comes again counts once
+    until(lambda: session.latest().link.received == distinct)
     session.flushed_recording()
     source._process.kill()
     assert session.join(LONGEST)

@@ -286,15 +286,16 @@ def test_the_first_error_names_all_that_is_missing(tmp_path, capsys, given, lack
 @pytest.mark.parametrize(
     ("layout", "lacking"),
     [
-        (None, "layout, size and mass"),
-        (reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}), "size and mass"),
-        (px4(QUAD.rotors), "mass"),
+        (None, ["layout", "size", "mass"]),
+        (reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}), ["size", "mass"]),
+        (px4(QUAD.rotors), ["mass"]),
     ],
 )
 def test_what_other_logs_lack(layout, lacking):
-    options = argparse.Namespace(arm=None, mass=None, k_t=None, t_max=None)
-    said = airframe_choice._missing(layout, options, None)
-    assert said.startswith(f"the log does not contain the vehicle's {lacking}: give ")
+    nothing = argparse.Namespace(airframe="auto", arm=None, mass=None, k_t=None, t_max=None)
+    found = airframe_choice._lacking(layout, nothing, None)
+    assert [one.what for one in found] == lacking
+    said = " and ".join(one.words for one in found)
     assert ("--airframe FILE.toml or one of" in said) is ("layout" in lacking)
     assert ("--arm M" in said) is ("size" in lacking)
 
