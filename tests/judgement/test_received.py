@@ -10,6 +10,7 @@ from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.imu_faults import saturated_sensors
 from gcs_sysid.judgement.judge import judge
+from gcs_sysid.judgement.received import frozen_samples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
@@ -103,6 +104,15 @@ def test_loss_is_told_where_it_is_more_than_px4_leaves_out_itself(percent, verdi
     assert found.verdict == verdict
     said = [f"{percent:.0f} % of the IMU's samples are missing"] * (percent > 10.0)
     assert [reason.partition(" by ")[0] for reason in found.reasons] == said
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.02, None), (0.3, "identified"), (0.7, "partial")]
+)
+def test_an_imu_that_stands_still_is_named(share, verdict):
+    named = list(frozen_samples(replace(explaining(0.9), frozen=share)))
+    assert [o.verdict for o in named] == [verdict] * (verdict is not None)
+    assert all("stands still" in o.words for o in named)
 
 
 def test_what_link_or_log_say_is_a_reason_where_one_is_needed():

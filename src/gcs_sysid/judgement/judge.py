@@ -70,6 +70,7 @@ PRODUCERS = (
     Producer("spin", plausibility.unseen_spins, Stage.BELIEF),
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
     Producer("saturation", imu_faults.saturated_sensors, Stage.BELIEF),
+    Producer("frozen", received.frozen_samples, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),
     Producer("prediction", prediction.held_out, Stage.FLIGHT),
     Producer("whiteness", prediction.white, Stage.FLIGHT),

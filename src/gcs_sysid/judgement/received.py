@@ -105,6 +105,19 @@ def lost_samples(evidence: Evidence) -> Iterator[Objection]:
         )
 
 
+def frozen_samples(evidence: Evidence) -> Iterator[Objection]:
+    """IMU samples that measure nothing, though they come."""
+    share = evidence.frozen
+    if share >= NAMED_LOSS:
+        yield Objection(
+            f"the IMU stands still: {100.0 * share:.0f} % of its samples repeat the one before in "
+            "all values, and only the others are used",
+            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
+            evidence={"share": share},
+            how="check that sensor, and have the one recorded that the autopilot flies by",
+        )
+
+
 def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
     """Share of the IMU's samples that are missing, and the longest gap, s."""
     return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)

@@ -438,6 +438,7 @@ class Chain:
             filtered=self.cutoffs[0] is not None,
             gyro=self.sampler.gyro_check.result(),
             saturated=self.sampler.time_base.saturation.found(),
+            frozen=self.sampler.time_base.frozen_share,
             contradicted=self.contradicted,
         )
 

@@ -67,6 +67,11 @@ class Saturation:
         self._steps: list[deque[tuple[int, float]]] = [deque(maxlen=8192) for _ in range(6)]
         """Of each axis, over more than half of the range so far: number of the sample, step."""
 
+    @property
+    def samples(self) -> int:
+        """How many there were."""
+        return self._passed
+
     def update(self, samples: Array) -> None:
         """Take samples as they come, NaN where missing; blocks of any size count the same."""
         if not len(samples):

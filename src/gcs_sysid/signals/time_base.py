@@ -152,6 +152,11 @@ class TimeBase:
         return 1.2 * self.imu_interval <= self._imu_buffer().gap
 
     @property
+    def frozen_share(self) -> float:
+        """Share of the IMU's samples that repeat the one before in all values."""
+        return self.faults.frozen / max(self.saturation.samples, 1)
+
+    @property
     def repeated(self) -> int:
         """Samples dropped because their stamp was not newer than the one before."""
         return sum(b.repeated for b in self._buffers.values())
