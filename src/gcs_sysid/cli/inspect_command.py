@@ -218,7 +218,10 @@ def _streams(found: Inspection, width: int) -> list[str]:
 
 
 def _stream_row(parts: Sequence[StreamFacts]) -> str:
-    """One message's; of the worst of several, as of ESCs that report one by one."""
+    """One message's; of the worst of several, as of ESCs that report one by one.
+
+    Outputs that drive nothing repeat: what repeats least counts.
+    """
     first = parts[0]
     rates = [part.rate for part in parts if part.rate is not None]
     rate = f"{min(rates):.1f} Hz" if rates else "-"
@@ -229,7 +232,7 @@ def _stream_row(parts: Sequence[StreamFacts]) -> str:
         f"  {_STREAMS.get(first.stream, first.stream):<{_NAME - 2}}{message:<22}{rate:>10}"
         f"{gaps:>6}{longest:>9}"
         f"{_percent(max(part.missing_percent for part in parts)):>9}"
-        f"{_percent(max(part.repeats_percent for part in parts)):>9}"
+        f"{_percent(min(part.repeats_percent for part in parts)):>9}"
     )
 
 

@@ -157,10 +157,11 @@ def misfits(
     arms = (max(arm * (1.0 - Z95 * arm_std), 0.0), arm * (1.0 + Z95 * arm_std))
     low, high = (limit * size**3 for limit, size in zip(RANGES.density, arms, strict=True))
     if not low <= mass <= high:
-        most = " at most" if arm_std else ""
+        size = f"an arm of {arm:.3g} m (multirotors of this size weigh {_short(low)} to "
+        if arm_std:
+            size = f"an arm of up to {arms[1]:.2g} m, as is assumed (at most "
         yield _of_sizes(
-            f"a mass of {mass:.4g} kg is implausible for an arm of {arms[1]:.3g} m{most} "
-            f"(multirotors of this size weigh {_short(low)} to {_short(high)} kg)",
+            f"a mass of {mass:.4g} kg is implausible for {size}{_short(high)} kg)",
             "give --mass in kg and --arm in m (or with their units: 1400g, 250mm)",
         )
         return
