@@ -40,8 +40,7 @@ def make(words):
     ("words", "text"),
     [
         EMULATED,
-        OVER,
-        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (WAITING, REPLAYED)),
+        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (WAITING, REPLAYED, OVER)),
     ],
 )
 def test_a_screen_ends_with_its_terminal(words, text, started, tmp_path, monkeypatch):

@@ -9,18 +9,16 @@ prints. A block that cannot be run says why, in a comment above it. Tutorials be
 
 import contextlib
 import io
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gcs_sysid.cli.program import run as gcs_sysid
+from sim_bridge.cli import main as sim_bridge
 
 from .pages import PAGES, ROOT, Block, blocks, prose
 
@@ -28,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 _NOT_RUN_YET = {"coach.md"}
 """Pages that may still have commands outside of fences."""
-_MODULES = {"gcs-sysid": "gcs_sysid", "sim-bridge": "sim_bridge"}
+_PROGRAMS = {"gcs-sysid": gcs_sysid, "sim-bridge": sim_bridge}
 _NUMBER = re.compile(r"(?<!\w)[-+>]?\d[\d_.,:]*(?:e[-+]?\d+)?")
 
 
@@ -69,27 +67,25 @@ def is_like(got: list[str], wanted: list[str]) -> bool:
     return bool(got) and got[0] == wanted[0] and is_like(got[1:], wanted[1:])
 
 
-def run_console(block: Block, folder: Path) -> None:
-    """Run the commands of a block, and compare what they print."""
+def run_console(block: Block) -> None:
+    """Run the commands of a block here, and compare what they print."""
     assert block.text.startswith("$ "), "a console block begins with a command"
     for command in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
         line, _, wanted = command.partition("\n")
         program, *arguments = shlex.split(line, comments=True)
         program = program.removeprefix(".venv/bin/")
-        assert program in _MODULES, f"cannot run {program}"
-        path = os.pathsep.join([str(ROOT / "src"), str(ROOT), os.environ.get("PYTHONPATH", "")])
-        done = subprocess.run(
-            [sys.executable, "-m", _MODULES[program], *arguments],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1"},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            encoding="utf-8",
-            timeout=300,
-        )
-        assert done.returncode == 0, f"{line}\n{done.stdout}"
+        assert program in _PROGRAMS, f"cannot run {program}"
+        shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
+        with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(shown):
+            try:
+                status = _PROGRAMS[program](arguments)
+            except SystemExit as ended:  # as `--help` does
+                status = int(ended.code or 0)
+        shown.seek(0)
+        text = shown.read()
+        assert status == 0, f"{line}\n{text}"
         if wanted:
-            assert is_like(shape(done.stdout), shape(wanted)), f"{line}\n{done.stdout}"
+            assert is_like(shape(text), shape(wanted)), f"{line}\n{text}"
 
 
 def _sources() -> list[Path]:
@@ -121,7 +117,7 @@ def test_examples_of(page, workshop, tmp_path, monkeypatch):
         if block.directive == "no-run":
             assert block.reason, f"{where}: why is it not run?"
         elif block.language == "console":
-            run_console(block, folder)
+            run_console(block)
         elif block.language == "python":
             out = io.StringIO()
             with contextlib.redirect_stdout(out):

@@ -31,9 +31,13 @@ def flown(shared_log, number):
 
 
 @pytest.mark.slow
-def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log):
+@pytest.mark.parametrize(
+    "numbers",
+    [(157, 159, 161), pytest.param((163, 165, 167), marks=pytest.mark.thorough)],
+)
+def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log, numbers):
     close, held = 0, 0
-    for number in (157, 159, 161, 163, 165, 167):
+    for number in numbers:
         airframe, log, k_T = flown(shared_log, number)
         found = analyze_log(log, airframe).parameters
         assert found["k_T"].value == pytest.approx(k_T, rel=0.1)
@@ -43,5 +47,5 @@ def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log):
         claimed = [found[name] for name in ("Ixx", "Iyy") if found[name].status != "unobservable"]
         errors = [abs(each.value / INERTIA - 1.0) for each in claimed]
         close += len(errors) == 2 and bool(np.max(errors) < 0.1)
-    assert close >= 4
-    assert held >= 11  # of 12, at 95 %
+    assert close >= 2
+    assert held >= 5  # of 6, at 95 %

@@ -18,7 +18,7 @@ from gcs_sysid.fleet.batch import BatchRun, Store, read_table
 from gcs_sysid.fleet.jobs import FAILURE, Job, LocalPool
 from gcs_sysid.model.airframe import Airframe, load_airframe
 
-PAPER = ("--airframe", "paper", "--workers", "2")
+PAPER = ("--airframe", "paper", "--workers", "1")
 
 
 def documents(out):
@@ -36,7 +36,7 @@ def rows(out):
 @pytest.mark.slow
 def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
     out = tmp_path / "out"
-    status, err = batch(logs, "-o", out, *PAPER)
+    status, err = batch(logs, "-o", out, *PAPER, "--workers", "2")
     assert status == 0
     assert "5 of 5 logs: 4 identified, 1 failed" in err
     assert "broken.ulg is not a .tlog" in err

@@ -19,7 +19,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
 
 @pytest.fixture
 def fleet(batch, logs, tmp_path):
-    batch(logs, "-o", tmp_path / "fleet", "--airframe", "paper", "--workers", "2")
+    batch(logs, "-o", tmp_path / "fleet", "--airframe", "paper", "--workers", "1")
     return tmp_path / "fleet" / "fleet.parquet"
 
 

@@ -73,8 +73,8 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def flight(fly):
-    """All axes at 50 Hz for 50 s, with ground before and after."""
-    return fly("--mission", "all-axes", "--rate", "50", "--duration", "40", "--seed", "5")
+    """All axes at 50 Hz for 34 s, with ground before and after."""
+    return fly("--mission", "all-axes", "--rate", "50", "--duration", "24", "--seed", "5")
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +156,10 @@ def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
 
 def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analyzed):
     stage = Stage(recorded)
-    stage.play(20.0)
+    stage.play(4.0)
     assert stage.snapshot.link.state is LinkState.REPLAY
     stage.session.change_speed(1)
-    stage.play(10.0)
+    stage.play(8.0)
     assert stage.playback.ended
     assert stage.snapshot.result.dumps() == analyzed.dumps()
     near(own(stage), analyzed)
@@ -173,8 +173,8 @@ def test_a_pause_stops_it_and_nothing_is_lost(recorded):
     assert stage.playback.paused
     assert stage.playback.position <= 5.0
     assert stage.session.toggle_pause() == "Replay resumed."
-    stage.play(10.0)
-    other.play(15.0)
+    stage.play(3.0)
+    other.play(8.0)
     assert stage.playback.position == pytest.approx(other.playback.position, abs=0.25)
     assert not stage.playback.paused
 
@@ -192,15 +192,15 @@ def same_course(stage, other):
 
 def test_a_seek_goes_there_by_all_that_lies_between(recorded):
     stage, other = Stage(recorded), Stage(recorded)
-    assert stage.session.seek(30.0) == f"To 30 s of {stage.session._duration:.0f} s."
+    assert stage.session.seek(16.0) == f"To 16 s of {stage.session._duration:.0f} s."
     stage.settle()
-    other.play(30.0)
-    assert 29.5 < stage.playback.position <= 30.2
+    other.play(16.0)
+    assert 15.5 < stage.playback.position <= 16.2
     same_course(stage, other)
     assert stage.playback.seeking is None
     assert np.isfinite(stage.snapshot.acceleration.predicted).all()
     stage.play(2.0)
-    assert 31.5 < stage.playback.position <= 32.5
+    assert 17.5 < stage.playback.position <= 18.5
 
 
 def test_a_seek_back_forgets_what_came_later(recorded, analyzed):
@@ -211,9 +211,9 @@ def test_a_seek_back_forgets_what_came_later(recorded, analyzed):
     stage.settle()
     assert stage.playback.position < 0.5
     assert not stage.playback.ended
-    stage.session.seek(28.0)
+    stage.session.seek(16.0)
     stage.settle()
-    other.session.seek(28.0)
+    other.session.seek(16.0)
     other.settle()
     same_course(stage, other)
     assert stage.snapshot.used_seconds == pytest.approx(other.snapshot.used_seconds)
@@ -241,13 +241,13 @@ def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
     stage = Stage(recorded)
     stage.session.toggle_pause()
     for _ in range(3):
-        stage.session.skip(10.0)
+        stage.session.skip(5.0)
     stage.settle()
-    assert 29.5 < stage.playback.position <= 30.2
+    assert 14.5 < stage.playback.position <= 15.2
     assert stage.playback.paused
-    stage.session.skip(-10.0)
+    stage.session.skip(-5.0)
     stage.settle()
-    assert 19.5 < stage.playback.position <= 20.2
+    assert 9.5 < stage.playback.position <= 10.2
     stage.session.skip(-100.0)
     stage.settle()
     assert stage.playback.position < 0.5
@@ -258,7 +258,7 @@ def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
 
 def test_rates_are_those_of_the_last_seconds(recorded):
     stage = Stage(recorded)
-    stage.play(20.0)
+    stage.play(6.0)
     assert stage.snapshot.link.rates["imu"] == pytest.approx(50.0, rel=0.05)
     assert stage.snapshot.link.vehicle.startswith("PX4")
     assert [v.chosen for v in stage.snapshot.link.vehicles] == [True]
@@ -266,12 +266,12 @@ def test_rates_are_those_of_the_last_seconds(recorded):
 
 def test_it_goes_on_over_a_reboot(fly):
     flight = fly(
-        *("--mission", "all-axes", "--rate", "50", "--duration", "30", "--seed", "5"),
-        *("--trap", "reboot=12"),
+        *("--mission", "all-axes", "--rate", "50", "--duration", "20", "--seed", "5"),
+        *("--trap", "reboot=8"),
     )
     stage = Stage(flight.tlog)
-    stage.play(20.0)
-    assert 19.0 < stage.playback.position <= 20.0
+    stage.play(13.0)
+    assert 12.0 < stage.playback.position <= 13.0
     assert any(
         "reboot" in event["text"] for event in stage.snapshot.result.events if "text" in event
     )
@@ -280,14 +280,14 @@ def test_it_goes_on_over_a_reboot(fly):
 
 
 def test_a_long_silence_is_skipped(flight, tmp_path):
-    """The frames of 10 s are missing; nobody watches that."""
+    """The frames of 6 s are missing; nobody watches that."""
     path = tmp_path / "silent.tlog"
     frames = list(read_tlog(flight.tlog))
     start = frames[0][0]
-    write(path, [f for f in frames if not 15.0 < 1e-6 * (f[0] - start) < 25.0])
+    write(path, [f for f in frames if not 6.0 < 1e-6 * (f[0] - start) < 12.0])
     stage = Stage(path)
-    stage.play(17.0)
-    assert stage.playback.position > 25.0
+    stage.play(8.0)
+    assert stage.playback.position > 12.0
     assert any("skipped" in event.text for event in stage.snapshot.events)
 
 
@@ -311,7 +311,7 @@ def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
     flight = fly(
-        *("--mission", "all-axes", "--rate", "50", "--duration", "30", "--seed", "5"),
+        *("--mission", "all-axes", "--rate", "50", "--duration", "16", "--seed", "5"),
         *("--autopilot", "ardupilot"),
     )
     frames = list(read_tlog(flight.tlog))
@@ -321,7 +321,7 @@ def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     write(path, [*frames, (frames[-1][0], read_frame(answer))])
     result = analyze_log(path, load_airframe("paper"))
     stage = Stage(path)
-    stage.play(20.0)
+    stage.play(6.0)
     assert stage.session._playback.chain.gyro_cutoff == 40.0
     stage.run_to_end()
     assert stage.snapshot.result.dumps() == result.dumps()

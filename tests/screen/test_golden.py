@@ -78,21 +78,28 @@ async def check_both_themes(s, name):
         s.app.theme = "gcs-light"
         await s.settle()
         check(name, s.text())
+        s.app.theme = "gcs-dark"
+
+
+async def check_all_sizes(s, name):
+    """Of a terminal that is made larger."""
+    for size in SIZES:
+        await s.pilot.resize_terminal(*size)
+        await s.settle()
+        await check_both_themes(s, f"{name}-{named(size)}")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("state", STATES)
-async def test_states(run_screen, state, size):
+async def test_states(run_screen, state):
     make, truth, baseline = STATES[state]
-    async with run_screen(make(), size=size, truth=truth, baseline=baseline) as s:
-        await check_both_themes(s, f"{state}-{named(size)}")
+    async with run_screen(make(), truth=truth, baseline=baseline) as s:
+        await check_all_sizes(s, state)
 
 
-@pytest.mark.parametrize("size", SIZES, ids=named)
-async def test_replay(run_replay, size):
-    async with run_replay(size=size) as (s, _):
-        await check_both_themes(s, f"replay-{named(size)}")
+async def test_replay(run_replay):
+    async with run_replay() as (s, _):
+        await check_all_sizes(s, "replay")
 
 
 @pytest.mark.slow
@@ -102,17 +109,15 @@ async def test_pages(run_screen, size):
         for page, key in KEYS[size].items():
             await s.press(key)
             await check_both_themes(s, f"page-{page}-{named(size)}")
-            s.app.theme = THEMES[0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("dialog", DIALOGS)
-async def test_dialogs(run_screen, dialog, size, tmp_path, monkeypatch):
+async def test_dialogs(run_screen, dialog, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the question for a file looks at what lies there
-    async with run_screen(fake.two_vehicles(), size=size) as s:
+    async with run_screen(fake.two_vehicles()) as s:
         await s.press(DIALOGS[dialog])
-        await check_both_themes(s, f"{dialog}-{named(size)}")
+        await check_all_sizes(s, dialog)
 
 
 def luminance(color: Color) -> float:
