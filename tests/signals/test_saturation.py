@@ -12,8 +12,9 @@ T = 0.004 * np.arange(20_000)
 def found(samples, block=97):
     saturation = Saturation()
     rounded = STEP * np.round(samples / STEP)
+    t = 0.004 * np.arange(len(samples))
     for start in range(0, len(rounded), block):
-        saturation.update(rounded[start : start + block])
+        saturation.update(t[start : start + block], rounded[start : start + block])
     return saturation.found()
 
 
@@ -53,6 +54,17 @@ def test_an_accelerometer_that_reads_nothing_is_none(reading):
     (one,) = found(samples)
     assert one.absent
     assert one.sensor == "accelerometer"
+
+
+@pytest.mark.parametrize("share", [0.8, 0.97])
+def test_less_than_gravity_on_average_is_a_wrong_scale(share):
+    samples = motion(1)
+    samples[:, 3:] *= share
+    assert [(one.sensor, one.low) for one in found(samples)] == [("accelerometer", True)] * (
+        share < 0.9
+    )
+    # A fall may last for seconds.
+    assert found(samples[:1000]) == ()
 
 
 @pytest.mark.parametrize("block", [5, 97, 5000])

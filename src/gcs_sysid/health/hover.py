@@ -446,7 +446,7 @@ def sensors_of(
     at_once = 65536
     for first in range(0, len(t), at_once):
         some, samples = t[first : first + at_once], imu[first : first + at_once, :6]
-        saturation.update(samples)
+        saturation.update(some, samples)
         if not len(attitude_t) or not len(grid):
             continue
         flies = flying[np.clip(np.searchsorted(grid, some, side="right") - 1, 0, None)]

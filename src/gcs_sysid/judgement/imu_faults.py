@@ -104,6 +104,11 @@ def saturation_reason(found: Saturated) -> str:
     """What stood at which limit, in one line."""
     if found.absent:
         return f"there is no {found.sensor}: it reads nothing"
+    if found.low:
+        return (
+            f"the {found.sensor} reads {100.0 * (1.0 - found.share):.0f} % of gravity on average, "
+            "which no flight can: its scale is wrong"
+        )
     limit = f"{found.limit:.1f} m/s^2 ({found.limit / GRAVITY:.1f} g)"
     if found.sensor == "gyro":
         limit = f"{found.limit:.2f} rad/s ({math.degrees(found.limit):.0f} deg/s)"
@@ -120,7 +125,7 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
     sizes = reference_values(evidence.estimates, evidence.airframe.arm)
     for found in evidence.saturated:
         if found.absent:  # what rests on it is not observed
-            how = _accelerometer_on(evidence.parameters)
+            how = _remedy(found, evidence.parameters)
             yield Objection(saturation_reason(found), verdict="partial", how=how)
             continue
         names = frozenset(
@@ -128,6 +133,7 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
             for name, size in sizes.items()
             if (std := evidence.estimates[name].std) is not None
             and (found.wraps or Z95 * std < found.share * size)
+            and (not found.low or REGISTRY[name].scale != "none")
         )
         if names:
             yield Objection(
@@ -136,7 +142,7 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
                 cap="weak",
                 verdict="partial",
                 evidence={"limit": found.limit, "share": found.share},
-                how=_GENTLER,
+                how=_remedy(found, evidence.parameters),
             )
 
 
@@ -155,8 +161,14 @@ def of_sensors(
     if gyro is not None and (fault := gyro_fault(gyro)) is not None:
         yield Objection(fault[0], verdict="partial", how=fault[1], by="gyro")
     for found in saturated:
-        how = _accelerometer_on(parameters) if found.absent else _GENTLER
+        how = _remedy(found, parameters)
         yield Objection(saturation_reason(found), verdict="partial", how=how, by="saturation")
+
+
+def _remedy(found: Saturated, parameters: Mapping[str, float]) -> str:
+    if found.absent:
+        return _accelerometer_on(parameters)
+    return "calibrate it, and check its range (acc_1G)" if found.low else _GENTLER
 
 
 def _accelerometer_on(parameters: Mapping[str, float]) -> str:

@@ -262,7 +262,7 @@ class InertialBuffer(StreamBuffer):
 
     def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
         """Add samples whose gyro is finite, their accelerometer need not be; see `StreamBuffer`."""
-        self._saturation.update(values[:, :6])
+        self._saturation.update(t, values[:, :6])
         there = np.isfinite(values[:, :3].sum(axis=1))
         if not there.all():
             self.faults.missing += int(np.count_nonzero(~there))

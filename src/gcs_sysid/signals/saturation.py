@@ -6,6 +6,9 @@ is in the last step 1 / (sqrt 2 - 1) times as often as in the one before, the mo
 without a flat top. So of the samples at the two highest values that there ever were, a share of
 sqrt 2 / 2 at most is expected at the highest, and a chance beyond that shows a limit.
 
+Whatever flies from v_0 to v_1 in the time t, its specific force has a mean of g + (v_1 - v_0) / t:
+an accelerometer whose mean size is less reads too little.
+
 Other sensors go on from the other end: a step over nearly all of the range. Of a sine's steps over
 more than half of its range, however rarely it is sampled, 53 % are nearly as large as that; one
 that wraps around has hardly any between.
@@ -20,6 +23,8 @@ import numpy as np
 from scipy.special import betainc
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.stream_buffer import BREAK
 from gcs_sysid.significance import FALSE_ALARM_RATE
 
 _AT_PEAK = math.sqrt(0.5)
@@ -30,6 +35,8 @@ _OF_A_SINE = math.acos(_NEARLY) / math.acos(0.5)
 """Share of a sine's steps over more than half of its range that are over nearly all of it."""
 _SMALLEST = np.tile(np.repeat([1.0, 12.0], 3), 2)
 """rad/s and m/s^2, below which no sensor has its limit: what rests or hangs reads the same."""
+_FASTEST, _SCALE = 40.0, 0.05
+"""m/s, by which a record may end faster than it began; scale error of a sound accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +48,14 @@ class Saturated:
         limit: that it stands at, rad/s or m/s^2.
         share: of its samples that do.
         wraps: whether it does not stand there, but goes on from the other end.
+        low: whether it has no limit, but a mean size of `limit` that lacks `share` of gravity.
     """
 
     sensor: str
     limit: float
     share: float
     wraps: bool = False
+    low: bool = False
 
     @property
     def absent(self) -> bool:
@@ -64,6 +73,8 @@ class Saturation:
         self._samples = np.zeros(6)
         self._last = np.full((1, 6), np.nan)
         self._passed = 0
+        self._weighed, self._until = np.zeros(2), math.nan
+        """Size of the specific force over time, and that time."""
         self._steps: list[deque[tuple[int, float]]] = [deque(maxlen=8192) for _ in range(6)]
         """Of each axis, over more than half of the range so far: number of the sample, step."""
 
@@ -72,10 +83,13 @@ class Saturation:
         """How many there were."""
         return self._passed
 
-    def update(self, samples: Array) -> None:
-        """Take samples as they come, NaN where missing; blocks of any size count the same."""
+    def update(self, t: Array, samples: Array) -> None:
+        """Take samples as they come, NaN where missing, and (n,) s of theirs; blocks of any size
+        count the same.
+        """
         if not len(samples):
             return
+        self._weigh(t, samples[:, 3:])
         self._samples += np.isfinite(samples).sum(axis=0)
         self._note_steps(samples)
         both = np.column_stack([samples, -samples])
@@ -89,6 +103,23 @@ class Saturation:
             there = values == found
             self._values[row], self._counts[row] = found, (there * counts).sum(axis=0)
             values = np.where(there, -np.inf, values)
+
+    def _weigh(self, t: Array, force: Array) -> None:
+        """Add up the size of (n, 3) specific force over time, but for gaps."""
+        size, dt = np.linalg.norm(force, axis=1), np.diff(t, prepend=self._until)
+        self._until = float(t[-1])
+        counts = (size > 0.0) & (dt > 0.0) & (dt < BREAK)
+        # One after the other: sums are the same however samples are grouped.
+        steps = np.column_stack([size * dt, dt])[counts]
+        self._weighed = np.cumsum(np.vstack([self._weighed, steps]), axis=0)[-1]
+
+    @property
+    def _lacks(self) -> float:
+        """Share of gravity that the accelerometer certainly does not read."""
+        impulse, seconds = self._weighed.tolist()
+        lacks = GRAVITY * seconds - impulse
+        certain = lacks > _SCALE * GRAVITY * seconds + _FASTEST
+        return lacks / (GRAVITY * seconds) if certain else 0.0
 
     def _note_steps(self, samples: Array) -> None:
         """Keep the steps over more than half of the range so far."""
@@ -148,4 +179,6 @@ class Saturation:
             if share.any():
                 ends = self._values[0].reshape(2, 6)[:, axes][limits.reshape(2, 6)[:, axes]]
                 out.append(Saturated(sensor, float(ends.max()), float(share.max())))
+            elif sensor == "accelerometer" and (lacks := self._lacks):
+                out.append(Saturated(sensor, (1.0 - lacks) * GRAVITY, lacks, low=True))
         return tuple(out)
