@@ -80,13 +80,13 @@ def telling(quantity: Mapping[str, Any] | None, span: float | None = None) -> bo
     Args:
         quantity: of the file; None: not known.
         span: of all values that it may have, about zero, beyond which it is an artifact; None: any
-            size above zero, which is known where its interval is within a factor of three.
+            size above zero, which is known where its interval is within a power of ten.
     """
     if quantity is None or quantity["value"] is None:
         return False
     value, half = abs(float(quantity["value"])), half_of(quantity)
     if span is None:
-        return 2.0 * half < value
+        return value + half < 10.0 * (value - half)
     return half < 0.5 * span and value - half < span
 
 
