@@ -10,7 +10,7 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Stream
 from tests.feeding import feed
 
-FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "3")
+FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "25", "--seed", "3")
 
 
 @pytest.fixture(scope="module")
