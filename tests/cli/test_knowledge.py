@@ -58,7 +58,7 @@ def test_a_mass_step_is_told_with_time_and_size(analyze, stepped):
 
 @pytest.mark.slow
 def test_two_flights_with_a_known_mass_added_give_mass_and_k_t(analyze, fly):
-    common = ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "40")
+    common = ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "25")
     light = fly(*common, "--seed", "1")
     heavy = fly(*common, "--seed", "2", "--mass-step", "0.1:1.2")
     status, out, _ = analyze(light.tlog, heavy.tlog, *PAPER, "--added-mass", "0.3", "--json", "-")

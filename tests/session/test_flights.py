@@ -42,8 +42,8 @@ def test_the_articles_flight_is_identified(paper_flight, paper_result):
     assert paper_result.source == str(paper_flight.tlog)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [2, 3])
 def test_other_seeds_of_it(fly, airframe, seed):
     flight = fly("--mission", "paper", *AS_THE_ARTICLE, "--seed", str(seed))
     result = analyze_log(flight.tlog, airframe)
