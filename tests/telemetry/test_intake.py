@@ -357,6 +357,18 @@ def test_of_frames_that_come_again_over_a_second_radio_one_counts(sender, piece)
     assert intake.as_dict()["copies"] == len(once)
 
 
+@pytest.mark.parametrize("piece", [1, 300])
+def test_what_has_no_time_may_say_the_same_again(sender, piece):
+    """256 frames a second: each heartbeat has the sequence number of the one before."""
+    frames = [
+        sender.heartbeat() if i % 256 == 0 else sender.imu(1.0 + i / 256.0) for i in range(2560)
+    ]
+    intake = Intake()
+    for first in range(0, len(frames), piece):
+        intake.frames(frames[first : first + piece])
+    assert intake.as_dict()["copies"] == 0
+
+
 def test_every_message_has_a_fate(sender, make_sender):
     intake = Intake()
     imu = mavlink.MAVLink_highres_imu_message

@@ -237,12 +237,18 @@ class FrameBlock:
 
 
 class SeenFrames:
-    """Finds frames that came before, as over two radios; a minute of a fast link is remembered."""
+    """Finds frames that came before, as over two radios; a minute of a fast link is remembered.
+
+    Sequence numbers wrap, so that what has no time stamp, such as a heartbeat, may come again with
+    the same bytes: one that follows in sequence is no copy.
+    """
 
     _KEPT = 32_768
     """Frames that are remembered, at least."""
 
     def __init__(self) -> None:
+        self._last: dict[int, int] = {}
+        """Sender -> sequence number of its latest frame that was no copy."""
         self.repeated = 0
         """How many there were."""
         self._newer: set[int] = set()
@@ -252,13 +258,19 @@ class SeenFrames:
         """Frames in the order received; those that repeat one before are `REPEATED`."""
         rows = np.flatnonzero(frames.validity == OK)
         keys = frames.keys[rows].tolist()
+        senders = (frames.system[rows].astype(int) * 256 + frames.component[rows]).tolist()
+        numbers = frames.sequence[rows].tolist()
         some = set(keys)
         if len(some) == len(keys) and all(map(some.isdisjoint, (self._newer, self._older))):
             self._remember(some)
+            self._last.update(zip(senders, numbers, strict=True))
             return frames
         again = np.zeros(len(keys), bool)
-        for i, key in enumerate(keys):
-            again[i] = key in self._newer or key in self._older
+        for i, (key, sender, number) in enumerate(zip(keys, senders, numbers, strict=True)):
+            known = key in self._newer or key in self._older
+            again[i] = known and number != (self._last[sender] + 1) % 256
+            if not again[i]:
+                self._last[sender] = number
             self._remember({key})
         self.repeated += int(np.count_nonzero(again))
         validity = frames.validity.copy()
