@@ -119,18 +119,19 @@ def take_log(
     for block in blocks:
         if keeper is not None:
             keeper.add_records(block)
-        for window in block.windows(WINDOW):
-            if progress and log.share_read > done:
-                done = log.share_read
-                progress(done)
+        windows = [*block.windows(WINDOW)]
+        for number, window in enumerate(windows):
+            if progress:
+                progress(done + (log.share_read - done) * number / len(windows))
             chain.take(window)
+        done = log.share_read
         if chain.outdated and not whole:
             for rest in blocks:
                 chain.learn_parameters(rest)
             return False
-    return True
     if progress:
         progress(1.0)
+    return True
 
 
 def analyze_pair(

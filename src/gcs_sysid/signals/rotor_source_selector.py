@@ -48,6 +48,8 @@ STRETCH = 2.5
 """s of flight used for a judgement."""
 MIN_RATE = 15.0
 """Hz. Slower streams do not follow the rotors."""
+_LAGS = 0.5
+"""Share of the others' new readings, below which those of one rotor are old."""
 _AGE = 0.005
 """s by which the readings of one rotor are older than the others', on the average, from which they
 are not those of its rotor: 8 ms cost inertia 4 %."""
@@ -316,12 +318,15 @@ class RotorSourceSelector:
             fresh = [_readings(*rotor) for rotor in rotors]
             if max(fresh) < MIN_RATE:
                 return f"repeats old readings, {max(fresh):.0f} new ones a second"
-            fresh = [new if np.ptp(v) else math.inf for new, v in zip(fresh, values, strict=True)]
-            older = 0.5 / np.array(fresh) - 0.5 / float(np.median(fresh))
-            if older.max() > _AGE:
-                least = min(fresh)
-                rotor = fresh.index(least) + 1
-                return f"repeats old readings of rotor {rotor}, {least:.0f} new ones a second"
+            known = {i: new for i, new in enumerate(fresh) if np.ptp(values[i]) and new < math.inf}
+            if known:
+                rotor = min(known, key=known.__getitem__)
+                least, usual = known[rotor], float(np.median([*known.values()]))
+                # Whole rpm repeat by chance, but not every other time.
+                if least < _LAGS * usual and 0.5 / least - 0.5 / usual > _AGE:
+                    return (
+                        f"repeats old readings of rotor {rotor + 1}, {least:.0f} new ones a second"
+                    )
             if all(map(np.ptp, values)):
                 return held_reading(rotors)
         return ""

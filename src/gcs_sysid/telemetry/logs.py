@@ -154,8 +154,8 @@ class OnboardLog:
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""
         if self.vehicle is not None:
-            yield replace(self._recording.block(), events=self._notes)
             self.share_read = 1.0
+            yield replace(self._recording.block(), events=self._notes)
 
     @property
     def extras(self) -> Mapping[str, tuple[Array, Array]]:
