@@ -48,7 +48,7 @@ CASES = {
     "empty log": (["analyze", "empty.tlog", *PAPER], "empty.tlog"),
     "no log": (["analyze", "text.tlog", *PAPER], "text.tlog"),
     "folder for a log": (["analyze", "folder.tlog", *PAPER], "folder.tlog"),
-    "no airframe": (["analyze", SAMPLE], "--airframe"),
+    "no airframe": (["analyze", SAMPLE], "--arm"),
     "neither log nor airframe": (["analyze", "missing.tlog"], "missing.tlog"),
     "no such airframe": (["analyze", "a.tlog", "--airframe", "nonesuch"], "'nonesuch'"),
     "missing airframe file": (["analyze", "a.tlog", "--airframe", "no.toml"], "no.toml"),

@@ -123,9 +123,7 @@ def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
     return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)
 
 
-NO_ATTITUDE = (
-    "no attitude (ATTITUDE or ATTITUDE_QUATERNION): thrust rests on the accelerometer alone"
-)
+NO_ATTITUDE = "no attitude (ATTITUDE or ATTITUDE_QUATERNION): thrust is by the accelerometer alone"
 """What its absence costs; a moment of inertia needs none."""
 _Reasons = tuple[tuple[str, str], ...]
 """What is wrong, and what to do."""

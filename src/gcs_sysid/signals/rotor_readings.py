@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
@@ -176,6 +175,8 @@ def moved_columns(
     power = math.sqrt(float((own**2).sum() * (asked**2).sum()))
     if not power > 0.0:
         return ""
+    from scipy.optimize import linear_sum_assignment  # takes a while to load
+
     alike = own.T @ asked / power
     rotors, follows = linear_sum_assignment(-alike)
     left = 1.0 - float(alike[rotors, follows].sum())

@@ -4,7 +4,8 @@ Two bytes are taken per look-up, in all frames of one length together: the 16 bi
 the next 16 bits of the message, joined by exclusive or, index the state after them.
 """
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -237,22 +238,29 @@ class FrameBlock:
 
 
 class SeenFrames:
-    """Finds frames that came before, as over two radios; a minute of a fast link is remembered.
+    """Finds frames that came before, as over two radios, half a minute ago at most.
 
-    Sequence numbers wrap, so that what has no time stamp, such as a heartbeat, may come again with
-    the same bytes: one that follows in sequence is no copy.
+    Sequence numbers wrap, or are all zero, so that what has no time stamp, such as a heartbeat, may
+    come again with the same bytes: it is a copy where it does not follow in sequence.
+
+    Args:
+        stamped: ids of messages with a time stamp.
     """
 
     _KEPT = 32_768
-    """Frames that are remembered, at least."""
+    """Frames that are remembered."""
+    _LOST = 8
+    """Frames that may be lost in a sequence, at most."""
 
-    def __init__(self) -> None:
+    def __init__(self, stamped: Collection[int]) -> None:
+        self._stamped = np.array(sorted(stamped))
         self._last: dict[int, int] = {}
         """Sender -> sequence number of its latest frame that was no copy."""
         self.repeated = 0
         """How many there were."""
-        self._newer: set[int] = set()
-        self._older: set[int] = set()
+        # Full from the start, of what no frame is, so that memory stays what it is.
+        self._order = deque(range(-self._KEPT, 0))
+        self._known = set(self._order)
 
     def mark(self, frames: FrameBlock) -> FrameBlock:
         """Frames in the order received; those that repeat one before are `REPEATED`."""
@@ -260,27 +268,32 @@ class SeenFrames:
         keys = frames.keys[rows].tolist()
         senders = (frames.system[rows].astype(int) * 256 + frames.component[rows]).tolist()
         numbers = frames.sequence[rows].tolist()
-        some = set(keys)
-        if len(some) == len(keys) and all(map(some.isdisjoint, (self._newer, self._older))):
+        some = dict.fromkeys(keys)
+        if len(some) == len(keys) and self._known.isdisjoint(some):
             self._remember(some)
             self._last.update(zip(senders, numbers, strict=True))
             return frames
         again = np.zeros(len(keys), bool)
+        stamped = np.isin(frames.message_id[rows], self._stamped).tolist()
         for i, (key, sender, number) in enumerate(zip(keys, senders, numbers, strict=True)):
-            known = key in self._newer or key in self._older
-            again[i] = known and number != (self._last[sender] + 1) % 256
+            if key in self._known:
+                ahead = (number - self._last[sender]) % 256
+                again[i] = stamped[i] or ahead > 1 + self._LOST or (number and not ahead)
+            else:
+                self._remember((key,))
             if not again[i]:
                 self._last[sender] = number
-            self._remember({key})
         self.repeated += int(np.count_nonzero(again))
         validity = frames.validity.copy()
         validity[rows[again]] = REPEATED
         return replace(frames, validity=validity)
 
-    def _remember(self, keys: set[int]) -> None:
-        self._newer |= keys
-        if len(self._newer) >= self._KEPT:
-            self._older, self._newer = self._newer, set()
+    def _remember(self, keys: Collection[int]) -> None:
+        """Remember some that are new, in the order received."""
+        self._known.update(keys)
+        self._order.extend(keys)
+        for _ in range(len(keys)):
+            self._known.discard(self._order.popleft())
 
 
 _COLUMNS = [field.name for field in fields(FrameBlock) if field.name not in ("data", "number")]

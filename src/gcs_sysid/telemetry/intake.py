@@ -35,6 +35,9 @@ _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _STATES = sorted(STATE_IDS)
 
 
+_STAMPED_IDS = frozenset(MESSAGE_IDS[m.name] for m in MESSAGES if m.stamp is not Stamp.NONE)
+
+
 class Intake:
     """Takes the frames of a link or a log, gives the records of the chosen vehicle.
 
@@ -75,7 +78,7 @@ class Intake:
         self.turning: set[str] = set()
         self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
-        self._seen = SeenFrames()
+        self._seen = SeenFrames(_STAMPED_IDS)
         self._others: set[tuple[int, int]] = set()
         self._contradictions = Contradictions()
         self._events: list[IntakeEvent] = []
