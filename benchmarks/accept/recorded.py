@@ -337,7 +337,7 @@ def _field_figures(outcomes: Outcomes) -> list[Figure]:
         ("quiver", [o for o in outcomes if _ONE_DAY.fullmatch(o["log"])]),
         ("greenreaper", [o for o in outcomes if o["folder"] == "greenreaper"]),
     ):
-        for name in _SAME:
+        for name in _REPEATED:
             found = [o["values"][name] for o in which if name in o["values"]]
             if len(found) >= 3:
                 figures.append(
