@@ -126,7 +126,7 @@ def test_the_doctor_and_the_wizard(as_on_windows, tmp_path):
     assert (tmp_path / "work" / "octo.toml").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_an_analysis_with_a_report(as_on_windows, paper_flight, tmp_path):
     argv = [paper_flight.tlog, *PAPER, "--truth", paper_flight.truth_file, "--report", "r.html"]
     status, out, err = as_on_windows("gcs_sysid", "analyze", *argv)
@@ -145,7 +145,7 @@ def test_a_live_session_where_nobody_speaks_ends_after_its_duration(as_on_window
     assert not (tmp_path / "work" / "logs").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_demo_with_its_emulator(as_on_windows, tmp_path):
     argv = ["demo", "--headless", "--speed", "max", "--duration", "20", "--record", "d.tlog"]
     status, out, err = as_on_windows("gcs_sysid", *argv)

@@ -17,6 +17,7 @@ def log(fly):
     return str(flight.tlog)
 
 
+@pytest.mark.thorough
 def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
     replayed, analyzed = tmp_path / "replay.json", tmp_path / "analyze.json"
     assert run(["analyze", log, *PAPER, "--json", str(analyzed)]) == 0

@@ -67,7 +67,7 @@ OPTIONS = argparse.Namespace(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_report_is_of_the_recording_so_far_with_the_scale_in_force(paper_flight, folder):
     recording = folder / "flight.tlog"
     whole = paper_flight.tlog.read_bytes()

@@ -27,7 +27,7 @@ def test_the_coach_needs_less_time_than_the_articles_modes():
     assert 1.0 / AGREES < np.median(later) < AGREES
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_progress_is_of_motion_and_not_of_time():
     mission = ManoeuvreMission()
     flight = Flight("px4-sih", mission, 2)
@@ -104,7 +104,7 @@ def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
         assert (after.manoeuvre.pace, after.manoeuvre.name) != (asked.pace, asked.name)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_estimates_are_the_same_with_a_coach_and_without():
     ends = []
     for led in (False, True):

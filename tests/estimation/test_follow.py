@@ -99,7 +99,7 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     assert_same(*late)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_blocks_know_the_prior(truth, flight):
     known = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     mean = np.zeros(N_UNKNOWNS)

@@ -232,7 +232,7 @@ def learnt_early(monkeypatch):
     monkeypatch.setattr(whitened_record, "_LEARNED", 15.0)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_narrowing_loses_next_to_nothing(calm, monkeypatch):
     found = []
     for learnt in (15.0, 1e9):

@@ -78,7 +78,7 @@ def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
     assert made == alone
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_damaged_results_are_made_again_and_other_settings_are_others(batch, flights, tmp_path):
     out = tmp_path / "out"
     batch(flights[0], "-o", out, *PAPER)
@@ -197,7 +197,7 @@ class DeadlyAirframe(Airframe):
         return os._exit, (9,)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_log_at_which_the_process_dies_is_a_row_and_is_tried_again(logs, tmp_path):
     paper = load_airframe("paper")
     deadly = DeadlyAirframe(**vars(paper))

@@ -43,7 +43,7 @@ def test_every_task_is_done_once(pool):
     assert all(task.path == result for task, result in done)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_who_kills_the_process_twice_was_to_blame(pool):
     done = {task.path: result for task, result in complete(pool, tasks(2, 6), lambda: False)}
     assert len(done) == 8

@@ -79,7 +79,7 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, undisturbed):
     assert fast.parameters["mass"] == undisturbed.parameters["mass"]  # given
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
     chain, link = linked(airframe, ChainOptions(history_interval=None))
     for time_us, frame in read_tlog(received(8000.0)):

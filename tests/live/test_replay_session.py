@@ -203,6 +203,7 @@ def test_a_seek_goes_there_by_all_that_lies_between(recorded):
     assert 17.5 < stage.playback.position <= 18.5
 
 
+@pytest.mark.thorough
 def test_a_seek_back_forgets_what_came_later(recorded, analyzed):
     stage, other = Stage(recorded), Stage(recorded)
     stage.run_to_end()
@@ -264,6 +265,7 @@ def test_rates_are_those_of_the_last_seconds(recorded):
     assert [v.chosen for v in stage.snapshot.link.vehicles] == [True]
 
 
+@pytest.mark.thorough
 def test_it_goes_on_over_a_reboot(fly):
     flight = fly(
         *("--mission", "all-axes", "--rate", "50", "--duration", "20", "--seed", "5"),

@@ -182,9 +182,9 @@ def flood(session, link, make, count, rng):
     [
         *(
             pytest.param(make, marks=pytest.mark.thorough)
-            for make in (senders, types, crowded, landings, garbage)
+            for make in (senders, types, crowded, landings, garbage, stamps)
         ),
-        *(parameters, texts, stamps, rotors, scraps),
+        *(parameters, texts, rotors, scraps),
     ],
     ids=lambda make: make.__name__,
 )

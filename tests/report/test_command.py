@@ -87,7 +87,7 @@ def test_wrong_usage_is_one_line_and_changes_nothing(folder, capsys, argv, told)
     assert sorted(os.listdir(folder)) == before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_names_of_logs_may_be_anything(paper_flight, tmp_path, capsys):
     log = tmp_path / '<img src=x onerror=alert(1)> & "it\'s".tlog'
     try:

@@ -70,7 +70,7 @@ def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
     assert agreement(found)[0] == pytest.approx(list(told.values()), abs=5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_after_a_change_the_segment_in_force_is_predicted(fly):
     flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100")
     log = fly(*flight, "--seed", "1", "--mass-step", "30:1.2").tlog

@@ -456,7 +456,7 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     assert max(len(b) for b in base._buffers.values()) < 5000
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_real_ardupilot_log_has_one_grid(shared_logs):
     """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
     base, fresh = TimeBase(), 0

@@ -96,7 +96,7 @@ def test_it_climbs_and_flies_the_mission(records: dict[str, list[tuple[float, An
     assert gyro.std() > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_flights_land_between(tmp_path: Path, read_tlog: Read) -> None:
     path = tmp_path / "f.tlog"
     options = ["--airframe", "px4-quad-x", "--rate", "20", "--mission", "hover"]

@@ -70,7 +70,7 @@ def test_errors_grow_from_the_measured_state(twin):
     assert growth.guess["attitude"][-1] > 5.0 * growth.rms["attitude"][-1]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_wrong_model_leaves_the_band(result):
     """The band is of what the result claims: a vehicle with another inertia flies out of it."""
     elsewhere = replace(result, source="another.tlog", validation={})

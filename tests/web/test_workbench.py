@@ -246,7 +246,7 @@ def lines_of(text):
     return [json.loads(line) for line in text.splitlines()]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     _, client, site = bench
     data = paper_flight.tlog.read_bytes()
