@@ -124,8 +124,8 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
     """
     sizes = reference_values(evidence.estimates, evidence.airframe.arm)
     for found in evidence.saturated:
+        how = _remedy(found, evidence.parameters)
         if found.absent:  # what rests on it is not observed
-            how = _remedy(found, evidence.parameters)
             yield Objection(saturation_reason(found), verdict="partial", how=how)
             continue
         names = frozenset(
@@ -142,7 +142,7 @@ def saturated_sensors(evidence: Evidence) -> Iterator[Objection]:
                 cap="weak",
                 verdict="partial",
                 evidence={"limit": found.limit, "share": found.share},
-                how=_remedy(found, evidence.parameters),
+                how=how,
             )
 
 

@@ -6,12 +6,12 @@ is in the last step 1 / (sqrt 2 - 1) times as often as in the one before, the mo
 without a flat top. So of the samples at the two highest values that there ever were, a share of
 sqrt 2 / 2 at most is expected at the highest, and a chance beyond that shows a limit.
 
-Whatever flies from v_0 to v_1 in the time t, its specific force has a mean of g + (v_1 - v_0) / t:
-an accelerometer whose mean size is less reads too little.
-
 Other sensors go on from the other end: a step over nearly all of the range. Of a sine's steps over
 more than half of its range, however rarely it is sampled, 53 % are nearly as large as that; one
 that wraps around has hardly any between.
+
+Whatever flies from v_0 to v_1 in the time t, its specific force has a mean of g + (v_1 - v_0) / t:
+an accelerometer whose mean size is less reads too little.
 """
 
 import math

@@ -325,7 +325,7 @@ class CommandRecord:
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record."""
-        self._settled = None
+        self._settled = self._rest = None
         if self._kept is None:
             if self._now is not None:
                 self._now.white.forget_last(seconds)
