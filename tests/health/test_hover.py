@@ -10,11 +10,12 @@ from gcs_sysid.health import balance, command_curve
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.hover import windows_of
-from gcs_sysid.health.log_streams import streams_of
+from gcs_sysid.health.log_streams import RotorStream, Streams, streams_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent
 from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.recursions import lfilter
 from testbed.recordings import block_of
 
 G = 9.80665
@@ -322,3 +323,26 @@ def test_robust_fit_shrugs_at_outliers_and_collinear_columns():
     assert both.value.sum() == pytest.approx(2.0)
     with pytest.raises(ValueError, match="do not show"):
         balance.robust_fit(np.ones((2, 3)), np.ones(2))
+
+
+def test_the_curve_is_that_of_what_slow_rotors_do_not_of_what_is_commanded_meanwhile():
+    """Commands that change within a rotor's time constant, sampled and averaged by any window."""
+    random, lag, c = np.random.default_rng(5), 0.2, 0.7
+    t = np.arange(0.0, 120.0, 0.01)
+    kept = math.exp(-0.01 / lag)
+    slow = 0.08 * np.sin(0.4 * t)[:, None] + 0.6
+    fast = lfilter([1.0], [1.0, -0.97], 0.02 * random.standard_normal((len(t), 4)))[0]
+    u = (slow + fast).clip(0.1, 1.0)
+    followed = u[0] + lfilter([1.0 - kept], [1.0, -kept], u - u[0])[0]
+    speeds = np.sqrt(1e5 * ((1.0 - c) * followed + c * followed**2))
+    tracks = {Stream.IMU: (t[::4], np.tile([0.0, 0.0, 0.0, 0.0, 0.0, -G], (len(t[::4]), 1)))}
+    commands, measured = (
+        RotorStream(name, tuple((t[::10], column) for column in values[::10].T), 10.0)
+        for name, values in (("u", u), ("rpm", speeds))
+    )
+    streams = Streams(0.0, tracks, measured, commands, {})
+    windows = windows_of(streams, 4, (t, np.ones(len(t), bool)))
+    found = command_curve.curve_of(windows, None, None, "").c
+    assert windows.lag == pytest.approx(lag, abs=0.03)
+    assert abs(found.value - c) < 1.96 * found.std
+    assert found.std < 0.04
