@@ -190,6 +190,17 @@ def load_airframe(
         >>> airframe.anchor(), round(airframe.arm, 6)
         (('mass', 1.62), 0.3)
     """
+    out = _as_known(airframe, known)
+    if out.anchor() is None:
+        raise InputError(
+            f"nothing sets the scale: give one of {', '.join(ANCHORS)}; IMU and rotor data alone "
+            "fix ratios only"
+        )
+    return out
+
+
+def _as_known(airframe: str | PathLike[str] | Airframe, known: Known) -> Airframe:
+    """An airframe with what is known of it, perhaps no scale."""
     unknown = known.keys() - Known.__annotations__.keys()
     if unknown:
         raise TypeError(f"unexpected keyword argument {min(unknown)!r}")
@@ -205,11 +216,6 @@ def load_airframe(
     out = out.with_uncertainty(known.get("uncertainty", {}), "uncertainty")
     for prior, (value, std) in known.get("priors", {}).items():
         out = out.with_prior(prior, value, std)
-    if out.anchor() is None:
-        raise InputError(
-            f"nothing sets the scale: give one of {', '.join(ANCHORS)}; IMU and rotor data alone "
-            "fix ratios only"
-        )
     out.check_scale_fits()
     return out
 
@@ -236,7 +242,8 @@ def analyze(
         offline: whether to estimate once more from all samples, see `docs/method/offline.md`.
         history: whether to keep estimates and predicted acceleration over time, for
             `Result.plot`; takes longer.
-        known: scale, arm and priors, see `Known`.
+        known: scale, arm and priors, see `Known`. Without a scale values are per kg of the mass,
+            and of a built-in layout without `arm` per m of that too, as their units say.
 
     Raises:
         InputError: the log or the airframe cannot be used.
@@ -254,7 +261,7 @@ def analyze(
 
     interval = ChainOptions().history_interval if history else None
     options = ChainOptions(history_interval=interval, start=start, end=end, offline=offline)
-    whole = load_airframe(airframe, **known)
+    whole = _as_known(airframe, known)
     if not history:
         return analyze_log(Path(log), whole, vehicle, options)
     with closing(Recorder(len(whole.rotors))) as recorder:

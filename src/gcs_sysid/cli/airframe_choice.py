@@ -51,12 +51,15 @@ def layout_of(options: argparse.Namespace, reported: Airframe | None = None) -> 
     return airframe if scale is None else with_given(airframe, *scale, GIVEN_OPTIONS[scale[0]])
 
 
-def airframe_of(options: argparse.Namespace, reported: Airframe | None = None) -> Airframe:
+def airframe_of(
+    options: argparse.Namespace, reported: Airframe | None = None, *, relative: bool = False
+) -> Airframe:
     """The airframe with its scale and priors, as the options say.
 
     Args:
         options: of the command line.
         reported: the layout that the vehicle reports, which replaces `--airframe`.
+        relative: whether there may be no scale.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
@@ -73,7 +76,7 @@ def airframe_of(options: argparse.Namespace, reported: Airframe | None = None) -
         airframe = airframe.with_anchor("mass", 1.0)
     for name, value, std in getattr(options, "prior", ()):
         airframe = airframe.with_prior(name, value, std)
-    if airframe.anchor() is None:
+    if airframe.anchor() is None and not relative:
         raise InputError(_NO_SCALE)
     airframe.check_scale_fits()
     return airframe
@@ -99,24 +102,30 @@ def check_scale_given(options: argparse.Namespace) -> None:
         raise InputError(f"{_NO_SCALE}; without --airframe the layout comes from the vehicle{also}")
 
 
-def of_log(path: Path, options: argparse.Namespace) -> Airframe:
+def of_log(path: Path, options: argparse.Namespace, *, relative: bool = False) -> Airframe:
     """The airframe for a log, named or by the parameters in it.
+
+    Args:
+        path: of the log.
+        options: of the command line.
+        relative: whether mass, and with it the size, may be missing.
 
     Raises:
         InputError: the log cannot be read; or the line names every option that is missing.
     """
     if not is_auto(options):
-        return airframe_of(options)
+        return airframe_of(options, relative=relative)
     from gcs_sysid.health.assessment import ReadLog
     from gcs_sysid.session.reported_layout import suggested_airframe
 
     read = ReadLog(path, options.vehicle)
     layout = read.layout()
     lacking = _lacking(layout, options, suggested_airframe(read.log.kind, read.log.vehicle))
-    if lacking:
+    relative = relative and not _is_scale_given(options)
+    if lacking and not (relative and layout is not None):
         what, give = _listed([one.what for one in lacking]), _listed([one.words for one in lacking])
         raise InputError(f"{path}: the log does not contain the vehicle's {what}: give {give}")
-    return _by_layout(layout, options, str(path))
+    return _by_layout(layout, options, str(path), relative=relative)
 
 
 class _Lacking(NamedTuple):
@@ -245,7 +254,11 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
 
 
 def _by_layout(
-    reported: "ReportedLayout | None", options: argparse.Namespace, problem: str
+    reported: "ReportedLayout | None",
+    options: argparse.Namespace,
+    problem: str,
+    *,
+    relative: bool = False,
 ) -> Airframe:
     from gcs_sysid.session.reported_layout import airframe_of_layout, proposal
 
@@ -256,7 +269,12 @@ def _by_layout(
         except InputError as error:
             raise InputError(f"{problem}. {str(error)[:1].upper()}{str(error)[1:]}") from None
     assert reported is not None
-    airframe = airframe_of(options, airframe_of_layout(reported, options.arm))
+    if relative and options.arm is None and not reported.sized:
+        of_any_size = Airframe("auto", reported.rotors, placeholder=reported.rotors)
+        airframe = airframe_of(options, of_any_size, relative=True)
+    else:
+        layout = airframe_of_layout(reported, options.arm)
+        airframe = airframe_of(options, layout, relative=relative)
     output.say(f"airframe: {proposal(reported)}")
     return airframe
 

@@ -24,7 +24,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when a log does not allow an answer."""
     if options.end <= options.start:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
-    airframe = airframe_choice.of_log(Path(options.logs[0]), options)
+    relative = options.added_mass is None
+    airframe = airframe_choice.of_log(Path(options.logs[0]), options, relative=relative)
     truth = output.read_truth(options.truth) if options.truth else None
     reporter = None
     if options.report is not None:

@@ -216,6 +216,7 @@ def assemble(
     Raises:
         InputError: a value makes no sense, the rotors are not known, or they contradict.
     """
+    result.need_scale()
     rotors, label = _rotors(result, airframe)
     known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _of_flight(e))}
     known.pop("rotor_delay", None)

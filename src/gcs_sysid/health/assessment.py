@@ -359,6 +359,8 @@ def _better(result: Result, name: str, of_hover: Estimate) -> Estimate | None:
     found = result.parameters.get(name)
     if found is None or found.value is None or found.std is None or of_hover.std is None:
         return None
+    if found.unit != of_hover.unit:
+        return None
     known = found.status not in ("given", "unobservable") and found.std < of_hover.std
     return found if known else None
 

@@ -64,6 +64,7 @@ PRODUCERS = (
     Producer("data", received.missing_data, Stage.BELIEF, first=True),
     Producer("data", received.without_attitude, Stage.BELIEF),
     Producer("arm", plausibility.placeholder_arm, Stage.BELIEF),
+    Producer("scale", plausibility.own_units, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from gcs_sysid.judgement.evidence import Evidence
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
@@ -74,6 +74,13 @@ def placeholder_arm(evidence: Evidence) -> Iterator[Objection]:
         )
 
 
+def own_units(evidence: Evidence) -> Iterator[Objection]:
+    """Neither mass nor thrust was given, and perhaps no size."""
+    if evidence.airframe.own_units:
+        reason, how = own_units_words(evidence.airframe.own_units)
+        yield Objection(reason, verdict="identified", how=how)
+
+
 def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
     """Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
     if evidence.reread:
@@ -121,10 +128,15 @@ def unseen_spins(evidence: Evidence) -> Iterator[Objection]:
 def implausible(evidence: Evidence) -> Iterator[Objection]:
     """Numbers that no multirotor has, however well the model fits."""
     found, airframe, everything = _known(evidence), evidence.airframe, frozenset(evidence.estimates)
-    sizes = tuple(misfits(found, airframe, evidence.rotor_input))
+    own = airframe.own_units
+    sizes = () if own else tuple(misfits(found, airframe, evidence.rotor_input))
     yield from (replace(each, parameters=everything, cap="weak") for each in sizes)
     if sizes:  # where mass and arm do not fit each other, inertia cannot fit both
         return
+    if "arm" in own:  # what is compared with the square of the arm is per m of it
+        found.pop("mass", None)
+    if own:  # and no propeller's size follows from what is per kg
+        found.pop("k_T", None)
     found_wrong = [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
     found_wrong += [(each, _BY_SPIN) for each in _spins(found, airframe, evidence.rotor_input)]
     for (reason, how), names in found_wrong:

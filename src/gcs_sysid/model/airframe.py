@@ -8,7 +8,7 @@ deviation is therefore given too, in an airframe file's `[uncertainty]` or behin
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
@@ -201,6 +201,8 @@ SIMULATION_TABLE = "simulation"
 """A table for the emulator alone. This reader drops it unread: truth never gets in here."""
 
 
+OWN_UNITS = (("mass",), ("mass", "arm"))
+"""What may be a unit, where it is not given: see `Airframe.own_units`."""
 _UPRIGHT = (0.0, 0.0, -1.0)
 _MOST_TILT = math.radians(30.0)
 
@@ -258,6 +260,8 @@ class Airframe:
             autopilot's.
         imu_position: m, forward, right and down from the geometric center, or None.
         uncertainty: of rotor positions, scale and IMU.
+        own_units: "mass" and "arm" that were not given, and are one here: what is in proportion to
+            them is per kg of the mass, or per m of the arm.
     """
 
     name: str
@@ -274,6 +278,7 @@ class Airframe:
     uncertainty: GivenUncertainty = USUAL
     placeholder: tuple[Rotor, ...] = ()
     """Rotors of a built-in layout, whose size is not that of any vehicle: see `_VEHICLES`."""
+    own_units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.rotor_input != "auto":
@@ -318,7 +323,8 @@ class Airframe:
             rotors.append({"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"})
             if r.axis != _UPRIGHT:
                 rotors[-1]["axis"] = list(r.axis)
-        return {"name": self.name, "rotors": rotors}
+        own = {"own_units": list(self.own_units)} if self.own_units else {}
+        return {"name": self.name, "rotors": rotors, **own}
 
     @property
     def imu_arm(self) -> tuple[float, float, float] | None:
@@ -353,6 +359,25 @@ class Airframe:
         cleared: dict[str, float | None] = dict.fromkeys(ANCHORS)
         cleared[name] = value
         return replace(self, **cleared)  # type: ignore[arg-type]
+
+    def in_own_units(self) -> "Airframe":
+        """The same airframe of which neither mass nor thrust is known, with its mass as the unit.
+
+        Of a built-in layout whose size is not the vehicle's, so is its arm. Motion and rotors
+        determine all else in these units, exactly.
+
+        Raises:
+            InputError: a prior is in proportion to what is not known.
+        """
+        own = OWN_UNITS[0] if self.arm_known else OWN_UNITS[1]
+        for name in self.priors:
+            if REGISTRY[name].unit_per(own) != REGISTRY[name].unit:
+                raise InputError(f"a prior of {name} needs the {' and the '.join(own)}, not given")
+        sized = self if self.arm_known else self.with_arm(1.0)
+        exact = replace(self.uncertainty, mass=Sigma(0.0))
+        if "arm" in own:
+            exact = replace(exact, arm=Sigma(0.0))
+        return replace(sized.with_anchor("mass", 1.0), uncertainty=exact, own_units=own)
 
     def check_scale_fits(self) -> None:
         """Refuse a scale that does not fit the rotor input, or is hardly known.
@@ -421,6 +446,16 @@ class Airframe:
         k = meters / self.arm
         rotors = tuple(replace(r, x=r.x * k, y=r.y * k) for r in self.rotors)
         return replace(self, rotors=rotors, placeholder=())
+
+
+def own_units_words(own: Collection[str]) -> tuple[str, str]:
+    """What values are per, as of `Airframe.own_units`, and what would scale them."""
+    if "arm" in own:
+        return (
+            "values are per kg of the mass and per m of the arm, which were not given",
+            "give --mass KG and --arm M",
+        )
+    return "values are per kg of the mass, which was not given", "give --mass KG"
 
 
 def builtin_names() -> list[str]:

@@ -6,7 +6,7 @@ tables, screens and files. The effect of each coefficient on the motion is in `m
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -140,6 +140,17 @@ class Parameter:
     of_vehicle: bool = True
     optional: bool = False
     exponent: int | None = None
+
+    def unit_per(self, own: Collection[str]) -> str:
+        """Its unit where the vehicle's mass, arm or both are units, as of `Airframe.own_units`.
+
+        All that is not of time or shape is in proportion to the mass, and all that is read off
+        torque over angular acceleration to the arm.
+        """
+        per = ["kg"] if "mass" in own and self.scale != "none" else []
+        per += ["m"] if "arm" in own and self.theta else []
+        under = per[0] if len(per) == 1 else f"({' '.join(per)})"
+        return f"{self.unit}/{under}" if per else self.unit
 
     def in_result(self, rotor_input: RotorInput) -> bool:
         """Whether a result with this rotor input has it, even if unobservable."""

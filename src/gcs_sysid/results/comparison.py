@@ -53,8 +53,9 @@ class Difference:
 
     @property
     def unit(self) -> str:
-        """SI unit."""
-        return _KNOWN[self.name].unit
+        """Of A's value, or of both."""
+        found = self.before or self.after
+        return _KNOWN[self.name].unit if found is None else found.unit
 
     @property
     def ci95(self) -> tuple[float, float] | None:
@@ -169,7 +170,13 @@ def _difference(name: str, before: Result, after: Result) -> Difference:
             why = f"not in {which}"
         elif estimate.status == "unobservable":
             why = f"unobservable in {which}"
-        elif result.scale is None and _KNOWN[name].scale != "none":
+        elif first and second and first.unit != second.unit:
+            why = f"{which} is in {estimate.unit}"
+        elif (
+            result.scale is None
+            and not result.airframe.get("own_units")
+            and _KNOWN[name].scale != "none"
+        ):
             why = f"{which} has no scale"
         else:
             # What was given is wrong by as much in both.
@@ -247,7 +254,8 @@ def _flight_notes(before: Result, after: Result) -> Iterable[str]:
 def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference]) -> Iterable[str]:
     first, second = before.scale, after.scale
     if first is None or second is None:
-        yield "without a scale only lengths compare"
+        if not (before.airframe.get("own_units") or after.airframe.get("own_units")):
+            yield "without a scale only lengths compare"
         return
     if first.anchor != second.anchor:
         yield (

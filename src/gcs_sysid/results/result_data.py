@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
+from gcs_sysid.model.airframe import own_units_words
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate, Objection, Verdict
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.strict_json import json_text
@@ -85,6 +86,16 @@ class ResultData:
     """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
     prediction: "Acceleration | None" = field(default=None, compare=False)
     """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
+
+    def need_scale(self) -> None:
+        """Check that values are those of a vehicle, not per kg of its mass.
+
+        Raises:
+            InputError: nothing was given to scale them.
+        """
+        own = self.airframe.get("own_units") or ()
+        if own:
+            raise InputError("{}: to analyze the log again, {}".format(*own_units_words(own)))
 
     def identified(self, name: str) -> IdentifiedEstimate:
         """A reliable parameter, typed accordingly: its value is a float.

@@ -8,7 +8,7 @@ from typing import Any, Literal, NoReturn, cast, get_args
 
 from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.files import read_text
-from gcs_sysid.model.airframe import ANCHORS
+from gcs_sysid.model.airframe import ANCHORS, OWN_UNITS
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
@@ -158,13 +158,14 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
         if name not in table.entries:
             continue
         entry = table.table(name)
+        units = [parameter.unit_per(own) for own in OWN_UNITS]
         std = entry.number("std")
         if std is not None and std < 0.0:
             entry.fail(f"std of {name}")
         out[name] = Estimate(
             entry.number("value"),
             std,
-            parameter.unit,
+            next((unit for unit in units if unit == entry.text("unit")), parameter.unit),
             cast(Status, entry.one_of("status", get_args(Status))),
             entry.number("bound"),
             entry.text("rests_on") or None,

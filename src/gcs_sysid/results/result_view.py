@@ -238,7 +238,7 @@ def parameter_rows(
     out = []
     for parameter, estimate in rows(result):
         exponent = None if si else parameter.exponent
-        unit = parameter.unit if exponent is None else scaled_unit(parameter.unit, exponent)
+        unit = estimate.unit if exponent is None else scaled_unit(estimate.unit, exponent)
         unknown = waiting and estimate.status == "unobservable"
         word = WAITING if unknown else STATUS[estimate.status]
         true, error = (truth or {}).get(parameter.name), None

@@ -1,7 +1,7 @@
 """From fits, anchors and events to the words and numbers of a result."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -128,6 +128,14 @@ def complete(
             bound=bounds[name].std if name in bounds else None,
             rests_on=support if name in leaning else None,
         ).bounded
+        for name, estimate in estimates.items()
+    }
+
+
+def in_units(estimates: Mapping[str, Estimate], own: Collection[str]) -> dict[str, Estimate]:
+    """Estimates that say what they are per, as of `Airframe.own_units`."""
+    return {
+        name: replace(estimate, unit=REGISTRY[name].unit_per(own)) if own else estimate
         for name, estimate in estimates.items()
     }
 

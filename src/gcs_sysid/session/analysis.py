@@ -59,7 +59,7 @@ def analyze_log(
 
     Args:
         path: of a log.
-        airframe: with a scale anchor.
+        airframe: without a scale, the vehicle's mass is the unit: see `Airframe.in_own_units`.
         wanted: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's history is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
@@ -69,9 +69,11 @@ def analyze_log(
         opened: the log, opened by the caller; where it must be read twice, then from the path.
 
     Raises:
-        InputError: the file cannot be read as a log.
+        InputError: the file cannot be read as a log, or a prior needs a scale.
     """
     options = options or ChainOptions(history_interval=None)
+    if anchor is None and airframe.anchor() is None:
+        airframe = airframe.in_own_units()
 
     def read(options: ChainOptions, opened: Log | None = None, *, again: bool = False) -> Chain:
         log = opened or open_log(path, wanted)

@@ -624,19 +624,19 @@ class Findings:
         fit, anchor, offline = chain.fit, chain.anchor, chain.offline
         evidence = self._evidence(fit, anchor)
         found = judge(evidence)
-        estimates = summary.complete(found.estimates, fit, anchor, self._bounds())
+        estimates = self._in_units(summary.complete(found.estimates, fit, anchor, self._bounds()))
         parameters, timing = (
             {name: e for name, e in estimates.items() if REGISTRY[name].section == section}
             for section in ("parameters", "timing")
         )
-        past = self._past_values()
+        past, own = self._past_values(), chain.airframe.own_units
         return Result(
             verdict=found.verdict,
             reasons=found.reasons,
             objections=found.objections,
             source="",
             vehicle={},
-            scale=summary.scale_of(anchor),
+            scale=None if own else summary.scale_of(anchor),
             rotor_input=chain.rotor_input,
             parameters=parameters,
             estimator="online" if isinstance(offline, str | None) else "offline",
@@ -718,7 +718,12 @@ class Findings:
         if self.chain.rotor_input.motors:
             return ()
         rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
-        return of_rotors(rotor_values(self._aligned_rotation, self._scale, rotors, cant))
+        each = of_rotors(rotor_values(self._aligned_rotation, self._scale, rotors, cant))
+        return tuple(map(self._in_units, each))
+
+    def _in_units(self, estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
+        """Estimates that say what they are per."""
+        return summary.in_units(estimates, self.chain.airframe.own_units)
 
     @property
     def _aligned_rotation(self) -> RotationFit | None:
@@ -793,11 +798,15 @@ class Findings:
             {
                 "start": segment.start,
                 "end": segment.end,
-                "scale": summary.scale_of(anchor).as_json(),
+                "scale": (
+                    None if self.chain.airframe.own_units else summary.scale_of(anchor).as_json()
+                ),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in summary.complete(
-                        judged(self._segment_evidence(segment.fit, anchor)), segment.fit, anchor
+                    for name, estimate in self._in_units(
+                        summary.complete(
+                            judged(self._segment_evidence(segment.fit, anchor)), segment.fit, anchor
+                        )
                     ).items()
                 },
                 "validation": summary.validation_of(segment.fit),

@@ -475,7 +475,7 @@ class RotorSourceSelector:
 
     def _too_slow(self, stretch: Stretch) -> bool:
         """Whether rotors so slow could not carry the vehicle however large they were."""
-        if self.anchor is None or self.anchor.kind != "mass":
+        if self.anchor is None or self.anchor.kind != "mass" or self._airframe.own_units:
             return False
         x, y, _ = self._airframe.geometry
         apart = np.hypot(x[:, None] - x, y[:, None] - y)

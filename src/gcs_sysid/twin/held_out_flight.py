@@ -59,6 +59,7 @@ def fly_held_out(
         InputError: the log cannot be read, or does not fit the result.
         NoAnswerError: the result lacks what a flight needs, or the log is too short.
     """
+    result.need_scale()
     vehicle = airframe_of_result(result) if airframe is None else airframe
     if len(vehicle.rotors) != len(result.airframe.get("rotors") or vehicle.rotors):
         raise InputError(
