@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, nonnegative
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
@@ -136,8 +136,6 @@ def long_memory(series: Array, half: float) -> Array:
         series: (n, p) whose means are asked about, at windows that follow each other.
         half: s from one to the next.
     """
-    from scipy.optimize import nnls  # takes a while to load
-
     n = len(series)
     sizes = [2**k for k in range(2, n.bit_length()) if n // 2**k >= TUNING.fewest_blocks]
     if not sizes:
@@ -153,7 +151,7 @@ def long_memory(series: Array, half: float) -> Array:
     out = np.empty(series.shape[1])
     for i, variance in enumerate(np.array(allan).T):
         weight = np.sqrt(degrees) / np.maximum(variance, 1e-30)
-        (white, flicker), _ = nnls(np.array(design) * weight[:, None], variance * weight)
+        white, flicker = nonnegative(np.array(design) * weight[:, None], variance * weight)
         out[i] = white / n + flicker * later
     return out
 

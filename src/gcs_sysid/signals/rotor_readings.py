@@ -175,13 +175,18 @@ def moved_columns(
     power = math.sqrt(float((own**2).sum() * (asked**2).sum()))
     if not power > 0.0:
         return ""
+    alike = own.T @ asked / power
+
+    def is_better(left: float) -> bool:
+        """More alike than not, and in their own places twice as much is left."""
+        return left <= 0.5 and 1.0 - float(np.trace(alike)) >= 2.0 * left
+
+    if not is_better(1.0 - float(alike.max(axis=1).sum())):  # no order leaves less
+        return ""
     from scipy.optimize import linear_sum_assignment  # takes a while to load
 
-    alike = own.T @ asked / power
     rotors, follows = linear_sum_assignment(-alike)
-    left = 1.0 - float(alike[rotors, follows].sum())
-    # More alike than not, and in their own places twice as much is left.
-    if left > 0.5 or 1.0 - float(np.trace(alike)) < 2.0 * left:
+    if not is_better(1.0 - float(alike[rotors, follows].sum())):
         return ""
     rotor = int(np.argmax(follows != rotors))
     return (

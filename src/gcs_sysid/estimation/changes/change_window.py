@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, nonnegative
 from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Reference, body_velocity
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
@@ -369,9 +369,7 @@ def _matched(rows: Array, some: Mask) -> Array:
     A = _made(scale)[:, some] / variance[:, None]
     weight = np.sqrt(np.minimum(count, 40.0))
     size = np.maximum(A.max(axis=0), 1e-300)
-    from scipy.optimize import nnls  # takes a while to load, and few flights come here
-
-    found = nnls(A / size * weight[:, None], weight)[0] / size
+    found = nonnegative(A / size * weight[:, None], weight) / size
     sound = count >= 6.0
     raised = float(np.max(1.0 / np.maximum((A @ found)[sound], 0.1), initial=1.0))
     strength[some] = found * raised
