@@ -67,7 +67,6 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, node.value
 
 
-@pytest.mark.slow
 def test_the_search_finds_what_it_is_for():
     assert [line for line, _ in texts('"""the data tell"""\nx = "the data do not tell Izz"')] == [2]
     assert REPLACED.search("the data do not tell Izz")
@@ -75,7 +74,7 @@ def test_the_search_finds_what_it_is_for():
     assert not REPLACED.search("overwrite existing files")
     assert [text for _, text in texts('f(f"{a} is known roughly, {b}")')] == [" is known roughly, "]
     assert len(SOURCES) > 200
-    assert sum(1 for path in SOURCES for _ in texts(path.read_text("utf-8"))) > 1500
+    assert sum(1 for path in SOURCES[::20] for _ in texts(path.read_text("utf-8"))) > 75
 
 
 def test_no_two_modules_share_a_name():
@@ -113,8 +112,8 @@ def test_messages_use_the_words_of_the_glossary(folder):
     found = [
         f"{path.relative_to(ROOT)}:{line}: {match[0]}: {text.strip()}"
         for path in SOURCES
-        if path.parts[-2] == folder
-        for line, text in texts(path.read_text("utf-8"))
+        if path.parts[-2] == folder and REPLACED.search(source := path.read_text("utf-8"))
+        for line, text in texts(source)
         # One of the three words that an answer begins with.
         if (match := REPLACED.search(text.replace("CANNOT TELL", "")))
     ]
@@ -193,7 +192,8 @@ def test_identifiers_use_the_words_of_the_glossary():
     found = [
         f"{path.relative_to(ROOT)}:{each}"
         for path in SOURCES
-        for each in replaced_in_names(path.read_text("utf-8"))
+        if NAMES.search(source := path.read_text("utf-8"))
+        for each in replaced_in_names(source)
         if each.partition(": ")[2] not in IN_FILES
     ]
     assert found == []

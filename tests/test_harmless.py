@@ -1,9 +1,9 @@
 """What the program must not do to the machine it runs on, nor to who reads what it prints."""
 
 import ast
-import functools
 import io
 import json
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -29,14 +29,13 @@ ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 MAY_PICKLE = {"cli/reporting.py", "live/receiver_process.py"}
 
 
-@functools.cache
-def modules(*roots):
-    """(name, nodes) of every module; of the tool alone with TOOL."""
-    return [
-        (path.relative_to(root).as_posix(), list(ast.walk(ast.parse(path.read_text("utf-8")))))
-        for root in roots or ROOTS
-        for path in sorted(root.rglob("*.py"))
-    ]
+def modules(words, *roots):
+    """(name, nodes) of every module with one of these words; of the tool alone with TOOL."""
+    for root in roots or ROOTS:
+        for path in sorted(root.rglob("*.py")):
+            text = path.read_text("utf-8")
+            if re.search(words, text):  # to parse those that have none would take seconds
+                yield path.relative_to(root).as_posix(), list(ast.walk(ast.parse(text)))
 
 
 def name_of(node):
@@ -59,10 +58,10 @@ def imported(nodes):
             yield node.module or ""
 
 
-@pytest.mark.slow
 def test_nothing_is_evaluated():
     forbidden = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load"}
-    for name, tree in modules():
+    words = r"(?<![.\w])(eval|exec|compile|__import__|os|yaml)\b|shell|allow_pickle"
+    for name, tree in modules(words):
         for function, node in called(tree):
             assert function not in forbidden, name
             told = {k.arg for k in node.keywords if getattr(k.value, "value", None) is True}
@@ -72,16 +71,17 @@ def test_nothing_is_evaluated():
 def test_nothing_is_unpickled_that_comes_from_outside():
     unsafe = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "yaml", "joblib"}
     users = {
-        name for name, tree in modules() if any(i.split(".")[0] in unsafe for i in imported(tree))
+        name
+        for name, tree in modules("|".join(unsafe))
+        if any(i.split(".")[0] in unsafe for i in imported(tree))
     }
     assert users == MAY_PICKLE
 
 
-@pytest.mark.slow
 def test_only_what_is_live_opens_a_link():
     openers = {
         name
-        for name, tree in modules(TOOL)
+        for name, tree in modules("open_link", TOOL)
         if any(function.split(".")[-1] == "open_link" for function, _ in called(tree))
     }
     assert openers == {
@@ -92,7 +92,7 @@ def test_only_what_is_live_opens_a_link():
 
 def test_what_listens_alone_has_no_gate():
     """The doctor opens links, and nothing in it can send."""
-    for name, tree in modules():
+    for name, tree in modules(r"outgoing|\bsend"):
         if name.startswith("setup_help/"):
             assert "gcs_sysid.telemetry.outgoing" not in set(imported(tree)), name
             assert not [f for f, _ in called(tree) if f.split(".")[-1] in ("send", "sendto")], name
@@ -102,7 +102,7 @@ def test_messages_are_packed_by_the_gate_alone():
     """And by the marks of a recording, which go to a file."""
     packers = {
         name
-        for name, nodes in modules(TOOL)
+        for name, nodes in modules(r"mavlink\.MAVLink", TOOL)
         if any(function.startswith("mavlink.MAVLink") for function, _ in called(nodes))
     }
     assert packers == {"telemetry/outgoing.py", "telemetry/tlog_writer.py"}

@@ -1,6 +1,7 @@
 """Examples in docstrings run, and every public function has one."""
 
 import doctest
+import functools
 import inspect
 from importlib import import_module
 from pathlib import Path
@@ -24,10 +25,15 @@ MODULES = [
 ]
 
 
+ANALYZED_ONCE = functools.cache(gcs_sysid.analyze)
+"""Most examples begin with the analysis of the same flight."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_give_what_they_say(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # for logs/sample.tlog
+    monkeypatch.setattr(gcs_sysid, "analyze", ANALYZED_ONCE)
     failed, tried = doctest.testmod(import_module(f"gcs_sysid.{name}"))
     assert tried > 0
     assert failed == 0

@@ -161,7 +161,7 @@ def test_score_and_information_are_those_of_a_fit_with_the_deviations(flown):
 def test_nothing_is_chosen_on_an_ideal_flight(seed):
     samples = fly_cell(
         Vehicle(), EXCITATIONS["doublets"], DISTURBANCES["none"],
-        flights=1, seconds=20.0, rate=250.0, seed=seed,
+        flights=1, seconds=12.0, rate=250.0, seed=seed,
     )[0]  # fmt: skip
     estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)

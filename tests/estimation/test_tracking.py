@@ -17,7 +17,7 @@ from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change, mass_step
 from sim_bridge.vehicle_files import load_vehicle
 
-RATE, AT, END = 250, 15.0, 25.0
+RATE, AT, END = 250, 12.0, 20.0
 DT = 1.0 / RATE
 VEHICLE = load_vehicle("paper")
 GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T

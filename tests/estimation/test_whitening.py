@@ -86,11 +86,11 @@ def test_known_noise_is_what_noise_adds():
     elements = rows.late_average.copy()
     elements[..., -1] = rows.late_derivative[..., -1]
     n = SIGNALS * len(step.delays)
-    white = WhitenerBank(bank_for(T)).update(
+    white = WhitenerBank(bank_for(T)[::4]).update(
         np.swapaxes(elements, 0, 1).reshape(len(rows.average), n)
     )
     told = record.noise(np.eye(4), np.zeros(4), 1.0)[:, :n, :n]
-    for w, expected in zip(white[::4], told[::4], strict=True):
+    for w, expected in zip(white, told[::4], strict=True):
         size = np.sqrt(np.diag(expected))
         scaled = (w.T @ w / len(w) - expected) / np.outer(size, size)
         # Leaks leave few independent sums in such a record.
@@ -100,13 +100,13 @@ def test_known_noise_is_what_noise_adds():
 
 @pytest.fixture(scope="module")
 def disturbed():
-    """Two flights at 250 Hz under a strong moment."""
+    """A flight at 250 Hz under a strong moment."""
     vehicle = Vehicle()
     return vehicle, fly(
         vehicle,
         EXCITATIONS["aggressive"],
         DISTURBANCES["ou7"],
-        flights=2,
+        flights=1,
         seconds=20.0,
         rate=250.0,
         seed=11,
@@ -141,16 +141,7 @@ def test_blocks_do_not_matter_to_the_fit(disturbed):
 
 
 @pytest.mark.slow
-def test_nothing_is_detected_where_nothing_disturbs():
-    calm = fly(
-        Vehicle(),
-        EXCITATIONS["doublets"],
-        DISTURBANCES["none"],
-        flights=1,
-        seconds=20.0,
-        rate=250.0,
-        seed=5,
-    )[0]
+def test_nothing_is_detected_where_nothing_disturbs(calm):
     fit = fitted(calm, WHITENED)
     assert np.all(fit.rotation.disturbance < 1.0)
     assert fit.validation is not None
@@ -258,7 +249,7 @@ def test_narrowing_loses_next_to_nothing(calm, monkeypatch):
 @pytest.mark.slow
 def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
     """As a live session asks for them: before, over and after it, however samples come."""
-    stops = range(2500, 7001, 250)
+    stops = range(3000, 7001, 500)
     whole = OnlineEstimator(Vehicle().geometry, T, WHITENED)
     course = whole.follow(calm.part(slice(0, 7000)), stops)
     parts, pieces = OnlineEstimator(Vehicle().geometry, T, WHITENED), []

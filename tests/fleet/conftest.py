@@ -14,14 +14,12 @@ SHORT = ("--mission", "all-axes", "--noise", "paper", "--sigma", "0.002", "--rat
 
 @pytest.fixture(scope="session")
 def flights(fly) -> list[Path]:
-    """Three flights of half a minute."""
-    return [fly(*SHORT, "--duration", "30", "--seed", str(n)).tlog for n in (1, 2, 3)]
+    """Three short flights."""
+    return [fly(*SHORT, "--duration", "16", "--seed", str(n)).tlog for n in (1, 2, 3)]
 
 
-@pytest.fixture
-def logs(flights, tmp_path) -> Path:
-    """A folder: two vehicles with flights of equal names, a copy, and a broken log."""
-    folder = tmp_path / "logs"
+def fill(folder: Path, flights: list[Path]) -> None:
+    """Two vehicles with flights of equal names, a copy, and a broken log."""
     for name in ("one", "two"):
         (folder / name).mkdir(parents=True)
     for flight, place in zip(flights, ("one/a.tlog", "one/b.tlog", "two/a.tlog"), strict=True):
@@ -29,7 +27,13 @@ def logs(flights, tmp_path) -> Path:
     shutil.copy(flights[0], folder / "one" / "copy without a suffix")
     (folder / "two" / "broken.ulg").write_bytes(b"nothing of the kind" * 20)
     (folder / "two" / "notes.txt").write_text("wind from the west")
-    return folder
+
+
+@pytest.fixture
+def logs(flights, tmp_path) -> Path:
+    """A folder of these."""
+    fill(tmp_path / "logs", flights)
+    return tmp_path / "logs"
 
 
 @pytest.fixture

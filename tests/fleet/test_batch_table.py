@@ -10,17 +10,22 @@ pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
 from pyarrow import parquet
 
+from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.batch import read_table
 from gcs_sysid.model.parameters import REGISTRY
+from tests.fleet.conftest import fill
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
 
 
-@pytest.fixture
-def fleet(batch, logs, tmp_path):
-    batch(logs, "-o", tmp_path / "fleet", "--airframe", "paper", "--workers", "1")
-    return tmp_path / "fleet" / "fleet.parquet"
+@pytest.fixture(scope="module")
+def fleet(flights, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fleet")
+    fill(folder / "logs", flights)
+    words = ["--airframe", "paper", "--workers", "1"]
+    assert run(["batch", str(folder / "logs"), "-o", str(folder / "fleet"), *words]) == 0
+    return folder / "fleet" / "fleet.parquet"
 
 
 @pytest.mark.slow

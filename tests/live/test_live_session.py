@@ -38,9 +38,9 @@ def airframe():
 
 @pytest.fixture(scope="module")
 def flight(fly):
-    """Half a minute: what happens to a session does not take longer."""
+    """A quarter of a minute: what happens to a session does not take longer."""
     noise = ("--noise", "paper", "--sigma", "0.002", "--rate", "20")
-    return fly("--mission", "all-axes", *noise, "--duration", "30", "--seed", "1")
+    return fly("--mission", "all-axes", *noise, "--duration", "16", "--seed", "1")
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def assert_same_numbers(a, b):
 def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airframe, tmp_path):
     target = f"udpout:127.0.0.1:{udp.port}"
     flight = ("--mission", "all-axes", "--rate", "100", "--seed", "1")
-    process = emulator("--connect", target, *flight, "--speed", "4", "--duration", "20")
+    process = emulator("--connect", target, *flight, "--speed", "4", "--duration", "14")
     path = tmp_path / "live.tlog"
     gone = lambda: process.poll() is not None  # noqa: E731
     told = []
@@ -115,7 +115,7 @@ def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airf
     assert len(told) > 3  # once a second of flight at most
     assert told[-1].parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
     # 3 s of ground, start of the grid and windows are less than half of it.
-    assert final.telemetry["used_seconds"] > 10.0
+    assert final.telemetry["used_seconds"] > 7.0
     assert final.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
     assert_same_numbers(final, analyze_log(path, airframe))
     latest = session.latest()
@@ -286,7 +286,7 @@ def test_snapshots_do_not_change(udp, airframe, flight):
     assert last.link.bytes_per_second > 1000.0
     assert len(last.attitude) == len(last.rates) == 3
     assert len(last.rotor_speeds) == 4
-    assert last.used_seconds > 25.0
+    assert last.used_seconds > 11.0
     assert last.history.t[-1] <= last.t
 
 

@@ -10,7 +10,7 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Stream
 from tests.feeding import feed
 
-FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "25", "--seed", "3")
+FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "18", "--seed", "3")
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_speeds_that_die_in_flight_give_way_to_commands(both):
 @pytest.mark.parametrize("cutoff", [pytest.param(20, marks=pytest.mark.thorough), 40])
 def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")
-    flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "20")
+    flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "14")
     records = flown.records()
     parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
         stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"

@@ -139,7 +139,7 @@ def test_no_other_samples_are_taken_beyond_a_gap():
 
 
 @pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(delays=st.lists(st.floats(0.0, 0.015), min_size=1, max_size=50))
 def test_order_between_streams_does_not_matter_within_the_lag(delays):
     """The grid stays 40 ms behind: two attitudes at 100 Hz (20 ms) and 15 ms of delay fit in."""
@@ -195,7 +195,7 @@ def one_by_one(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
-    [0, 5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3, 4, 6, 7))],
+    [5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (0, 1, 2, 3, 4, 6, 7))],
 )
 @pytest.mark.parametrize("at_once", [7, 300, 10**6])
 def test_how_samples_are_cut_does_not_matter(seed, at_once):
@@ -442,16 +442,16 @@ def test_states_hold_their_last_value():
 @pytest.mark.slow
 def test_nothing_comes_out_without_an_imu_and_memory_stays_bounded():
     base = TimeBase()
-    assert not list(grid_of(base, stream(Stream.ATTITUDE, 1000.0, end=20.0)))
+    assert not list(grid_of(base, stream(Stream.ATTITUDE, 1000.0, end=7.0)))
     assert len(base._buffers[ATTITUDE]) < 5000
 
 
 @pytest.mark.slow
 def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     base = TimeBase()
-    assert list(grid_of(base, usual(end=10.0), finish=False))
+    assert list(grid_of(base, usual(end=4.0), finish=False))
     assert max(len(b) for b in base._buffers.values()) < 200
-    silent = stream(Stream.ATTITUDE, 1000.0, start=10.0, end=20.0)
+    silent = stream(Stream.ATTITUDE, 1000.0, start=4.0, end=11.0)
     assert not list(grid_of(base, silent, finish=False))
     assert max(len(b) for b in base._buffers.values()) < 5000
 
