@@ -1,4 +1,4 @@
-"""The rate controllers of PX4 and ArduPilot, as their sources document them.
+"""The rate controllers of PX4, ArduPilot and Betaflight, as their sources document them.
 
 They replace the torque loop of `controller.Controller`; position and attitude set-points stay
 those of the mission. A loop runs at the controller's period, the gyro's filters at every step of
@@ -7,14 +7,16 @@ stays within 0 to 1, and the integrators stop growing.
 
 PX4: `RateControl::update`, `VehicleAngularVelocity`, `ControlAllocationPseudoInverse`, THR_MDL_FAC.
 ArduPilot: `AC_PID::update_all`, `AC_AttitudeControl_Multi`, `AP_MotorsMatrix`, MOT_THST_EXPO.
-Both filter the gyro by a second-order Butterworth low-pass, bilinear with prewarping
+Betaflight: `pidController`, `gyroFiltering`, `rpm_filter`, `mixTable`; set-points come from the
+attitude, as its angle mode has them.
+The first two filter the gyro by a second-order Butterworth low-pass, bilinear with prewarping
 (`LowPassFilter2p`), and other signals by y += dt / (dt + 1 / (2 pi f)) (x - y).
 """
 
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +46,18 @@ ARDUPILOT_DEFAULTS: dict[str, float] = {
        for x, v in zip(("P", "I", "D", "FF", "FLTT", "FLTE", "FLTD", "IMAX"), row, strict=True)},
     "ATC_ANG_RLL_P": 4.5, "ATC_ANG_PIT_P": 4.5, "ATC_ANG_YAW_P": 4.5,
 }  # fmt: skip
-DEFAULTS = {"px4": PX4_DEFAULTS, "ardupilot": ARDUPILOT_DEFAULTS}
+BETAFLIGHT_DEFAULTS: dict[str, float] = {
+    **{f"{x}_{a}": v for a, row in
+       {"roll": (45.0, 80.0, 30.0), "pitch": (47.0, 84.0, 34.0), "yaw": (45.0, 80.0, 0.0)}.items()
+       for x, v in zip("pid", row, strict=True)},
+    "gyro_lpf1_static_hz": 250.0, "gyro_lpf2_static_hz": 500.0, "dterm_lpf1_static_hz": 75.0,
+    "dterm_lpf2_static_hz": 150.0, "yaw_lowpass_hz": 100.0, "p_level": 50.0,
+    "dshot_bidir": 0.0, "rpm_filter_harmonics": 3.0, "rpm_filter_q": 500.0,
+    "rpm_filter_min_hz": 100.0,
+}  # fmt: skip
+DEFAULTS = {
+    "px4": PX4_DEFAULTS, "ardupilot": ARDUPILOT_DEFAULTS, "betaflight": BETAFLIGHT_DEFAULTS,
+}  # fmt: skip
 """Of each autopilot; an ensemble may have arrays of shape (N,) in their place."""
 
 LOOP_RATE = 400.0
@@ -79,6 +92,27 @@ class LowPass2:
             d0 = x - a1 * d1 - a2 * d2
             out.append(b0 * d0 + b1 * d1 + b2 * d2)
             self._delayed[i] = d0, d1
+        return out
+
+
+class Notch:
+    """Notch of three signals at a fixed rate; `biquadFilterInit` with FILTER_NOTCH."""
+
+    def __init__(self, middle: float, quality: float, step: float) -> None:
+        omega = 2.0 * math.pi * middle * step
+        alpha = math.sin(omega) / (2.0 * quality)
+        self._turn = -2.0 * math.cos(omega) / (1.0 + alpha)
+        self._gain, self._decay = 1.0 / (1.0 + alpha), (1.0 - alpha) / (1.0 + alpha)
+        self._state: list[tuple[Value, Value]] = [(0.0, 0.0)] * 3
+
+    def __call__(self, signals: list[Value]) -> list[Value]:
+        """The three signals behind it."""
+        out = []
+        for i, x in enumerate(signals):
+            s1, s2 = self._state[i]
+            y = self._gain * x + s1
+            self._state[i] = self._turn * (x - y) + s2, self._gain * x - self._decay * y
+            out.append(y)
         return out
 
 
@@ -195,7 +229,7 @@ class RateController(Controller, ABC):
         """Parameters of the attitude loop, of roll, pitch and yaw."""
 
     @abstractmethod
-    def _torques(self, targets: list[Value]) -> list[Value]:
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
         """Normalized torques that the rate loops ask for, by the rates wanted in rad/s."""
 
 
@@ -236,7 +270,7 @@ class Px4RateController(RateController):
             for y, new, old in zip(self._slope, filtered, self._gyro, strict=True)
         )
 
-    def _torques(self, targets: list[Value]) -> list[Value]:
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
         out = []
         for i, name in enumerate(self.names):
             K, P, Ki, D, FF = (self._get(f"MC_{name}RATE_{x}") for x in ("K", "P", "I", "D", "FF"))
@@ -286,7 +320,7 @@ class ArduPilotRateController(RateController):
         scaled = 0.5 * factors / np.abs(factors).max(axis=0)
         return [tuple(row) for row in scaled.tolist()]
 
-    def _torques(self, targets: list[Value]) -> list[Value]:
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
         out = []
         for i, name in enumerate(self.names):
             P, Ki, D, FF, t, e, d, limit = (
@@ -312,9 +346,103 @@ class ArduPilotRateController(RateController):
         return out
 
 
+class BetaflightRateController(RateController):
+    """Betaflight's `pidController` without feed-forward, on each axis.
+
+    A PID sum of 1000, of deg/s, is a torque of one. Its attitude loop is angle mode's.
+    """
+
+    autopilot = "betaflight"
+    curve_name = "thrust_curve"
+    names = ("roll", "pitch", "yaw")
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        period: float,
+        settings: Mapping[str, Value],
+        delay_loops: int = 0,
+        gains: Gains | None = None,
+        injection: Injection | None = None,
+    ) -> None:
+        super().__init__(
+            vehicle, period, {"thrust_curve": 0.0, **settings}, delay_loops, gains, injection
+        )
+        self._low: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+        self._notches: list[Notch] | None = None
+        self._slow: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+        self._before: list[Value] = [0.0, 0.0, 0.0]
+        self._yaw: Value = 0.0
+
+    def observe(self, state: State, step: float) -> None:
+        """Filter the gyro, at every step of the physics."""
+        self._time += step
+        if self._notches is None:
+            self._notches = self._at_harmonics(step)
+        signals = list(state.rates)
+        for notch in self._notches:
+            signals = notch(signals)
+        for held, name in zip(self._low, ("gyro_lpf1", "gyro_lpf2"), strict=True):
+            share = _share(self._get(f"{name}_static_hz"), step)
+            held[:] = [y + share * (x - y) for x, y in zip(signals, held, strict=True)]
+            signals = list(held)
+        self._gyro = signals
+
+    def _at_harmonics(self, step: float) -> list[Notch]:
+        """A notch at each harmonic of each rotor in hover."""
+        if not self._get("dshot_bidir"):
+            return []
+        v = self._model
+        out = []
+        for thrust in hover_thrusts(v):
+            first = float(np.mean((thrust / v.k_T) ** 0.5)) / (2.0 * math.pi)
+            for n in range(1, round(float(self._get("rpm_filter_harmonics"))) + 1):
+                # At its least frequency a notch has faded out.
+                if float(self._get("rpm_filter_min_hz")) < n * first < 0.45 / step:
+                    quality = float(self._get("rpm_filter_q")) / 100.0
+                    out.append(Notch(n * first, quality, step))
+        return out
+
+    @property
+    def _attitude_names(self) -> tuple[str, str, str]:
+        return "angle", "angle", "angle"
+
+    def _get(self, name: str) -> Value:
+        return self._settings["p_level"] / 10.0 if name == "angle" else super()._get(name)
+
+    def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
+        factors = np.array([[-r.y, r.x, float(r.spin)] for r in vehicle.rotors])
+        return [tuple(row) for row in (factors / np.abs(factors).max(axis=0)).tolist()]
+
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
+        step, out = self.period, []
+        sum_of_one = math.degrees(1.0) / 1000.0
+        for i, name in enumerate(self.names):
+            P, Ki, D = (self._get(f"{x}_{name}") * sum_of_one for x in "pid")
+            error = targets[i] - self._gyro[i]
+            slope = -(self._gyro[i] - self._before[i]) / step
+            for held, low_pass in zip(self._slow, ("dterm_lpf1", "dterm_lpf2"), strict=True):
+                share = _share(self._get(f"{low_pass}_static_hz"), step)
+                held[i] = held[i] + share * (slope - held[i])
+                slope = held[i]
+            self._before[i] = self._gyro[i]
+            faster = 2.5 if name == "yaw" else 1.0
+            self._integral[i] = clip(
+                self._integral[i] + 0.244381 * Ki * faster * error * step, -0.4, 0.4
+            )
+            proportional = 0.032029 * P * error
+            if name == "yaw":
+                share = _share(self._get("yaw_lowpass_hz"), step)
+                self._yaw = self._yaw + share * (proportional - self._yaw)
+                proportional = self._yaw
+            out.append(proportional + self._integral[i] + 0.000529 * D * slope)
+        return out
+
+
 CONTROLLERS: dict[str, type[RateController]] = {
     "px4": Px4RateController,
     "ardupilot": ArduPilotRateController,
+    "betaflight": BetaflightRateController,
 }
 
 

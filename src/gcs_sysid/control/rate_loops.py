@@ -1,4 +1,4 @@
-"""The rate and attitude loops of PX4 and ArduPilot, as their parameters set them.
+"""The rate and attitude loops of PX4, ArduPilot and Betaflight, as their parameters set them.
 
 PX4 (`lib/rate_control`, `sensors/vehicle_angular_velocity`, `control_allocator`), with K, P, I, D
 of MC_*RATE_*, angular acceleration from the filtered gyro behind IMU_DGYRO_CUTOFF, and the rate
@@ -11,25 +11,35 @@ on the set-point, FLTE on the error and FLTD on the derivative of the filtered e
 
     torque = P e_f + I sum(e_f) dt + D (e_f)' + FF w_sp,   e = FLTT(w_sp) - w_f
 
-Both act on the gyro behind a second-order Butterworth low-pass (IMU_GYRO_CUTOFF, INS_GYRO_FILTER).
+Betaflight (`pid.c`, `mixer.c`; 4.3 and later), with its low-passes and notches, of the derivative
+D on the filtered gyro; I of yaw counts two and a half times, and feed-forward is of set-points
+alone:
+
+    torque = P e + I sum(e) dt - D w'_f,   e = w_sp - w_f
+
+The first two act on the gyro behind a second-order Butterworth low-pass (IMU_GYRO_CUTOFF,
+INS_GYRO_FILTER), and all of them behind notches at the rotors' frequency.
 Torques are normalized; a rotor's thrust command is the sum of its column of the mixer times them,
 and goes through the inverse of the thrust curve THR_MDL_FAC or MOT_THST_EXPO.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.control.signal_filters import SignalFilter, chain_response
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 
-Autopilot = Literal["px4", "ardupilot"]
+Autopilot = Literal["px4", "ardupilot", "betaflight"]
 AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot")
 _AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
     "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
+    "betaflight": ("roll", "pitch", "yaw"),
 }  # fmt: skip
 _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
     "px4": {
@@ -40,6 +50,7 @@ _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
         "P": "ATC_RAT_{}_P", "I": "ATC_RAT_{}_I", "D": "ATC_RAT_{}_D", "FF": "ATC_RAT_{}_FF",
         "attitude": "ATC_ANG_{}_P",
     },
+    "betaflight": {"P": "p_{}", "I": "i_{}", "D": "d_{}"},
 }  # fmt: skip
 """Fields of `AxisGains` -> the parameter of an axis."""
 _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
@@ -48,8 +59,14 @@ _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
         (0.135, 0.135, 0.0036, 0.0, 4.5), (0.135, 0.135, 0.0036, 0.0, 4.5),
         (0.18, 0.018, 0.0, 0.0, 4.5),
     ),
+    "betaflight": ((45.0, 80.0, 30.0), (47.0, 84.0, 34.0), (45.0, 80.0, 0.0)),
 }  # fmt: skip
 """Defaults of the same, in the same order, on each axis."""
+_DEGREES_PER_SUM = 180.0 / math.pi / 1000.0
+"""A PID sum of 1000, of errors in deg/s, is all of the motors' range."""
+_BETAFLIGHT_UNITS = {"P": 0.032029, "I": 0.244381, "D": 0.000529}
+"""PTERM_SCALE, ITERM_SCALE and DTERM_SCALE."""
+_YAW_INTEGRAL = 2.5
 _NEGLIGIBLE = 1e-3
 """Entries of PX4's mixer below are zero."""
 
@@ -69,7 +86,7 @@ class AxisGains:
     P: float
     I: float  # noqa: E741
     D: float
-    attitude: float
+    attitude: float = 0.0
     FF: float = 0.0
 
 
@@ -82,13 +99,17 @@ class RateLoop:
         rate: Hz, of the rate loop.
         gyro_cutoff: Hz, second-order low-pass of the gyro; 0: none.
         derivative_cutoff: Hz on each axis, first-order low-pass of the derivative; 0: none.
-        error_cutoff: Hz on each axis, of the error (ArduPilot); 0: none.
+        error_cutoff: Hz on each axis, of the error (ArduPilot), or of what P acts on (Betaflight);
+            0: none.
         target_cutoff: Hz on each axis, of the rate set-point (ArduPilot); 0: none.
         torque_cutoff: Hz on each axis, of the torque (PX4, yaw); 0: none.
         curve: c of T/T_max = (1 - c) u + c u^2 that the autopilot inverts.
         mixer: (n, 3) thrust command of each rotor per normalized torque.
         gains: of roll, pitch and yaw.
+        gyro_filters: of the gyro, besides.
+        derivative_filters: of the derivative, besides.
         assumed: parameters that were not given, and stand at the autopilot's defaults.
+        notes: what else was assumed.
     """
 
     autopilot: Autopilot
@@ -101,7 +122,10 @@ class RateLoop:
     curve: float
     mixer: Array
     gains: tuple[AxisGains, AxisGains, AxisGains]
+    gyro_filters: tuple[SignalFilter, ...] = ()
+    derivative_filters: tuple[SignalFilter, ...] = ()
     assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def period(self) -> float:
@@ -121,8 +145,23 @@ class RateLoop:
             if self.autopilot == "px4":
                 out[f"MC_{axis}RATE_K"] = 1.0
             for field, name in _GAIN_NAMES[self.autopilot].items():
-                out[name.format(axis)] = getattr(gains, field)
+                unit = _unit(self.autopilot, field, axis)
+                value = getattr(gains, field) / unit
+                out[name.format(axis)] = round(value) if self.autopilot == "betaflight" else value
         return out
+
+    @property
+    def gains_known(self) -> bool:
+        """Whether the vehicle has these gains, all or some of them."""
+        return not set(self.as_parameters()) <= set(self.assumed)
+
+    def derivative_lag(self, axis: int) -> float:
+        """S by which an axis' derivative lags, for slow signals."""
+        low_pass = self.derivative_cutoff[axis]
+        own = 1.0 / (2.0 * np.pi * low_pass) if low_pass > 0.0 else 0.0
+        step = 1e-3
+        late = np.angle(chain_response(self.derivative_filters, np.array(1j * step)))
+        return float(own - late / step)
 
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
         """Response of the loops to the vehicle's motion and to set-points, at frequencies.
@@ -139,8 +178,8 @@ class RateLoop:
         z_inverse = np.exp(-s * self.period)
         gyro = np.ones_like(s)
         if self.gyro_cutoff > 0.0:
-            x = s / (2.0 * np.pi * self.gyro_cutoff)
-            gyro = 1.0 / (1.0 + np.sqrt(2.0) * x + x * x)
+            gyro = SignalFilter("butterworth", self.gyro_cutoff).response(s)
+        gyro = gyro * chain_response(self.gyro_filters, s)
         P, Ki, D, attitude, FF = (
             np.array([getattr(g, name) for g in self.gains])
             for name in ("P", "I", "D", "attitude", "FF")
@@ -154,6 +193,12 @@ class RateLoop:
             lag = np.where(cutoff > 0.0, 1.0 / (2.0 * np.pi * np.maximum(cutoff, 1e-9)), 0.0)
             rate = gyro * (PI + D * s / (1.0 + lag * s))
             reference = PI + FF
+        elif self.autopilot == "betaflight":
+            PI = P * self._first_order(self.error_cutoff, z_inverse)
+            PI = PI + Ki * self.period / (1.0 - z_inverse)
+            slope = (1.0 - z_inverse) / self.period
+            rate = gyro * (PI + D * slope * chain_response(self.derivative_filters, s))
+            reference = PI
         else:
             error = self._first_order(self.error_cutoff, z_inverse)
             derivative = self._first_order(self.derivative_cutoff, z_inverse)
@@ -171,30 +216,55 @@ class RateLoop:
         return response
 
 
+@dataclass(frozen=True)
+class HoverPoint:
+    """The hover that filters are set by.
+
+    Attributes:
+        throttle: mean command of the rotors; None: not known.
+        rotor_frequency: Hz, of the mean rotor; None: not known.
+    """
+
+    throttle: float | None = None
+    rotor_frequency: float | None = None
+
+
 def read_loop(
-    autopilot: Autopilot, parameters: Mapping[str, float], rotors: tuple[Rotor, ...]
+    autopilot: Autopilot,
+    parameters: Mapping[str, float],
+    rotors: tuple[Rotor, ...],
+    hover: HoverPoint = HoverPoint(),
 ) -> RateLoop:
     """The loops by an autopilot's parameters; what is not there stands at its default.
 
     Args:
         autopilot: whose.
-        parameters: name -> value.
+        parameters: name -> value; of Betaflight by the lines of a blackbox header.
         rotors: of the airframe, in the autopilot's motor order.
+        hover: that filters which follow throttle or rotors stand at.
 
     Raises:
         InputError: a parameter makes no sense.
     """
-    reader = _ParameterReader(parameters)
-    loop = _px4(reader, rotors) if autopilot == "px4" else _ardupilot(reader, rotors)
-    return replace(loop, assumed=tuple(reader.assumed))
+    if autopilot == "betaflight":
+        parameters = _by_cli_name(parameters)
+    reader = _ParameterReader(parameters, hover)
+    read = {"px4": _px4, "ardupilot": _ardupilot, "betaflight": _betaflight}[autopilot]
+    loop = read(reader, rotors)
+    return replace(loop, assumed=tuple(reader.assumed), notes=tuple(reader.notes))
 
 
 class _ParameterReader:
     """Parameters with defaults, which remembers what was not there."""
 
-    def __init__(self, parameters: Mapping[str, float]) -> None:
-        self.parameters = parameters
+    def __init__(self, parameters: Mapping[str, float], hover: HoverPoint) -> None:
+        self.parameters, self.hover = parameters, hover
         self.assumed: list[str] = []
+        self.notes: list[str] = []
+
+    def optional(self, name: str, usual: float = 0.0) -> float:
+        """The same of what most vehicles do not have."""
+        return self.get(name, usual) if name in self.parameters else usual
 
     def get(self, name: str, usual: float, most: float = 1e4) -> float:
         if name not in self.parameters:
@@ -215,11 +285,21 @@ def _gains(
     for axis, usual in zip(_AXIS_NAMES[autopilot], _USUAL_GAINS[autopilot], strict=True):
         K = reader.get(f"MC_{axis}RATE_K", 1.0) if autopilot == "px4" else 1.0
         known = {
-            field: reader.get(name.format(axis), value) * (K if field in "PID" else 1.0)
+            field: reader.get(name.format(axis), value)
+            * (K if field in "PID" else 1.0)
+            * _unit(autopilot, field, axis)
             for (field, name), value in zip(names.items(), usual, strict=True)
         }
         out.append(AxisGains(**known))
     return out[0], out[1], out[2]
+
+
+def _unit(autopilot: Autopilot, field: str, axis: str) -> float:
+    """A gain whose parameter is one."""
+    if autopilot != "betaflight":
+        return 1.0
+    turned = _YAW_INTEGRAL if (field, axis) == ("I", "yaw") else 1.0
+    return _DEGREES_PER_SUM * _BETAFLIGHT_UNITS[field] * turned
 
 
 def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
@@ -235,7 +315,46 @@ def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         reader.get("THR_MDL_FAC", 0.0, 1.0),
         px4_mixer(*_px4_rotors(reader.parameters, rotors)),
         _gains(reader, "px4"),
+        (*_px4_notches(reader, len(rotors)),),
     )
+
+
+def _px4_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
+    """IMU_GYRO_NFn_FRQ and BW, and those at the rotors' harmonics by the ESCs."""
+    for i in range(2):
+        middle = reader.optional(f"IMU_GYRO_NF{i}_FRQ")
+        if middle > 0.0:
+            width = reader.optional(f"IMU_GYRO_NF{i}_BW", 20.0)
+            yield SignalFilter("notch", middle, middle / max(width, 1.0))
+    dynamic = int(reader.optional("IMU_GYRO_DNF_EN"))
+    if dynamic & 2:
+        reader.notes.append("notches by FFT (IMU_GYRO_DNF_EN) are where they are: left out")
+    if dynamic & 1:
+        width = max(reader.optional("IMU_GYRO_DNF_BW", 15.0), 1.0)
+        harmonics = int(reader.optional("IMU_GYRO_DNF_HMC", 3.0))
+        for middle in _harmonics(reader, 0.0, range(1, harmonics + 1)):
+            yield from [SignalFilter("notch", middle, middle / width)] * rotors
+
+
+def _harmonics(
+    reader: _ParameterReader, otherwise: float, numbers: Iterable[int]
+) -> Iterator[float]:
+    """Hz of the rotors' harmonics in hover.
+
+    Args:
+        reader: that knows the hover.
+        otherwise: Hz of the first where the rotors' frequency is not known; 0: there is none.
+        numbers: of the harmonics.
+    """
+    first = reader.hover.rotor_frequency
+    if first is None:
+        reader.notes.append(
+            "the rotors' frequency is not known: their notches are "
+            + (f"taken at {otherwise:g} Hz and its harmonics" if otherwise else "left out")
+            + "; a result by rotor speeds (--with) has it"
+        )
+    middle = first or otherwise
+    return (middle * n for n in numbers if middle > 0.0)
 
 
 def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
@@ -257,7 +376,141 @@ def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         reader.get("MOT_THST_EXPO", 0.65, 1.0),
         ardupilot_mixer(rotors),
         _gains(reader, "ardupilot"),
+        (*_ardupilot_notches(reader, len(rotors)),),
     )
+
+
+_BY_ROTORS = (2, 3)
+"""INS_HNTCH_MODE of a notch that follows the rotors' speed."""
+_OF_EACH = 2
+"""INS_HNTCH_OPTS: a notch for each rotor."""
+
+
+def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
+    """Both harmonic notches, `HarmonicNotchFilter`: one quality for all harmonics."""
+    for name in ("INS_HNTCH", "INS_HNTC2"):
+        if not reader.optional(f"{name}_ENABLE"):
+            continue
+        first = reader.optional(f"{name}_FREQ", 80.0)
+        width = min(reader.optional(f"{name}_BW", 40.0), first)
+        depth = 10.0 ** (-reader.optional(f"{name}_ATT", 40.0) / 20.0)
+        ratio = (first / (first - 0.5 * width)) ** 2
+        quality = math.sqrt(ratio) / (ratio - 1.0)
+        harmonics = int(reader.optional(f"{name}_HMNCS", 3.0))
+        numbers = [n + 1 for n in range(16) if harmonics >> n & 1]
+        follows = int(reader.optional(f"{name}_MODE", 1.0)) in _BY_ROTORS
+        middles = _harmonics(reader, first, numbers) if follows else (first * n for n in numbers)
+        each = rotors if follows and int(reader.optional(f"{name}_OPTS")) & _OF_EACH else 1
+        for middle in middles:
+            yield from [SignalFilter("notch", middle, quality, depth)] * each
+
+
+_HEADER_AXES = ("rollPID", "pitchPID", "yawPID")
+
+
+def _by_cli_name(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Lines of a blackbox header, with gains by the names that Betaflight's CLI has.
+
+    Where D rises with quick motion (`d_min` up to 4.5), it is the lower one that holds the hover.
+    """
+    out = dict(parameters)
+    for i, (line, axis) in enumerate(zip(_HEADER_AXES, _AXIS_NAMES["betaflight"], strict=True)):
+        for place, gain in enumerate("pid"):
+            value = parameters.get(f"{line}[{place}]")
+            if value is not None:
+                out.setdefault(f"{gain}_{axis}", value)
+        least = parameters.get(f"d_min[{i}]", 0.0)
+        if 0.0 < least < out.get(f"d_{axis}", 0.0):
+            out[f"d_{axis}"] = least
+    return out
+
+
+_KINDS: tuple[Literal["first", "butterworth", "second", "third"], ...] = (
+    "first", "butterworth", "second", "third",
+)  # fmt: skip
+"""By the number of a low-pass' type."""
+
+
+def _betaflight(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
+    loop_time = reader.get("looptime", 125.0) * reader.get("pid_process_denom", 1.0)
+    gyro = [*_low_passes(reader, "gyro", (250.0, 500.0, 500.0)), *_static_notches(reader, "gyro")]
+    gyro += _betaflight_notches(reader, len(rotors))
+    derivative = [*_low_passes(reader, "dterm", (75.0, 150.0, 150.0))]
+    derivative += _static_notches(reader, "dterm")
+    for name, what in (("thrust_linear", "the thrust curve"), ("use_integrated_yaw", "yaw")):
+        if reader.optional(name):
+            reader.notes.append(f"{name} is not modeled: {what} is another one")
+    return RateLoop(
+        "betaflight",
+        1e6 / max(loop_time, 1.0),
+        0.0,
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, reader.get("yaw_lowpass_hz", 100.0)),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        0.0,
+        2.0 * ardupilot_mixer(rotors),
+        _gains(reader, "betaflight"),
+        tuple(gyro),
+        tuple(derivative),
+    )
+
+
+def _low_passes(
+    reader: _ParameterReader, signal: str, usual: tuple[float, float, float]
+) -> Iterator[SignalFilter]:
+    """The first low-pass, which may follow the throttle, and the second.
+
+    Args:
+        reader: of the parameters.
+        signal: "gyro" or "dterm".
+        usual: Hz, lower and upper of the first, and of the second.
+    """
+    first, second = f"{signal}_lpf1", f"{signal}_lpf2"
+    dynamic = f"{first}_dyn_hz[0]" in reader.parameters or f"{first}_static_hz" not in (
+        reader.parameters
+    )
+    low = reader.get(f"{first}_dyn_hz[0]", usual[0]) if dynamic else 0.0
+    cutoff = low
+    if low > 0.0:
+        high = reader.get(f"{first}_dyn_hz[1]", usual[1])
+        u, expo = reader.hover.throttle or 0.0, reader.optional(f"{first}_dyn_expo", 5.0) / 10.0
+        cutoff = low + (high - low) * (u * (1.0 - u) * expo + u)
+    else:
+        cutoff = reader.get(f"{first}_static_hz", usual[0])
+    for name, hertz in ((first, cutoff), (second, reader.get(f"{second}_static_hz", usual[2]))):
+        kind = int(reader.optional(f"{name}_type"))
+        if hertz > 0.0:
+            yield SignalFilter(_KINDS[min(kind, len(_KINDS) - 1)], hertz)
+
+
+def _static_notches(reader: _ParameterReader, signal: str) -> Iterator[SignalFilter]:
+    """Of middle and lower cutoff: the quality is f f_c / (f^2 - f_c^2)."""
+    for place in ("", "[0]", "[1]"):
+        middle = reader.optional(f"{signal}_notch_hz{place}")
+        cutoff = reader.optional(f"{signal}_notch_cutoff{place}")
+        if 0.0 < cutoff < middle:
+            yield SignalFilter("notch", middle, middle * cutoff / (middle**2 - cutoff**2))
+
+
+def _betaflight_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
+    """Those at each rotor's harmonics, and those that look for peaks themselves."""
+    harmonics = int(reader.optional("rpm_filter_harmonics"))
+    if harmonics and reader.optional("dshot_bidir"):
+        least = reader.optional("rpm_filter_min_hz", 100.0)
+        fading = max(reader.optional("rpm_filter_fade_range_hz", 50.0), 1.0)
+        quality = max(reader.optional("rpm_filter_q", 500.0), 1.0) / 100.0
+        for n, middle in enumerate(_harmonics(reader, least + fading, range(1, harmonics + 1))):
+            weight = reader.optional(f"rpm_filter_weights[{n}]", 100.0) / 100.0
+            weight *= min(max((middle - least) / fading, 0.0), 1.0)
+            one = SignalFilter("notch", max(middle, least), quality, 1.0 - weight)
+            yield from [one] * rotors
+    count = int(reader.optional("dyn_notch_count"))
+    if count:
+        least = reader.optional("dyn_notch_min_hz", 100.0)
+        reader.notes.append(f"dynamic notches are taken at their lowest, {least:g} Hz")
+        quality = max(reader.optional("dyn_notch_q", 300.0), 1.0) / 100.0
+        yield from [SignalFilter("notch", max(least, 1.0), quality)] * count
 
 
 def _rate(reader: _ParameterReader, name: str, usual: float) -> float:
