@@ -49,8 +49,9 @@ _SPACING = 0.004
 STEP = 0.012
 """s of a row. Between commands 4 ms apart the motors' response is not observable; beyond 30 Hz they
 are not of first order, and electronic speed controllers have lags of their own."""
-_SETTLED = 6.0
-"""Time constants after which a motor's past is forgotten."""
+_SETTLED = 4.0 * HIGH[Coordinate.LAG]
+"""s after which a motor's past is forgotten, the same for all: rows of motors that are compared
+begin alike, or the gyro's noise there, which whiteners of a long memory carry on, would decide."""
 _LEAST = 1e-3
 """Of full thrust and command: roots have no slope at none."""
 _SLOWEST = 0.3
@@ -194,13 +195,13 @@ class MotorRows:
         _, self._tau, self._curve, e, self._p = (v[:, None] for v in points.T)
         self._up, self._down = np.exp(-0.5 * e), np.exp(0.5 * e)
         self._hover = self._drive(np.full((1, geometry.shape[1]), hover))[0]
-        slowest = float((self._tau * np.maximum(self._up, self._down)).max())
-        self._settling = int(np.ceil(_SETTLED * slowest / dt))
         self._step = step_of(dt)
         before, after = basis.late_by - basis.spacing, basis.late_by + basis.spacing
-        # Whole steps: rows about any motors are of the same samples, and so of the same noise.
+        # Rows about any motors are of the same samples, and so of the same noise: whole steps, and
+        # from the same sample on.
         self._past, self._ahead = -min(before, 0), max(after, 0)
         self._past += -self._past % self._step.step
+        self._settling = int(np.ceil(_SETTLED / dt)) + before
         self._shifts = (basis.late_by, before, after)
         self.restart()
 
