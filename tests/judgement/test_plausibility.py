@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.fit.deviations import Deviations
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
+from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import judge, judged
@@ -19,8 +22,10 @@ from gcs_sysid.judgement.plausibility import (
     implausible,
     placeholder_arm,
     reread_speeds,
+    unlike_rotors,
 )
 from gcs_sysid.judgement.status import NOTHING, by_interval
+from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
 from gcs_sysid.model.estimate import Estimate, Objection, Status
 from gcs_sysid.model.parameters import ARM, CORE_OF, PARAMETERS, REGISTRY
@@ -289,3 +294,27 @@ def test_with_commands_neighboring_rotors_bound_the_propellers():
     for ratio, objected in ((0.03, 0), (0.035, 1)):
         command["moment_ratio"] = Estimate(ratio, 1e-4)
         assert len(objections(evidence(command, x8, RotorInput.COMMAND))) == objected
+
+
+@pytest.mark.parametrize(
+    ("speed", "shown"), [(1.0, False), (1.03, False), (14 / 12, True), (12 / 14, True)]
+)
+def test_a_rotor_that_reads_otherwise_leaves_the_mean_uncertain(speed, shown):
+    """Thrust for the speed read is off by its square; k_T was 7 to 9 half widths off."""
+    k_T = np.array([1.0, 1.0, speed**-2.0, 1.0])
+    mean = float(4.0 / (1.0 / k_T).sum())
+    one = np.zeros((1, 3, rb.N_SIGNALS))
+    apart = (k_T / k_T.mean() - 1.0)[None]
+    n = rb.N_THETA
+    rotation = RotationFit(
+        np.zeros(n), np.zeros((n, n)), np.eye(3), np.ones(3), 1000, True, deviations=np.ones(1),
+        deviating=Deviations(one, np.array([0.1]), apart, 0.0 * apart, np.zeros((1, 3))),
+        extended_covariance=np.zeros((N_UNKNOWNS + 1, N_UNKNOWNS + 1)),
+    )  # fmt: skip
+    found = list(unlike_rotors(replace(evidence(), fit=Fit(rotation, None, 0.0))))
+    assert bool(found) == shown
+    if shown:
+        assert found[0].words.endswith("check its propeller, and the pole count of its ESC")
+        assert f"rotor 3 by {100.0 * apart[0, 2]:+.0f} %" in found[0].reason
+        own = found[0].widening["k_T"] / SOUND["k_T"]
+        assert abs(mean - 1.0) < Z95 * own < 2.0 * abs(mean - 1.0)

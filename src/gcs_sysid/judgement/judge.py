@@ -67,6 +67,7 @@ PRODUCERS = (
     Producer("scale", plausibility.own_units, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
+    Producer("readings", plausibility.unlike_rotors, Stage.WIDENING),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
     Producer("spin", plausibility.unseen_spins, Stage.BELIEF),
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),

@@ -12,12 +12,14 @@ from itertools import combinations
 
 import numpy as np
 
+from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.signals.rotor_readings import APART
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -102,6 +104,36 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
         speeds = evidence.rotor_input is RotorInput.SPEED and evidence.anchor != "k_T"
         parameters = _BY_SPEED if speeds else _BY_SCALE | {"thrust_curve"}
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
+
+
+def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
+    """Rotors whose thrust at the speed that they read differs more than that of propellers does.
+
+    Where that is an ESC's reading (pole count), the vehicle flies alike, and the mean over the
+    rotors is off: by what a mean of so many values is uncertain that scatter so much.
+    """
+    rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
+    if rotation is None or evidence.rotor_input.motors or not rotation.deviating.thrusts.any():
+        return
+    k_T, std = rotor_coefficients(rotation, rotors)[:2]
+    apart = k_T - 1.0
+    excess = float(np.mean(apart**2 + std**2)) - (0.5 * APART) ** 2
+    if excess > 0.0:
+        share = math.sqrt(excess / rotors)
+        most = int(np.abs(apart).argmax())
+        yield Objection(
+            f"rotors differ in thrust for the speed that they read, rotor {most + 1} by "
+            f"{100.0 * apart[most]:+.0f} % of the mean",
+            frozenset({"k_T", "k_M"}),
+            verdict="identified",
+            widening={
+                name: share * abs(e.value)
+                for name, e in evidence.estimates.items()
+                if name in ("k_T", "k_M") and e.value is not None
+            },
+            evidence={"share": share},
+            how="check its propeller, and the pole count of its ESC",
+        )
 
 
 def unseen_spins(evidence: Evidence) -> Iterator[Objection]:

@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
 
-_APART = 0.1
+APART = 0.1
 """Share by which a speed differs from what its command gives the others: motors of one make scatter
 by 3 %; pole counts of 12 and 14 make 15 %."""
 _HOLDS, _FEWEST, _HELD = 0.1, 5, 0.2
@@ -84,12 +84,12 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
     limit = student_limit(_PARTS - 1, FALSE_ALARM_RATE / len(means)) * stds
     rotor = int((np.abs(means) - limit).argmax())
     ratio = math.exp(float(means[rotor]))
-    if abs(ratio - 1.0) < _APART or abs(means[rotor]) < limit[rotor]:
+    if abs(ratio - 1.0) < APART or abs(means[rotor]) < limit[rotor]:
         return None
     w, e = omega.mean(axis=0), expected.mean(axis=0)
     by_speed, by_command = (abs(spin @ v**2) / float((v**2).sum()) for v in (w, e))
     # One rotor of n that is off by so much in speed turns the balance by twice that over n.
-    return OddReading(rotor, ratio, by_speed > by_command + 2.0 * _APART / len(spin))
+    return OddReading(rotor, ratio, by_speed > by_command + 2.0 * APART / len(spin))
 
 
 def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
@@ -119,8 +119,8 @@ def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
     loads = np.log(squares)
     # A CG a tenth of the arm off shifts a fifth of the load, and a motor's tilt a tenth to yaw.
     arm = np.hypot(*geometry[:2]).mean()
-    modes = np.vstack([2.0 * _APART * geometry[:2] / arm, _APART * geometry[2]])
-    covariance = modes.T @ modes + (0.5 * _APART) ** 2 * np.eye(rotors)
+    modes = np.vstack([2.0 * APART * geometry[:2] / arm, APART * geometry[2]])
+    covariance = modes.T @ modes + (0.5 * APART) ** 2 * np.eye(rotors)
     keeps = [np.arange(rotors) != rotor for rotor in range(rotors)]
     # The reading itself may be anything from a quarter to four times.
     gains = [
