@@ -105,8 +105,8 @@ def simulate(truth, seconds, dt):
     t = np.arange(round(seconds / dt)) * dt
     hover = np.sqrt(mixer @ [0, 0, 0, truth.m * G])
     start = np.concatenate([np.zeros(3), hover, [1.0, 0, 0, 0], np.zeros(3)])
-    # 1e-10: far below what any test asks of the estimates.
-    out = solve_ivp(change, (0.0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-10)
+    # 1e-8: far below what any test asks of the estimates.
+    out = solve_ivp(change, (0.0, t[-1]), start, "DOP853", t, rtol=1e-8, atol=1e-8)
     w, Omega, q, v = out.y[:3].T, out.y[3:7].T, out.y[7:11].T, out.y[11:].T
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     lift = truth.k_T / truth.m * np.sum(Omega**2, axis=1)

@@ -8,6 +8,7 @@ from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
 
 ANSWERS = {
     "betaflight/hiro-no-accelerometer.bfl": (
@@ -18,11 +19,12 @@ ANSWERS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow  # a whole analysis of 8 s
+@pytest.mark.slow
 def test_without_an_accelerometer_analysis_and_inspection_say_so(shared_log):
     log = shared_log("field/betaflight/hiro-no-accelerometer.bfl")
     airframe = load_airframe("betaflight-quad-x").with_arm(0.11).with_anchor("mass", 0.5)
-    result, found = analyze_log(log, airframe), inspect_log(log)
+    result = analyze_log(log, airframe, options=ChainOptions(end=10.0))
+    found = inspect_log(log)
     assert (result.verdict, found.verdict, found.obtainable) == ("refused", "no", "nothing")
     for objections in (result.objections, found.objections):
         assert any("there is no accelerometer" in objection.reason for objection in objections)

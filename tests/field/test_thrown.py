@@ -33,7 +33,7 @@ def flown(shared_log, number):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "numbers",
-    [(157, 159, 161), pytest.param((163, 165, 167), marks=pytest.mark.thorough)],
+    [(157, 159), pytest.param((161, 163, 165, 167), marks=pytest.mark.thorough)],
 )
 def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log, numbers):
     close, held = 0, 0
@@ -47,5 +47,5 @@ def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log, numbers)
         claimed = [found[name] for name in ("Ixx", "Iyy") if found[name].status != "unobservable"]
         errors = [abs(each.value / INERTIA - 1.0) for each in claimed]
         close += len(errors) == 2 and bool(np.max(errors) < 0.1)
-    assert close >= 2
-    assert held >= 5  # of 6, at 95 %
+    assert close >= len(numbers) - 1
+    assert held >= 2 * len(numbers) - 1  # at 95 %

@@ -30,7 +30,7 @@ def test_seeds_and_inputs_kept_hold(harness):
 @pytest.mark.parametrize("harness", BY_NAME)
 def test_what_is_drawn_holds(harness):
     @settings(
-        max_examples=40, derandomize=True, deadline=None, database=None,
+        max_examples=25, derandomize=True, deadline=None, database=None,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     )  # fmt: skip
     @given(st.data())
@@ -49,7 +49,7 @@ def test_what_is_drawn_holds(harness):
 @pytest.mark.parametrize("harness", BY_NAME)
 def test_what_the_mutator_draws_holds(harness):
     mutator = Mutator(harness.seeds(), harness.tokens, harness.longest, random.Random(7))
-    for _ in range(40):
+    for _ in range(25):
         data = mutator.draw()
         assert len(data) <= harness.longest
         harness.check(data)

@@ -44,7 +44,7 @@ def analyzed(path, airframe):
     "flight",
     [
         ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "--rate", "20"),
-        ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "40"),
+        ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "24"),
     ],
 )
 def test_agrees_with_the_validation(fly, flight):

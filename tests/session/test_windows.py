@@ -136,7 +136,7 @@ FLIGHTS = {
     ],
 )
 def test_windows_give_what_parts_give(fly, name):
-    flight = fly(*MEMS, *FLIGHTS[name], "--rate", "100", "--seed", "3")
+    flight = fly(*MEMS, *FLIGHTS[name], "--rate", "50", "--seed", "3")
     result, _, grid = analyzed(flight.tlog, "paper", windows=True)
     other, _, same_grid = analyzed(flight.tlog, "paper", windows=False)
     assert_same(result, other)

@@ -260,7 +260,7 @@ def test_without_any_rotor_for_a_second_nothing_says_that_it_flies():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", [1, 7, 100])
+@pytest.mark.parametrize("block", [pytest.param(1, marks=pytest.mark.thorough), 7, 100])
 def test_size_of_blocks_does_not_matter_with_an_imu(block):
     speed, force = falling(15.0, 15.5)
     speed = np.where(T < 5.0, IDLE, speed)

@@ -126,7 +126,7 @@ def test_windows_of_any_size_give_the_same_of_a_damaged_ulog(tmp_path, monkeypat
 
     whole = read(2**20)
     assert whole[0] == [4]
-    assert all(read(window) == whole for window in range(251, 900))
+    assert all(read(window) == whole for window in range(251, 900, 7))
 
 
 def test_data_appended_after_a_crash_are_read(tmp_path):
@@ -164,7 +164,7 @@ LOGS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", LOGS)
 def test_garbage_costs_time_by_its_size_alone(shared_logs, tmp_path, kind):
-    data = (shared_logs / LOGS[kind]).read_bytes()[:2_000_000]
+    data = (shared_logs / LOGS[kind]).read_bytes()[:700_000]
     path = tmp_path / f"log.{kind}"
     middle = len(data) // 2
     clean, samples = measure(path, data)

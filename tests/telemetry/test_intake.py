@@ -210,7 +210,7 @@ def test_a_clock_that_keeps_going_back_does_not_have_a_log_read_again_and_again(
 ):
     """As of two boards that send as one vehicle, each with its own clock."""
     frames = [sender.heartbeat()]
-    for i in range(1000):
+    for i in range(400):
         frames += [sender.imu(100.0 + 0.01 * i + 0.001 * k) for k in range(4)]
         frames += [sender.attitude(10.0 + 0.01 * i + 0.001 * k) for k in range(2)]
     looked_at = []
@@ -222,7 +222,7 @@ def test_a_clock_that_keeps_going_back_does_not_have_a_log_read_again_and_again(
     )
     intake = Intake()
     intake.frames(frames)
-    assert intake.decoder.clock.reboots > 900
+    assert intake.decoder.clock.reboots > 360
     assert sum(looked_at) < 100 * len(frames)
 
 
@@ -230,7 +230,7 @@ def test_a_clock_that_keeps_going_back_does_not_have_a_log_read_again_and_again(
 def test_rates_are_by_the_vehicles_clock(sender):
     intake = Intake()
     intake.frames([sender.heartbeat()])
-    for i in range(2000):
+    for i in range(800):
         intake.frames([sender.imu(50.0 + 0.004 * i)])
         if i % 5 == 0:
             intake.frames([sender.attitude(50.0 + 0.004 * i)])
@@ -240,7 +240,7 @@ def test_rates_are_by_the_vehicles_clock(sender):
     # 62 + 12 (trimmed: its zeros) bytes and more; the frames themselves tell.
     assert health.bytes_per_second > 250 * 50
     assert (health.lost_percent, health.rejected, health.unknown) == (0.0, 0, 0)
-    assert intake.as_dict()["messages"]["HIGHRES_IMU"]["count"] == 2000
+    assert intake.as_dict()["messages"]["HIGHRES_IMU"]["count"] == 800
 
 
 def test_reordered_frames_are_not_lost_and_lost_ones_are(sender):
@@ -361,7 +361,7 @@ def test_of_frames_that_come_again_over_a_second_radio_one_counts(sender, piece)
 def test_what_has_no_time_may_say_the_same_again(sender, piece):
     """256 frames a second: each heartbeat has the sequence number of the one before."""
     frames = [
-        sender.heartbeat() if i % 256 == 0 else sender.imu(1.0 + i / 256.0) for i in range(2560)
+        sender.heartbeat() if i % 256 == 0 else sender.imu(1.0 + i / 256.0) for i in range(1280)
     ]
     intake = Intake()
     for first in range(0, len(frames), piece):
