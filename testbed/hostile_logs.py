@@ -6,7 +6,8 @@ import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
-from random import Random
+
+import numpy as np
 
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log
@@ -137,7 +138,7 @@ FILES: dict[tuple[str, str], Callable[[], bytes]] = {
 
 def _drawn(letters: bytes, size: int = 2**20) -> bytes:
     """So many letters by chance."""
-    return bytes(Random(1).choices(letters, k=size))
+    return np.random.default_rng(1).choice(np.frombuffer(letters, np.uint8), size).tobytes()
 
 
 PATTERNS = {
