@@ -80,13 +80,11 @@ class SpeedDynamics(LocalDynamics):
         self.late = self.sets * OWN
         self.width = self.late + len(BODY_PLACES)
 
-    def weights(self, at: Array, by: int | None = None) -> Array:
-        """(K, 2) of the point, and of what a change of the delay adds, at (K, N_COORDINATES)."""
-        out = np.zeros((len(at), 2))
-        if by is None:
-            out[:, 0], out[:, 1] = 1.0, at[:, Coordinate.DELAY] - self.at[Coordinate.DELAY]
-        else:
-            out[:, 1] = 1.0
+    def weights(self, at: Array) -> Array:
+        """(K, 1 + f, 2) of the point, and of what a change of the delay adds."""
+        out = np.zeros((len(at), 1 + len(self.free), 2))
+        out[:, 0, 0], out[:, 0, 1] = 1.0, at[:, Coordinate.DELAY] - self.at[Coordinate.DELAY]
+        out[:, 1:, 1] = 1.0
         return out
 
 

@@ -60,6 +60,7 @@ _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 OWN = SIGNALS + len(_COUPLED)
 """Columns of one set of motor parameters."""
 _THRUST = rb.SIGNALS.index("thrust")
+_OF_ROTORS = np.array([*ROTOR_COLUMNS, *_COUPLED])
 BODY_PLACES = tuple(i for i in range(WIDTH) if i not in (*ROTOR_COLUMNS, *_COUPLED))
 """Columns of a row [x, y] that no motor has a part in."""
 
@@ -98,33 +99,35 @@ class LocalDynamics(ActuatorDynamics):
         """Those moved."""
         self.sets = 3 + len(self.varied)
         self.late = self.sets * OWN
+        self._slopes = np.zeros((1 + len(self.free), self.sets))
+        """Weights, and their derivatives, that are the same everywhere."""
+        self._slopes[0, 0] = 1.0
+        for place, i in enumerate(self.varied, 3):
+            self._slopes[1 + self.free.index(i), place] = 1.0 / self.moved[i]
         self.width = self.late + len(BODY_PLACES)
 
-    def weights(self, at: Array, by: int | None = None) -> Array:
-        """(K, sets) of the point, of both delays, and of every other, at (K, N_COORDINATES)."""
-        x = (at[:, Coordinate.DELAY] - self._middle) / self.moved[Coordinate.DELAY]
-        out = np.zeros((len(at), self.sets))
-        if by is None:
-            out[:, 0] = 1.0
-            out[:, 1], out[:, 2] = 0.5 * (x * x - x), 0.5 * (x * x + x)
-            for place, i in enumerate(self.varied, 3):
-                out[:, place] = (at[:, i] - self.at[i]) / self.moved[i]
-        elif by == Coordinate.DELAY:
-            out[:, 1], out[:, 2] = (
-                (x - 0.5) / self.moved[Coordinate.DELAY],
-                (x + 0.5) / self.moved[Coordinate.DELAY],
-            )
-        else:
-            out[:, 3 + self.varied.index(by)] = 1.0 / self.moved[by]
+    def weights(self, at: Array) -> Array:
+        """(K, 1 + f, sets) at (K, N_COORDINATES): of each set, and its derivatives.
+
+        The first set is that of the point, the next two are of both delays, of which a parabola is
+        laid, and the others of what varies beside.
+        """
+        step = self.moved[Coordinate.DELAY]
+        x = (at[:, Coordinate.DELAY] - self._middle) / step
+        out = np.zeros((len(at), 1 + len(self.free), self.sets))
+        out[:] = self._slopes
+        out[:, 0, 1], out[:, 0, 2] = 0.5 * (x * x - x), 0.5 * (x * x + x)
+        varied = list(self.varied)
+        out[:, 0, 3:] = (at[:, varied] - self.at[varied]) / self.moved[varied]
+        by_delay = 1 + self.free.index(Coordinate.DELAY)
+        out[:, by_delay, 1], out[:, by_delay, 2] = (x - 0.5) / step, (x + 0.5) / step
         return out
 
     def maps(self, at: Array) -> Array:
         """See `ActuatorDynamics.maps`."""
         maps = np.zeros((len(at), 1 + len(self.free), WIDTH, self.width))
-        for k, by in enumerate((None, *self.free)):
-            weights = self.weights(at, by)
-            for place, column in enumerate((*ROTOR_COLUMNS, *_COUPLED)):
-                maps[:, k, column, place : self.late : OWN] = weights
+        places = np.arange(OWN)[:, None] + OWN * np.arange(self.sets)
+        maps[:, :, _OF_ROTORS[:, None], places] = self.weights(at)[:, :, None]
         maps[:, 0, BODY_PLACES, range(self.late, self.width)] = 1.0
         return maps
 
@@ -330,7 +333,7 @@ class MotorRows:
             moved = float(np.abs(after - x[..., 1:]).max())
             x[..., 1:] = after
             # A smaller step, of full thrust, leaves nothing but rounding.
-            if moved < 1e-12:
+            if moved < 1e-9:
                 break
         self._state = x[..., -1].copy()
         reached: Array = np.moveaxis(x[..., 1:], -1, 0)
