@@ -69,6 +69,10 @@ CASES = {
     ("health", "params"): Case(
         ("health", *ON_LOG, "--params", "{out}"), ".param", "CG", dash=False
     ),
+    ("params", "json"): Case(("params", *ON_LOG, "--json", "{out}"), ".json", "nothing is sent"),
+    ("params", "output"): Case(
+        ("params", *ON_LOG, "-o", "{out}"), ".param", "nothing is sent", dash=False
+    ),
     ("health", "picture"): Case(
         ("health", *ON_LOG, "--picture", "{out}"), ".svg", "CG", dash=False
     ),

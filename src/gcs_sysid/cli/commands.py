@@ -551,6 +551,28 @@ COMMANDS = (
         ),
     ),
     Command(
+        "params",
+        "say which autopilot parameters to set, and which to leave",
+        "Says of every autopilot parameter that flights of one vehicle show what it was, what it "
+        "should be, and whether to set it or to leave it, or what to fly to know. It is set only "
+        "where the truth is surely nearer to the new value. Nothing is sent to a vehicle.",
+        (
+            LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
+            CSV,
+            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
+            VEHICLE,
+            BASELINE_FLIGHT,
+            UNCHANGED,
+            JSON.but("write the proposals; - is stdout"),
+            OUTPUT.but(
+                "what is to be set, to load by hand: .params for QGroundControl, .param for "
+                "Mission Planner, .txt for Betaflight's command line",
+                metavar="FILE",
+            ),
+            FORCE,
+        ),
+    ),
+    Command(
         "plan",
         "plan a flight",
         "Plans a flight: maneuvers, duration and expected accuracy. Nothing is sent to a vehicle.",

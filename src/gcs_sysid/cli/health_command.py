@@ -13,7 +13,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import (
-    Suggestion,
+    Proposal,
     check_suffix,
     parameter_file,
     proposed,
@@ -194,12 +194,13 @@ def _cell(quantity: Estimate | None, scale: float, unit: str) -> str:
     return f"{value:.1f} {unit}" if unit == "%" else f"{value:.3f} {unit}".rstrip()
 
 
-def _parameters(found: Sequence[Suggestion], of: str = "") -> Iterator[str]:
+def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:
     if not found:
         return
     yield ""
     yield f"Autopilot parameters that fit{of} (nothing is sent; --params FILE writes them)"
     for one in found:
+        assert one.quantity is not None
         assert one.quantity.value is not None
         half = one.quantity.half or 0.0
         now = "" if one.now is None else f"  now {one.now:.4g}"

@@ -19,7 +19,10 @@ def advised(health: Health) -> Health:
     """The health with what is found in it and all that is worth doing, the most important first."""
     unlike, at_full = _unlike_motors(health), _at_full_command(health)
     findings = (
-        *(Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how) for doubt in health.doubts),
+        *(
+            Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how, spoils=True)
+            for doubt in health.doubts
+        ),
         *_misread(health),
         *_weak(health),
         *(unlike or [*_cg(health), *_yaw(health)]),
@@ -73,7 +76,7 @@ def _weak(health: Health) -> Iterator[Finding]:
             less = condition_text(condition).removeprefix(f"{name} gives ")
             yield Finding(
                 name, less.replace("than before", since or "than before"),
-                f"look at {name}: propeller, motor bearing and ESC",
+                f"look at {name}: propeller, motor bearing and ESC", spoils=True,
             )  # fmt: skip
         elif condition.verdict == "unclear":
             yield Finding(
@@ -149,7 +152,7 @@ def _unlike_motors(health: Health) -> list[Finding]:
         "or its pole count. What the CG and yaw are, and whether to move anything, shows once that "
         "is clear"
     )
-    return [Finding(f"motor {i}", what, do) for i, what in off]
+    return [Finding(f"motor {i}", what, do, spoils=True) for i, what in off]
 
 
 def _margins(health: Health) -> Iterator[Finding]:
@@ -177,7 +180,12 @@ def _pinned(health: Health, at_full: Mapping[str, str]) -> Iterator[Finding]:
     """One that is at full command while no other ever is: it does not give what is asked for."""
     if len(at_full) == 1 and sum(bool(rotor.saturated) for rotor in health.rotors) == 1:
         ((name, what),) = at_full.items()
-        yield Finding(name, f"{what}, no other ever", f"look at {name}: propeller, motor and ESC")
+        yield Finding(
+            name,
+            f"{what}, no other ever",
+            f"look at {name}: propeller, motor and ESC",
+            spoils=True,
+        )
 
 
 def _shaking(health: Health) -> Iterator[Finding]:

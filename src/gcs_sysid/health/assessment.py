@@ -19,6 +19,7 @@ from gcs_sysid.health.drive_health import (
     battery_of,
     idle_output,
     motor_gains,
+    power_of_voltage,
     vibration_of,
     with_throttle,
 )
@@ -291,6 +292,7 @@ def health_of(
         idle=idle_output(streams),
         arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
+        by_voltage=power_of_voltage(streams, windows, curve),
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)

@@ -1,23 +1,32 @@
-"""The parameters that a flight suggests to the autopilot, and files that ground stations load.
+"""What flights determine of the autopilot's parameters, and files that ground stations load.
 
-Conventions, by the autopilots' own parameter descriptions:
+The one place for that: `params`, `health`, `batch` and `trend` show what is here.
 
-- MOT_THST_EXPO and THR_MDL_FAC are c of T/T_max = (1 - c) u + c u^2; MOT_THST_HOVER and
-  MPC_THR_HOVER the thrust of a hover over full thrust, before that curve is inverted.
+Conventions, by the autopilots' own sources and parameter descriptions:
+
+- MOT_THST_EXPO and THR_MDL_FAC are c of T/T_max = (1 - c) u + c u^2 (f_c(u) below).
+- ArduPilot's throttle is f_c(u v) times the density of the air over that at sea level, v the
+  battery's voltage, without sag, over MOT_BAT_VOLT_MAX, or 1 where that is 0
+  (AP_Motors_Thrust_Linearization: f_c(u v) = lift_max thrust, thrust = throttle / lift_max /
+  density). MOT_THST_HOVER is that throttle of a hover, MPC_THR_HOVER is f_c(u).
 - CA_ROTORn_PX, PY are from the center of gravity, forward and right, in m; KM is the moment ratio,
   positive for counter-clockwise. INS_POSn_* and EKF2_IMU_POS_* are forward, right and down, of the
   IMU from the CG.
 - MOT_SPIN_MIN is a share of the whole range of the outputs, MOT_BAT_VOLT_* are volts of the pack.
+- PX4 multiplies its thrust by 1 / v where MC_BAT_SCALE_EN is set; Betaflight takes off
+  vbat_sag_compensation percent of what a full battery gives beyond an empty one (mixer.c).
+- Betaflight's output is u (1 + k (1 - u)^2), k thrust_linear in percent (pid.c).
 
 QGroundControl loads lines of vehicle, component, name, value and MAV_PARAM_TYPE between tabs;
-Mission Planner lines of NAME,VALUE. Both skip lines that begin with #. Nothing is sent: a pilot
-loads the file, sees the differences and decides.
+Mission Planner lines of NAME,VALUE; Betaflight's command line `set name = value`. All skip lines
+that begin with #. Nothing is sent: a pilot loads the file, sees the differences and decides.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.balance import pooled
@@ -30,130 +39,446 @@ _FULL, _EMPTY = 4.2, 3.3
 """V of a LiPo cell: what MOT_BAT_VOLT_MAX and MIN are a pack's multiple of."""
 _CELLS = 24
 
+ParameterVerdict = Literal["set", "leave", "cannot tell"]
+
 
 @dataclass(frozen=True)
-class Suggestion:
-    """A parameter's value by this flight.
+class Proposal:
+    """A parameter's value by one flight or by several, and what to do about it.
 
     Attributes:
         name: of the parameter.
-        quantity: its value, in the autopilot's unit.
+        quantity: its value, in the autopilot's unit; None: not determined.
         now: what the log says that it was; None: not logged.
         note: where it comes from.
+        use: half of the widest 95 % interval that is of use.
+        lacks: what is missing before it may be set, if anything.
+        fly: what gives that.
+        keep: why it is left as it is whatever its value, if so.
+        then: what the value of now amounts to once the others are set; None: the same.
+        flights: that determine it.
     """
 
     name: str
-    quantity: Estimate
+    quantity: Estimate | None
     now: float | None
-    note: str
+    note: str = ""
+    use: float = math.inf
+    lacks: str = ""
+    fly: str = ""
+    keep: str = ""
+    then: float | None = None
+    flights: int = 1
+
+    @property
+    def verdict(self) -> ParameterVerdict:
+        """What to do: it is set where the truth is surely nearer to the new value than to the old.
+
+        That is, where half of the way is `TUNING.sure` standard deviations or more; or where the
+        old value means something else once the others are set.
+        """
+        value, half = self._value, self._half
+        if value is None or self.lacks or half > self.use:
+            return "cannot tell"
+        if self.keep:
+            return "leave"
+        if self.now is None:
+            return "cannot tell"
+        return "set" if self._surely or self.then is not None else "leave"
+
+    @property
+    def _surely(self) -> bool:
+        """Whether the truth is nearer to the value than to the old one."""
+        if self.quantity is None or self.quantity.value is None or self.now is None:
+            return False
+        value, old = self.quantity.value, self.now if self.then is None else self.then
+        # What a file holds is rounded to single precision.
+        return 0.5 * abs(value - old) > max(
+            TUNING.sure * (self.quantity.std or 0.0), 1e-6 * abs(value)
+        )
+
+    @property
+    def new(self) -> float | None:
+        """The value to set, or that would be."""
+        return self.then if self.then is not None and not self._surely else self._value
+
+    @property
+    def reason(self) -> str:
+        """Why, and where the value comes from, in words."""
+        value, half = self._value, self._half
+        if value is None or self.lacks:
+            return self.lacks or "not determined"
+        if half > self.use:
+            why = f"known to {half:.2g}, which is too little: {self.use:.2g} is of use"
+        elif self.keep:
+            return self.keep
+        elif self.now is None:
+            why = "what it is now is not in the log"
+        elif self.verdict == "set" and not self._surely:
+            why = "what it is now, with the others set"
+        elif self.verdict == "set":
+            return self.note
+        elif abs(value - self.now) <= max(half, 1e-6 * abs(value)):
+            why = "what it is now lies in the interval"
+        else:
+            why = "not surely nearer to the truth than what it is now"
+        return f"{self.note}; {why}" if self.note else why
+
+    @property
+    def action(self) -> str:
+        """What to fly or to log where it is not known; else empty."""
+        if self.verdict != "cannot tell":
+            return ""
+        if self.now is None and self._value is not None and not self.lacks and not self.fly:
+            return "log the parameters"
+        return self.fly
+
+    @property
+    def _value(self) -> float | None:
+        return None if self.quantity is None else self.quantity.value
+
+    @property
+    def _half(self) -> float:
+        half = None if self.quantity is None else self.quantity.half
+        return half or 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """As the JSON of `params` has it."""
+        return {
+            "name": self.name,
+            "old": self.now,
+            "new": self.new,
+            "by_flights": None if self.quantity is None else self.quantity.as_json(),
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "fly": self.action or None,
+            "note": self.note or None,
+            "flights": self.flights if self.quantity is not None else 0,
+        }
 
 
-def suggested(health: Health) -> tuple[Suggestion, ...]:
-    """All parameters that the flight determines well enough to change them."""
-    if not health.available:
-        return ()
-    of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)
-    return () if of is None else tuple(of(health))
+_CLIMB = (
+    "hover for 60 s with climbs and descents of 2 m, ESC telemetry logged: the rotors' speeds over "
+    "a range of commands"
+)
+_STEADY = "hover for 60 s, in calm air and with one load"
+_DISCHARGE = "hover from a full battery until it is low, with the voltage logged"
 
 
-def proposed(flights: Sequence[Health]) -> tuple[Suggestion, ...]:
-    """What flights of one vehicle determine together: one value each.
+def determined(flights: Sequence[Health]) -> tuple[Proposal, ...]:
+    """What flights of one vehicle say of its autopilot's parameters: each by all of them together.
 
     Args:
-        flights: in their order; those of other vehicles and without a hover do not count.
+        flights: in their order; those of other vehicles, without a hover and whose loads and
+            commands mean little (`Finding.spoils`) do not count.
     """
-    found: dict[str, list[Suggestion]] = {}
-    for health in flights:
-        for one in () if health.apart else suggested(health):
+    of = {"px4": _px4, "ardupilot": _ardupilot, "generic": _betaflight}
+    usable = [health for health in flights if not excluded(health)]
+    if not usable or usable[-1].autopilot not in of:
+        return ()
+    curve = _together([h.curve.c for h in usable if h.curve is not None and h.curve.c.std])
+    voltage = _together([h.by_voltage for h in usable if h.by_voltage is not None])
+    found: dict[str, list[Proposal]] = {}
+    for health in usable:
+        for one in of[health.autopilot](_Flight(health, curve, voltage)):
             found.setdefault(one.name, []).append(one)
-    return tuple(
-        replace(some[-1], quantity=pooled([one.quantity for one in some]))
-        for some in found.values()
-    )
+    return tuple(_merged(some) for some in found.values())
 
 
-def _make(health: Health, name: str, quantity: Estimate | None, note: str) -> Iterator[Suggestion]:
-    if quantity is None or quantity.value is None or quantity.std is None:
-        return
-    if not (math.isfinite(quantity.value) and math.isfinite(quantity.std)):
-        return
-    yield Suggestion(name, quantity, health.parameters.get(name), note)
+def excluded(health: Health) -> str:
+    """Why a flight does not count, in words; empty where it does."""
+    if not health.available:
+        return "; ".join(health.reasons[:1])
+    spoilt = next((f"{f.at}: {f.what}; {f.do}" for f in health.findings if f.spoils), "")
+    return health.apart or spoilt
 
 
-def _curve(health: Health) -> Estimate | None:
-    if health.curve is None or health.curve.c.std is None:
+def suggested(health: Health) -> tuple[Proposal, ...]:
+    """All values that a flight has."""
+    return proposed([health])
+
+
+def proposed(flights: Sequence[Health]) -> tuple[Proposal, ...]:
+    """All values that flights of one vehicle have together."""
+    return tuple(one for one in determined(flights) if one.quantity is not None)
+
+
+def _together(some: Sequence[Estimate]) -> Estimate | None:
+    return pooled(some) if some else None
+
+
+def _merged(some: Sequence[Proposal]) -> Proposal:
+    """One proposal of all flights' for a parameter."""
+    known = [one for one in some if one.quantity is not None]
+    if not known:
+        return some[-1]
+    quantity = pooled([one.quantity for one in known if one.quantity is not None])
+    return replace(known[-1], quantity=quantity, flights=len(known))
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """A flight, and what all flights of the vehicle determine together.
+
+    Attributes:
+        health: of the flight.
+        curve: c of the thrust curve.
+        voltage: power of the voltage, see `Health.by_voltage`.
+    """
+
+    health: Health
+    curve: Estimate | None
+    voltage: Estimate | None
+
+    def now(self, name: str) -> float | None:
+        return self.health.parameters.get(name)
+
+    def propose(
+        self, name: str, quantity: Estimate | None, note: str = "", **more: Any
+    ) -> Proposal:
+        sound = (
+            quantity is not None
+            and quantity.value is not None
+            and quantity.std is not None
+            and math.isfinite(quantity.value)
+            and math.isfinite(quantity.std)
+        )
+        return Proposal(name, quantity if sound else None, self.now(name), note, **more)
+
+    @property
+    def falls(self) -> bool | None:
+        """Whether thrust falls with the voltage; None: not surely one or the other."""
+        power = self.voltage
+        if power is None or power.value is None or power.std is None:
+            return None
+        off = power.value - 0.5
+        return None if abs(off) < TUNING.sure * power.std else off > 0.0
+
+    @property
+    def found_curve(self) -> Estimate | None:
+        """C of this flight, where it is of use."""
+        curve = self.health.curve
+        if curve is None or curve.c.std is None or not 0.0 < curve.c.std < TUNING.usable_curve:
+            return None
+        return curve.c
+
+    def of_curve(self, name: str) -> Proposal:
+        """THR_MDL_FAC or MOT_THST_EXPO."""
+        now, c = self.now(name), self.found_curve
+        note = "thrust curve"
+        x = self.health.hover_command
+        if c is not None and self.curve is not None and now is not None and x is not None:
+            assert self.curve.value is not None
+            gain = (1.0 - now + 2.0 * now * x.mean) / (
+                1.0 - self.curve.value + 2.0 * self.curve.value * x.mean
+            )
+            if abs(gain - 1.0) > 0.05:
+                note += f"; rate gains act {gain:.2f} times as now in hover: mind them"
+        lacks = "" if c is not None else "no climbs or speeds that show the thrust curve"
+        return self.propose(name, c, note, use=TUNING.usable_curve, lacks=lacks, fly=_CLIMB)
+
+    def curve_after(self, name: str) -> Estimate:
+        """C that the autopilot has once what is to be set is set: exact where it is the old one."""
+        old = Estimate(self.now(name) or 0.0, 0.0, "1")
+        if self.curve is None or self.now(name) is None:
+            return self.curve or old
+        proposal = self.propose(name, self.curve, use=TUNING.usable_curve)
+        return self.curve if proposal.verdict == "set" else old
+
+
+def _hover(flight: _Flight, c: Estimate, before: float, after: float) -> Estimate | None:
+    """Throttle of a hover, by the curve and the share of the voltage made up for after all is set.
+
+    It is that of flights to come: loads and charges differ from one to the next.
+
+    Args:
+        flight: with commands.
+        c: of the curve after.
+        before: share of the full voltage that was made up for, 1 for none.
+        after: the same, once all is set.
+    """
+    x = flight.health.hover_command
+    if x is None or c.value is None or c.std is None:
         return None
-    # A curve that the flight does not determine is not suggested.
-    return health.curve.c if 0.0 < health.curve.c.std < TUNING.usable_curve else None
+    now = flight.now("MOT_THST_EXPO")
+    # Air as on the ground at sea level, unless the autopilot's own throttle shows what it takes.
+    air, by_air = 1.0, TUNING.unknown_air
+    if flight.health.autopilot == "px4":
+        by_air = 0.0
+    elif x.throttle is not None and now is not None and x.thrust(now, before) > 0.0:
+        air, by_air = x.throttle / x.thrust(now, before), 0.0
+    value = air * x.thrust(c.value, after)
+    # The curve in force is exact; one that is set is off in all flights alike.
+    by_curve = air * abs(after**2 * x.square - after * x.mean) * c.std
+    given = math.hypot(by_air * value, by_curve)
+    own = math.hypot(x.share, TUNING.common_command) * value
+    return Estimate(value, math.hypot(own, given), "1", std_given=given)
 
 
-def _px4(health: Health) -> Iterator[Suggestion]:
-    curve = _curve(health)
-    yield from _make(health, "THR_MDL_FAC", curve, "thrust curve")
-    if curve is not None:
-        yield from _make(health, "MPC_THR_HOVER", health.hover_thrust, "with THR_MDL_FAC as here")
+def _then(
+    flight: _Flight, name: str, of_curve: str, c: Estimate, voltage: tuple[float, float]
+) -> float | None:
+    """What a hover's throttle of now amounts to by another curve and voltage; None: the same."""
+    x, now = flight.health.hover_command, flight.now(name)
+    if x is None or now is None or c.value is None:
+        return None
+    old = x.thrust(flight.now(of_curve) or 0.0, voltage[0])
+    then = now * x.thrust(c.value, voltage[1]) / old if old > 0.0 else now
+    return None if math.isclose(then, now, rel_tol=1e-6) else then
+
+
+def _px4(flight: _Flight) -> Iterator[Proposal]:
+    health = flight.health
+    yield flight.of_curve("THR_MDL_FAC")
+    c = flight.curve_after("THR_MDL_FAC")
+    yield flight.propose(
+        "MPC_THR_HOVER",
+        hover := _hover(flight, c, 1.0, 1.0),
+        f"hover with THR_MDL_FAC {c.value or 0.0:.3g}",
+        use=_of_hover(hover),
+        lacks="" if hover is not None else "no commands of the motors",
+        fly=_STEADY if hover is not None else "log actuator_motors or actuator_outputs",
+        then=_then(flight, "MPC_THR_HOVER", "THR_MDL_FAC", c, (1.0, 1.0)),
+    )
+    yield _by_voltage(flight, "MC_BAT_SCALE_EN", 1.0, "")
     assert health.airframe is not None
     assert health.cg is not None
-    if health.arm_known:
+    if any(name.startswith("CA_ROTOR") for name in health.parameters) or health.arm_known:
+        lacks = "" if health.arm_known else "the size of the airframe is not known"
+        use = TUNING.worth_knowing * health.airframe.arm
         ratio = health.airframe.priors.get("moment_ratio")
         for i, rotor in enumerate(health.airframe.rotors):
             for axis, place, offset in zip("XY", (rotor.x, rotor.y), health.cg, strict=True):
-                yield from _make(
-                    health, f"CA_ROTOR{i}_P{axis}", _less(place, offset), "m from the CG as flown"
-                )
-            if ratio is not None:
+                yield flight.propose(
+                    f"CA_ROTOR{i}_P{axis}", None if lacks else _less(place, offset),
+                    "m from the CG as flown", use=use, lacks=lacks, fly="give --arm",
+                )  # fmt: skip
+            if ratio is not None and not lacks:
                 turn = Estimate(rotor.spin * ratio[0], ratio[1], "m", std_given=ratio[1])
-                yield from _make(health, f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
-        yield from _imu(health, "EKF2_IMU_POS_")
+                yield flight.propose(f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
+    yield from _imu(flight, "EKF2_IMU_POS_")
 
 
-def _ardupilot(health: Health) -> Iterator[Suggestion]:
-    curve = _curve(health)
-    yield from _make(health, "MOT_THST_EXPO", curve, "thrust curve")
-    if curve is not None:
-        yield from _make(health, "MOT_THST_HOVER", *_thrust_hover(health))
-    yield from _make(
-        health,
-        "MOT_SPIN_MIN",
-        _spin_min(health),
-        "0.03 above the least output at which all rotors were measured turning",
-    )
-    if health.battery is not None:
-        high, low, _ = health.battery
-        cells = round(high / (_FULL - 0.05))
-        unset = not health.parameters.get("MOT_BAT_VOLT_MAX")
-        if unset and 1 <= cells <= _CELLS and cells * _EMPTY < high <= cells * (_FULL + 0.15):
-            note = f"{cells} LiPo cells by {high:.1f} V, the highest seen ({low:.1f} V the lowest)"
-            for name, volt in (("MAX", _FULL), ("MIN", _EMPTY)):
-                yield from _make(
-                    health, f"MOT_BAT_VOLT_{name}", Estimate(cells * volt, 0.0, "V"), note
-                )
+def _of_hover(hover: Estimate | None) -> float:
+    """Half of an interval of a hover's throttle that is of use."""
+    return math.inf if hover is None else TUNING.worth_knowing * (hover.value or 0.0)
+
+
+def _ardupilot(flight: _Flight) -> Iterator[Proposal]:
+    health = flight.health
+    yield flight.of_curve("MOT_THST_EXPO")
+    yield from _battery(flight)
+    yield _thrust_hover(flight)
+    idle = _spin_min(health)
+    if idle is not None:
+        note = "0.03 above the least output at which all rotors were measured turning"
+        yield flight.propose("MOT_SPIN_MIN", idle, note)
     if health.arm_known:
-        yield from _imu(health, "INS_POS1_")
+        yield from _imu(flight, "INS_POS1_")
 
 
-def _thrust_hover(health: Health) -> tuple[Estimate | None, str]:
-    """Throttle of a hover, as ArduPilot has it before it makes up for the battery's voltage.
+def _thrust_hover(flight: _Flight) -> Proposal:
+    health, x = flight.health, flight.health.hover_command
+    c = flight.curve_after("MOT_THST_EXPO")
+    note = f"hover with MOT_THST_EXPO {c.value or 0.0:.3g}"
+    before = after = 1.0
+    lacks = "" if x is not None else "no outputs of the motors"
+    if flight.now("MOT_BAT_VOLT_MAX"):
+        full = flight.now("MOT_BAT_VOLT_MAX") or 1.0
+        if x is not None and x.voltage is not None:
+            before = x.voltage
+        elif health.battery is not None:
+            before = min(health.battery[2] / full, 1.0)
+        else:
+            lacks = "no voltage of the battery, which MOT_BAT_VOLT_MAX makes up for"
+        after = before
+        if flight.falls is False:
+            after, note = 1.0, f"{note}, MOT_BAT_VOLT_MAX 0"
+    hover = None if lacks else _hover(flight, c, before, after)
+    if hover is not None and after < 1.0 and flight.falls is None:
+        # Of another battery's charge, unless thrust falls with the voltage: then made up for.
+        charge = (1.0 - after) * (hover.value or 0.0)
+        given = math.hypot(hover.std_given, charge)
+        hover = replace(hover, std=math.hypot(hover.std or 0.0, charge), std_given=given)
+    logged = x is not None and x.throttle is not None and not lacks
+    fly = _STEADY if logged else "take the autopilot's own log (.bin), with CTUN, MOTB and BAT"
+    return flight.propose(
+        "MOT_THST_HOVER", hover, note, use=_of_hover(hover), lacks=lacks, fly=fly,
+        then=_then(flight, "MOT_THST_HOVER", "MOT_THST_EXPO", c, (before, after)),
+    )  # fmt: skip
 
-    With v the voltage over MOT_BAT_VOLT_MAX, an output u is that of the thrust f(v u), and the
-    throttle is that thrust times lift_max = (1 - c) v + c v^2 (AP_MotorsMulticopter).
-    """
-    hover, curve = health.hover_thrust, health.curve
-    full = health.parameters.get("MOT_BAT_VOLT_MAX", 0.0)
-    note = "with MOT_THST_EXPO as here"
-    if not full > 0.0 or hover is None or curve is None or health.hover_throttle is None:
-        return hover, note
-    if health.battery is None or curve.c.value is None or health.hover_throttle.value is None:
-        return None, note
-    c, u = curve.c.value, health.hover_throttle.value
-    v = min(health.battery[2] / full, 1.0)
-    value = ((1.0 - c) * u * v + c * (u * v) ** 2) * ((1.0 - c) * v + c * v**2)
-    assert hover.value is not None
-    assert hover.std is not None
-    std = math.hypot(hover.std * value / hover.value, TUNING.voltage_std * value)
-    at = f"{health.battery[2]:.1f} V of MOT_BAT_VOLT_MAX {full:.1f} V"
-    note = f"{note}, at {at}, air as on the ground"
-    return Estimate(value, std, "1", std_given=TUNING.voltage_std * value), note
+
+def _by_voltage(flight: _Flight, name: str, full: float, unit: str) -> Proposal:
+    """A parameter that makes up for the voltage, in full where it is `full`."""
+    falls, power = flight.falls, flight.voltage
+    if falls is None:
+        lacks = "whether thrust falls with the voltage: the battery hardly fell, or is not logged"
+        return flight.propose(name, None, lacks=lacks, fly=_DISCHARGE)
+    value = Estimate(full if falls else 0.0, 0.0, unit)
+    return flight.propose(name, value, _power_words(power))
+
+
+def _power_words(power: Estimate | None) -> str:
+    assert power is not None
+    share = f"{power.value:.2f} ± {power.half:.2f}"
+    return f"thrust goes with the voltage to the power {share} of that of commands"
+
+
+def _battery(flight: _Flight) -> Iterator[Proposal]:
+    """MOT_BAT_VOLT_*: 0 where the ESC makes up for the voltage by itself, else a pack's limits."""
+    names = [f"MOT_BAT_VOLT_{end}" for end in ("MAX", "MIN")]
+    battery, falls = flight.health.battery, flight.falls
+    if falls is False:
+        yield flight.propose(names[0], Estimate(0.0, 0.0, "V"), _power_words(flight.voltage))
+        return
+    high, low, _ = battery or (0.0, 0.0, 0.0)
+    cells = round(high / (_FULL - 0.05))
+    whole = 1 <= cells <= _CELLS and cells * _EMPTY < high <= cells * (_FULL + 0.15)
+    lacks = "" if falls else "whether thrust falls with the voltage"
+    for name, volt in zip(names, (_FULL, _EMPTY), strict=True):
+        value = None
+        if not flight.now(name) and whole:
+            value = Estimate(cells * volt, 0.0, "V")
+        elif falls and flight.now(name):
+            value = Estimate(flight.now(name), 0.0, "V")
+        note = f"{cells} LiPo cells by {high:.1f} V, the highest seen ({low:.1f} V the lowest)"
+        why = lacks or ("" if value is not None else "no voltage of a pack of LiPo cells")
+        yield flight.propose(name, value, note, lacks=why, fly=_DISCHARGE)
+
+
+def _betaflight(flight: _Flight) -> Iterator[Proposal]:
+    """Of Betaflight, whose logs have its parameters by the names of its command line."""
+    if "vbat_sag_compensation" in flight.health.parameters:
+        yield _by_voltage(flight, "vbat_sag_compensation", 100.0, "%")
+    if "motor_poles" in flight.health.parameters:
+        yield flight.propose(
+            "motor_poles", None,
+            lacks="another number of poles looks like another thrust coefficient",
+            fly="count the motor's magnets",
+        )  # fmt: skip
+    c, x = flight.found_curve, flight.health.hover_command
+    if "thrust_linear" not in flight.health.parameters or x is None:
+        return
+    if c is None:
+        lacks = "no climbs or speeds that show the thrust curve"
+        yield flight.propose("thrust_linear", None, lacks=lacks, fly=_CLIMB)
+        return
+    assert c.value is not None
+    assert c.std is not None
+
+    def percent(c: float) -> float:
+        thrust = x.thrust(c)
+        return 100.0 * (x.mean / thrust - 1.0) / (1.0 - thrust) ** 2
+
+    value, step = percent(c.value), 0.05 if c.value < 0.9 else -0.05
+    std = abs(percent(c.value + step) - value) / 0.05 * c.std
+    gain = 1.0 + 0.01 * value * (1.0 - x.thrust(c.value)) ** 2
+    yield flight.propose(
+        "thrust_linear", Estimate(value, std, "%", std_given=c.std_given / c.std * std),
+        "thrust curve at hover",
+        keep=f"{value:.0f} makes thrust linear, but multiplies the gains in hover by {gain:.1f}: "
+        "change it only with them",
+    )  # fmt: skip
 
 
 def _spin_min(health: Health) -> Estimate | None:
@@ -171,14 +496,18 @@ def _spin_min(health: Health) -> Estimate | None:
     return Estimate(share + TUNING.above_idle, TUNING.idle_std, "1", std_given=TUNING.idle_std)
 
 
-def _imu(health: Health, prefix: str) -> Iterator[Suggestion]:
-    assert health.airframe is not None
-    assert health.cg is not None
-    place = health.airframe.imu_position
+def _imu(flight: _Flight, prefix: str) -> Iterator[Proposal]:
+    airframe, cg = flight.health.airframe, flight.health.cg
+    assert airframe is not None
+    assert cg is not None
+    place = airframe.imu_position
     if place is None:
         return
-    for axis, value, offset in zip("XY", place[:2], health.cg, strict=True):
-        yield from _make(health, f"{prefix}{axis}", _less(value, offset), "m from the CG as flown")
+    for axis, value, offset in zip("XY", place[:2], cg, strict=True):
+        yield flight.propose(
+            f"{prefix}{axis}", _less(value, offset), "m from the CG as flown",
+            use=TUNING.worth_knowing * airframe.arm,
+        )  # fmt: skip
 
 
 def _less(place: float, offset: Estimate) -> Estimate:
@@ -186,20 +515,25 @@ def _less(place: float, offset: Estimate) -> Estimate:
     return Estimate(place - offset.value, offset.std, "m", std_given=offset.std_given)
 
 
-def check_suffix(path: Path) -> None:
+def check_suffix(path: Path, *, cli: bool = False) -> None:
     """See that a name's ending stands for a format.
+
+    Args:
+        path: of the file.
+        cli: whether Betaflight's command line is one.
 
     Raises:
         InputError: it stands for none.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in (*SUFFIXES, *((".txt",) if cli else ())):
+        other = ", .txt (Betaflight's command line)" if cli else ""
         raise InputError(
-            f"{path}: end its name with .params (QGroundControl) or .param (Mission Planner)"
+            f"{path}: end its name with .params (QGroundControl) or .param (Mission Planner){other}"
         )
 
 
 def parameter_file(flights: Sequence[Health], suffix: str) -> str:
-    """The file's text.
+    """The file of `health`: all values that there are.
 
     Args:
         flights: of one vehicle, that hover; at least one.
@@ -208,26 +542,59 @@ def parameter_file(flights: Sequence[Health], suffix: str) -> str:
     Raises:
         InputError: they suggest no parameter.
     """
-    found, health = proposed(flights), flights[-1]
+    found = proposed(flights)
     names = ", ".join(Path(flight.source).name for flight in flights if not flight.apart)
     if not found:
         raise InputError(f"{names}: no hover there suggests parameters of the autopilot")
+    seconds = sum(flight.seconds for flight in flights if not flight.apart)
+    head = [
+        f"# Suggested by gcs-sysid health from {names}, {seconds:.0f} s of hover.",
+        "# Values with 95 % intervals; review each before writing it to the vehicle.",
+        *(f"# Assumed: {text}" for text in flights[-1].assumptions),
+        "#",
+    ]
+    return "\n".join([*head, *_lines(found, flights[-1], suffix)]) + "\n"
+
+
+def proposal_file(flights: Sequence[Health], found: Sequence[Proposal], suffix: str) -> str:
+    """The file of `params`: what is to be set, and in comments what is not.
+
+    Args:
+        flights: of one vehicle; at least one that counts.
+        found: by them.
+        suffix: of the file: ".params" is QGroundControl's, ".txt" for Betaflight's command line,
+            others are Mission Planner's.
+    """
+    used = [flight for flight in flights if not excluded(flight)]
+    names = ", ".join(Path(flight.source).name for flight in used)
+    chosen = [one for one in found if one.verdict == "set"]
+    others = [f"# {one.name}: {one.verdict}: {one.reason}" for one in found if one not in chosen]
+    head = [
+        f"# Proposed by gcs-sysid params from {names}; review each before writing it.",
+        *([] if chosen else ["# Nothing is to be set."]),
+    ]
+    lines = _lines(chosen, used[-1], suffix) if chosen else []
+    if suffix == ".txt" and chosen:
+        lines.append("# save")
+    return "\n".join([*head, *lines, *others]) + "\n"
+
+
+def _lines(found: Sequence[Proposal], health: Health, suffix: str) -> list[str]:
     address = int(health.vehicle.get("sysid") or 1), int(health.vehicle.get("compid") or 1)
     values: dict[str, float] = {}
     notes: dict[str, str] = {}
     for one in found:
-        value = one.quantity.value
+        assert one.quantity is not None
+        value, half = one.quantity.value, one.quantity.half or 0.0
         assert value is not None
-        half = one.quantity.half or 0.0
+        written = value if one.verdict != "set" or one.new is None else one.new
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
-        values[one.name], notes[one.name] = round(value, 6), f"{interval} ({one.note}{now})"
-    seconds = sum(flight.seconds for flight in flights if not flight.apart)
-    lines = [
-        f"# Suggested by gcs-sysid health from {names}, {seconds:.0f} s of hover.",
-        "# Values with 95 % intervals; review each before writing it to the vehicle.",
-        *(f"# Assumed: {text}" for text in health.assumptions),
-        "#",
-        *parameter_lines(values, notes, suffix, address),
-    ]
-    return "\n".join(lines) + "\n"
+        values[one.name], notes[one.name] = round(written, 6), f"{interval} ({one.note}{now})"
+    if suffix == ".txt":
+        return [
+            line
+            for name, value in values.items()
+            for line in (f"# {name}: {notes[name]}", f"set {name} = {value:.0f}")
+        ]
+    return parameter_lines(values, notes, suffix, address)

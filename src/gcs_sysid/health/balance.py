@@ -104,6 +104,12 @@ def mean_of(values: Array, half: float) -> Estimate:
     return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
 
 
+def usual_of(values: Array) -> float:
+    """The mean of (n,) values, two or more, that outliers hardly move."""
+    fit = robust_values(np.ones((len(values), 1)), values[:, None], np.array([np.inf]))
+    return float(fit[0, 0])
+
+
 def pooled(flights: Sequence[Estimate]) -> Estimate:
     """One value of several flights', each with a value: their weighted mean.
 

@@ -142,7 +142,7 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
     instruments = np.column_stack(
         [steady, *before, _earlier(windows, squares, TUNING.instrument_lags[0])]
     )
-    there = complete_rows(np.column_stack([columns, lift, noise])) & _gentle(windows)
+    there = complete_rows(np.column_stack([columns, lift, noise])) & gentle_of(windows)
     if there.sum() < 2 * TUNING.fewest_windows or not lift[there].any():
         return None
     if np.std(total[there] / windows.commands.shape[1]) < TUNING.least_throttle_motion:
@@ -165,7 +165,7 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
     return residual, merged, std
 
 
-def _gentle(windows: Windows) -> Mask:
+def gentle_of(windows: Windows) -> Mask:
     """(n,) whether it turns so slowly that thrust is that of the mean command; climbs may be."""
     slow = np.abs(windows.rates).max(axis=1) < TUNING.most_rate
     calm = np.abs(windows.turning).max(axis=1) < TUNING.most_turning

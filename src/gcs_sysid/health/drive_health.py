@@ -15,11 +15,11 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
-from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
-from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.command_curve import Curve, curve_of, gentle_of, thrust_of
+from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
-from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.health.vehicle_health import Health, HoverCommand
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
@@ -92,11 +92,19 @@ def with_throttle(
     throttle = balance.mean_of(u.mean(axis=1), hover.half)
     share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
     hover_thrust = balance.mean_of(share, hover.half)
+    assert hover_thrust.value is not None
+    assert hover_thrust.std is not None
+    command = HoverCommand(
+        balance.usual_of(u.mean(axis=1) * unit),
+        balance.usual_of(hover.squares[rows].mean(axis=1) * unit),
+        hover_thrust.std / hover_thrust.value,
+        _logged(streams, "throttle", hover.part(rows), unit),
+        _logged(streams, "share of the full voltage", hover.part(rows)),
+    )
     if curve.c.std:
         step = _step(curve.c.value)
         other = thrust_of(hover, curve.c.value + step)[rows].mean(axis=1) * unit
         by_curve = float((other - share).mean()) / step * curve.c.std
-        assert hover_thrust.std is not None
         own, given = (float(part) for part in curve.parts(np.array(by_curve)))
         std = math.hypot(hover_thrust.std, own, given)
         hover_thrust = replace(hover_thrust, std=std, std_given=abs(given))
@@ -123,9 +131,55 @@ def with_throttle(
         health,
         hover_throttle=throttle,
         hover_thrust=hover_thrust,
+        hover_command=command,
         thrust_to_weight=to_weight,
         rotors=tuple(rotors),
     )
+
+
+def _logged(streams: Streams, name: str, hover: Windows, unit: Array | float = 1.0) -> float | None:
+    """Mean over hover of what an autopilot logs of its motors; None where it does not."""
+    if name not in streams.extras:
+        return None
+    t, values = streams.extras[name]
+    t, first = np.unique(t - streams.start, return_index=True)
+    means = windowed_means(t, values.reshape(len(values), -1)[first], hover.t, hover.half)
+    found = (means[:, 0] * unit)[np.isfinite(means[:, 0])]
+    return balance.usual_of(found) if len(found) > 1 else None
+
+
+def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) -> Estimate | None:
+    """Power a of the voltage in thrust that is f(u (V / V_0)^a), f the curve over commands.
+
+    It is that of the speeds where they are measured, else of what lifts the vehicle, by which the
+    battery's slow fall over a flight is seen: f(u v^a) = f(u) + a u f'(u) ln v.
+
+    Args:
+        streams: of the log.
+        windows: all those in flight.
+        curve: of thrust over commands.
+    """
+    if Stream.VOLTAGE not in streams.tracks or curve is None or curve.c.value is None:
+        return None
+    volts = windowed_means(*streams.tracks[Stream.VOLTAGE], windows.t, windows.half)[:, 0]
+    u, squares = windows.commands.mean(axis=1), windows.squares.mean(axis=1)
+    measured = bool(np.isfinite(windows.speeds).any())
+    thrust = (
+        windows.speeds.mean(axis=1) if measured else variations_of_lift(windows.lift, windows.force)
+    )
+    there = gentle_of(windows) & ~windows.idle & (volts > 0.0)
+    there &= complete_rows(np.column_stack([u, squares, thrust]))
+    if np.count_nonzero(there) < 2 * TUNING.fewest_windows or not thrust[there].any():
+        return None
+    c, fall = curve.c.value, np.log(volts[there] / np.median(volts[there]))
+    slope = (1.0 - c) * u[there] + 2.0 * c * squares[there]
+    columns = [u[there], squares[there], slope * fall]
+    if not measured:
+        columns.append(np.nan_to_num(windows.sink[there]))
+    fit = balance.robust_fit(np.column_stack(columns), thrust[there], between=windows.half)
+    full = float(fit.value[:2].sum())
+    std = math.sqrt(max(float(fit.covariance[2, 2]), 0.0)) / abs(full) if full else 0.0
+    return Estimate(float(fit.value[2]) / full, std, "1") if std > 0.0 else None
 
 
 def idle_output(streams: Streams) -> float | None:

@@ -65,6 +65,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "autopilot_parameters": {
             one.name: {**one.quantity.as_json(), "now": one.now, "note": one.note}
             for one in suggested(health)
+            if one.quantity is not None
         },
         "assumptions": list(health.assumptions),
         "order_contradicted": health.contradicted,

@@ -81,11 +81,15 @@ class HoverTuning:
         windier: times the noise power of both stretches together, from which on one keeps its own.
         shortest_drift: s of flight from which a drift is reported.
         full_command: command from which a rotor counts as saturated.
-        usable_curve: standard deviation of c from which on it is no suggestion.
+        usable_curve: standard deviation of c from which on it is no suggestion, and half of an
+            interval that is of use: 0.15 changes the slope at hover by 6 % at 0.7 of full command.
+        worth_knowing: relative half of an interval of use, of a hover's throttle; over the arm, of
+            a place.
+        unknown_air: relative standard deviation of the air's density over that at sea level, where
+            the autopilot's log does not show what it takes for it: fields up to 2000 m.
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
             manual).
         idle_std: of the range of outputs, by which an idle is known.
-        voltage_std: relative, effect of sag and air density on a throttle.
         worth_moving: m over meter of arm, CG offset that is worth a hand's move.
         motor_scatter: of motors' gains, relative, that is usual.
         sure: standard deviations beyond that.
@@ -176,9 +180,10 @@ class HoverTuning:
     shortest_drift: float = 20.0
     full_command: float = 0.99
     usable_curve: float = 0.15
+    worth_knowing: float = 0.1
+    unknown_air: float = 0.1
     above_idle: float = 0.03
     idle_std: float = 0.01
-    voltage_std: float = 0.05
     worth_moving: float = 0.02
     motor_scatter: float = 0.03
     sure: float = 3.0

@@ -62,11 +62,36 @@ class Finding:
         at: what to look at: a rotor, the CG.
         what: is seen there.
         do: about it, a sentence that says all.
+        spoils: whether loads, commands and what follows from them mean little before it is done.
     """
 
     at: str
     what: str
     do: str
+    spoils: bool = False
+
+
+@dataclass(frozen=True)
+class HoverCommand:
+    """What the autopilot commands in hover: its thrust by any curve follows.
+
+    Attributes:
+        mean: of commands, for a thrust of the weight.
+        square: mean of their squares, likewise.
+        share: standard deviation of that thrust, relative.
+        throttle: the autopilot's own, before curve, voltage and air; None: not logged.
+        voltage: share of the full voltage that it made up for; None: not logged.
+    """
+
+    mean: float
+    square: float
+    share: float
+    throttle: float | None = None
+    voltage: float | None = None
+
+    def thrust(self, c: float, voltage: float = 1.0) -> float:
+        """Over full thrust, by the curve c of commands times a share of the full voltage."""
+        return (1.0 - c) * voltage * self.mean + c * voltage**2 * self.square
 
 
 @dataclass(frozen=True)
@@ -127,6 +152,9 @@ class Health:
         yaw_imbalance: share of the rotors' load that turns counter-clockwise less the other's.
         hover_throttle: mean command in hover, 0 to 1; None without commands.
         hover_thrust: thrust in hover over full thrust; None without commands.
+        hover_command: of which that is; None without commands.
+        by_voltage: power of the battery's voltage that a command is multiplied by: 1 where rotors
+            slow down with the battery, 0 where the ESC makes up for it; None: not logged.
         thrust_to_weight: full thrust over weight; None without commands.
         scale: name of the coefficient (k_T or T_max) and its value; None without a mass.
         mass: kg, where k_T or T_max was given.
@@ -170,6 +198,8 @@ class Health:
     yaw_imbalance: Estimate | None = None
     hover_throttle: Estimate | None = None
     hover_thrust: Estimate | None = None
+    hover_command: HoverCommand | None = None
+    by_voltage: Estimate | None = None
     thrust_to_weight: Estimate | None = None
     scale: tuple[str, Estimate] | None = None
     mass: Estimate | None = None

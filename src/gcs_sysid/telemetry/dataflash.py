@@ -68,13 +68,19 @@ comes most often. Outputs, ESCs, RPM and states take more, see `_EntryReader`.""
 _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
-    "EV": {"Id"}, "ARM": {"ArmState"}, "BAT": {"Volt"}, "DSF": {"Dp"},
+    "EV": {"Id"}, "ARM": {"ArmState"}, "BAT": {"Volt"}, "CTUN": {"ThO"}, "MOTB": {"BatVolt"},
+    "DSF": {"Dp"},
     "GPS": {"GMS", "GWk"},
     **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
     **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},
     **{row.name: set(row.fields) for row in ENTRIES},
 }  # fmt: skip
 """Entry -> columns that are read, beside times, numbers of instances and outputs."""
+_OF_MOTORS = (
+    ("throttle", "CTUN", "ThO"),
+    ("share of the full voltage", "MOTB", "BatVolt"),
+)
+"""Extras by entry and column, as AP_MotorsMulticopter logs them."""
 _EKF_2_FIRST = {"XKQ": 2, "NKQ": 1, "XKF1": 2, "NKF1": 1}
 """Ranks where the autopilot flies by EKF 2 (N...) instead of EKF 3 (X...)."""
 
@@ -341,11 +347,15 @@ class _EntryReader:
         recording.add_state(Stream.IN_AIR, flies, end)
 
     def _add_battery(self, recording: Recording) -> None:
-        """Of the first battery."""
+        """Of the first battery, and what the motors' library has of it."""
         volts = self._named("BAT", ("Volt",))
         if volts is not None:
             rows = self._primary_instance("BAT")
             recording.add_voltage(self._times("BAT")[rows], volts[rows])
+        for extra, name, column in _OF_MOTORS:
+            values = self._named(name, (column,))
+            if values is not None:
+                recording.extras[extra] = self._times(name), values
 
     def _primary_instance(self, name: str) -> Mask:
         """(n,) the entries of the first instance, under any of the names that number had."""

@@ -1,0 +1,129 @@
+"""`gcs-sysid params`: the autopilot's parameters by flights: set, leave, or what to fly."""
+
+import argparse
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.cli import output
+from gcs_sysid.cli.health_command import given_of
+from gcs_sysid.cli.output import TEXT_WIDTH
+from gcs_sysid.cli.program import OneByOne
+from gcs_sysid.files import check_target
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.autopilot_parameters import (
+    Proposal,
+    check_suffix,
+    determined,
+    excluded,
+    proposal_file,
+)
+from gcs_sysid.health.vehicle_health import Health, against_first
+from gcs_sysid.results.words import rounded
+
+_SCHEMA = "gcs-sysid-params/1"
+_NAME, _NUMBER = 22, 10
+"""Columns."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when no flight of one vehicle counts."""
+    given = given_of(options)
+    output.check_outputs(options.json, force=options.force)
+    if options.output is not None:
+        target = Path(options.output)
+        check_target(target, replace=options.force, sources=tuple(map(Path, options.logs)))
+        check_suffix(target, cli=True)
+    flights: list[Health] = []
+    one_by_one = OneByOne(options.logs)
+    for log in options.logs:
+        with one_by_one.attempt(log):
+            health = health_of_log(Path(log), given, options.vehicle)
+            flights.append(health)
+            given = against_first(given, health)
+    if not flights:
+        return 2
+    found = determined(flights)
+    files: list[tuple[str | None, Callable[[], str]]] = [
+        (options.json, lambda: output.as_json(_document(flights, found)))
+    ]
+    if found and options.output is not None:
+        suffix = Path(options.output).suffix.lower()
+        files.append((options.output, lambda: proposal_file(flights, found, suffix)))
+    output.deliver("\n".join(_text(flights, found)), *files, force=options.force)
+    if one_by_one.failed:
+        return 2
+    return 0 if found else 1
+
+
+def _document(flights: Sequence[Health], found: Sequence[Proposal]) -> dict[str, Any]:
+    used = [health for health in flights if not excluded(health)]
+    return {
+        "schema": _SCHEMA,
+        "vehicle": dict(used[-1].vehicle) if used else None,
+        "logs": [
+            {
+                "source": health.source,
+                "seconds_of_hover": health.seconds,
+                "excluded": excluded(health) or None,
+                "assumptions": list(health.assumptions),
+            }
+            for health in flights
+        ],
+        "parameters": [one.as_json() for one in found],
+    }
+
+
+def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]:
+    used = [health for health in flights if not excluded(health)]
+    # What contradicts the flight comes first: nothing that depends on it is set.
+    for health in flights:
+        if why := excluded(health):
+            yield from _wrapped(f"{Path(health.source).name} does not count: {why}", "")
+    if not used:
+        return
+    seconds = sum(health.seconds for health in used)
+    count = Path(used[0].source).name if len(used) == 1 else f"{len(used)} flights"
+    if len(used) < len(flights):
+        yield ""
+    yield f"Autopilot parameters by {count}, {seconds:.0f} s of hover (nothing is sent)"
+    if not found:
+        yield "none are known for this autopilot, or its log has none"
+        return
+    heads = ("old", "new", "± 95 %")
+    yield f"{'':<{_NAME}}" + "".join(f"{head:>{_NUMBER}}" for head in heads)
+    for (reason, action), alike in groupby(found, lambda one: (one.reason, one.action)):
+        some = list(alike)
+        if len(some) > 2 and all(one.quantity is None for one in some):
+            some = [replace(some[0], name=f"{some[0].name} ..", now=None), some[-1]]
+        yield from map(_row, some)
+        yield from _wrapped(reason, "    ")
+        if action:
+            yield from _wrapped(action, "    -> ")
+    yield ""
+    for text in used[-1].assumptions:
+        yield from _wrapped(f"assumed: {text}", "")
+
+
+def _row(one: Proposal) -> str:
+    half = None if one.quantity is None else one.quantity.half
+    cells = (
+        rounded(one.now, None, 4),
+        rounded(one.new, half, 4),
+        f"{half:.2g}" if half else "-",
+    )
+    row = f"{one.name:<{_NAME}}" + "".join(f"{cell:>{_NUMBER}}" for cell in cells)
+    return f"{row}  {one.verdict}"
+
+
+def _wrapped(text: str, begin: str) -> list[str]:
+    return textwrap.wrap(
+        text,
+        TEXT_WIDTH,
+        initial_indent=begin,
+        subsequent_indent=" " * max(len(begin), 2),
+        break_on_hyphens=False,
+    )

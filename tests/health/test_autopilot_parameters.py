@@ -1,0 +1,180 @@
+"""Parameters of the autopilot by flights: none that may be right is set."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.params import of_vehicle
+from gcs_sysid.__main__ import main
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.autopilot_parameters import Proposal, determined, proposal_file
+from gcs_sysid.health.command_curve import Curve
+from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, HoverCommand
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.estimate import Estimate
+
+FLIGHTS = ("00000077", "00000096", "00000108", "00000122")
+"""Of one vehicle, at 52 to 58 V."""
+
+
+@pytest.fixture(scope="module")
+def quiver(shared_log):
+    logs = [shared_log(f"field/quiver/{number}.BIN") for number in FLIGHTS]
+    return [health_of_log(log, HealthOptions(arm=0.67)) for log in logs]
+
+
+def by_name(found):
+    return {one.name: one for one in found}
+
+
+def test_what_is_set_is_nearer_to_the_truth_wherever_the_old_value_lies():
+    random = np.random.default_rng(3)
+    verdicts = Counter()
+    for _ in range(20_000):
+        truth, std, old = random.uniform(0.0, 1.0), 10.0 ** random.uniform(-3.0, -1.0), None
+        old = truth + random.choice([0.0, 3.0, 10.0]) * std * random.standard_normal()
+        new = Estimate(truth + std * random.standard_normal(), std, "1")
+        one = Proposal("MOT_THST_EXPO", new, old, use=0.15)
+        verdicts[one.verdict] += 1
+        if one.verdict == "set":
+            assert abs(new.value - truth) <= abs(old - truth)
+        if one.verdict != "cannot tell":
+            assert new.half <= 0.15
+    assert min(verdicts[word] for word in ("set", "leave", "cannot tell")) > 1000
+
+
+def test_what_is_not_known_is_not_set_and_the_flight_that_shows_it_is_named():
+    unknown = Proposal("A", None, 1.0, lacks="no climbs", fly="climb")
+    wide = Proposal("B", Estimate(3.0, 0.5, "1"), 1.0, "by hover", use=0.1, fly="fly longer")
+    unlogged = Proposal("C", Estimate(3.0, 0.1, "1"), None)
+    right = Proposal("D", Estimate(3.0, 0.1, "1"), 3.1)
+    kept = Proposal("E", Estimate(3.0, 0.1, "1"), 1.0, keep="with the gains alone")
+    found = [(one.verdict, one.action) for one in (unknown, wide, unlogged, right, kept)]
+    assert found == [
+        ("cannot tell", "climb"),
+        ("cannot tell", "fly longer"),
+        ("cannot tell", "log the parameters"),
+        ("leave", ""),
+        ("leave", ""),
+    ]
+    assert "lies in the interval" in right.reason
+    assert kept.reason == "with the gains alone"
+
+
+def test_flights_of_one_vehicle_agree_and_show_that_voltage_is_made_up_for_twice(quiver):
+    """Its speeds do not fall with the battery: MOT_BAT_VOLT_MAX moved the hover by the charge."""
+    curves = [health.curve.c for health in quiver]
+    mean = np.average([c.value for c in curves], weights=[c.std**-2.0 for c in curves])
+    assert max(abs(c.value - mean) / c.std for c in curves) < 2.5
+    for health in quiver:
+        x = health.hover_command
+        # The autopilot's own throttle is that of the outputs, by curve, voltage and air.
+        air = x.throttle / x.thrust(health.parameters["MOT_THST_EXPO"], x.voltage)
+        assert air == pytest.approx(0.797, abs=0.008)
+    found = by_name(determined(quiver))
+    assert found["MOT_BAT_VOLT_MAX"].verdict == "set"
+    assert found["MOT_BAT_VOLT_MAX"].quantity.value == 0.0
+    hover = found["MOT_THST_HOVER"].quantity
+    low, high = hover.ci95
+    alone = [by_name(determined([one, quiver[0]]))["MOT_THST_HOVER"] for one in quiver[1:]]
+    for other in alone:
+        assert other.quantity.ci95[0] < high
+        assert other.quantity.ci95[1] > low
+    assert found["MOT_THST_HOVER"].flights == len(FLIGHTS)
+
+
+def test_the_command_prints_and_writes_what_is_to_be_set(quiver, tmp_path, capsys):
+    file, document = tmp_path / "new.param", tmp_path / "new.json"
+    logs = [health.source for health in quiver]
+    words = ["params", *logs, "--arm", "0.67", "-o", str(file), "--json", str(document)]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) < 80 for line in lines)
+    assert any(line[:16] == "MOT_BAT_VOLT_MAX" and line.endswith("  set") for line in lines)
+    made = json.loads(document.read_text())
+    assert made["schema"] == "gcs-sysid-params/1"
+    verdicts = {row["name"]: row["verdict"] for row in made["parameters"]}
+    written = [line for line in file.read_text().splitlines() if not line.startswith("#")]
+    assert [line.partition(",")[0] for line in written] == [
+        name for name, verdict in verdicts.items() if verdict == "set"
+    ]
+    assert all(row["fly"] for row in made["parameters"] if row["verdict"] == "cannot tell")
+
+
+def test_what_contradicts_a_flight_comes_first_and_nothing_of_it_is_set(quiver, shared_log, capsys):
+    finding = Finding("motor 3", "reaches 30 % less speed", "look at it", spoils=True)
+    assert determined([replace(quiver[0], findings=(finding,))]) == ()
+    both = determined([quiver[1], replace(quiver[0], apart="another vehicle's rotors")])
+    assert {one.flights for one in both if one.quantity is not None} == {1}
+    # Motor order of another autopilot.
+    wrong = shared_log("px4-esc-cg.tlog")
+    words = ["params", str(wrong), "--airframe", "betaflight-quad-x", "--arm", "0.24"]
+    assert main(words) == 1
+    assert "does not count: " in capsys.readouterr().out.splitlines()[0]
+
+
+def test_a_flight_of_px4_s_own_simulator_has_nothing_to_set(shared_log, capsys):
+    log = str(shared_log("px4-esc-cg.tlog"))
+    assert main(["params", log]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if line[:1].isupper()]
+    verdicts = {row[0]: row[-1] for row in rows}
+    assert verdicts["THR_MDL_FAC"] == verdicts["MPC_THR_HOVER"] == "leave"
+    assert "set" not in verdicts.values()
+
+
+def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
+    airframe = load_airframe("betaflight-quad-x")
+    curve = Curve(Estimate(0.6, 0.02, "1"), "speeds over commands")
+    still = Estimate(0.0, 1e-3, "m")
+    health = Health(
+        "a.bbl", autopilot="generic", airframe=airframe, cg=(still, still), curve=curve,
+        hover_command=HoverCommand(0.4, 0.16, 0.01),
+        parameters={"thrust_linear": 0.0, "motor_poles": 14.0},
+    )  # fmt: skip
+    found = by_name(determined([health]))
+    linear = found["thrust_linear"]
+    assert linear.verdict == "leave"
+    thrust = 0.4 * 0.4 + 0.6 * 0.16
+    assert thrust * (1.0 + 0.01 * linear.quantity.value * (1.0 - thrust) ** 2) == pytest.approx(0.4)
+    assert "gains" in linear.reason
+    assert found["motor_poles"].verdict == "cannot tell"
+    text = proposal_file([health], determined([health]), ".txt")
+    assert "# Nothing is to be set." in text
+    assert all(line.startswith("#") for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["a.tlog", "-o", "p.csv"], ".params"),
+        (["a.tlog", "-o", "nowhere/p.param"], "nowhere"),
+        (["none.tlog"], "none.tlog"),
+        (["a.tlog", "--t-max", "3"], "--airframe"),
+    ],
+)
+def test_wrong_usage_is_one_line(tmp_path, monkeypatch, capsys, options, word):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.tlog").write_bytes(b"")
+    assert main(["params", *options]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert word in said.err
+
+
+@pytest.mark.slow  # flights of three vehicles
+def test_emulated_vehicles_get_what_is_true_and_keep_what_is_right(tmp_path):
+    held = []
+    for number in (1, 2, 5):
+        found, truth = of_vehicle(number, tmp_path, "px4", speeds=True)
+        for one in found:
+            if one.quantity is None or one.name not in truth:
+                continue
+            off = abs(one.quantity.value - truth[one.name])
+            held.append(off <= one.quantity.half)
+            if one.verdict == "set":
+                assert abs(one.new - truth[one.name]) < abs(one.now - truth[one.name])
+    assert np.mean(held) > 0.85
