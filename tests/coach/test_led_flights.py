@@ -8,23 +8,9 @@ import pytest
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from sim_bridge.missions import MISSIONS
 from sim_bridge.swings import ManoeuvreMission, Swings
-from testbed.led_flights import AGREES, TARGET, WANTED, Flight, coached, modes
+from testbed.led_flights import TARGET, Flight
 
 HALF = 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.thorough
-def test_the_coach_needs_less_time_than_the_articles_modes():
-    """Seeds of `python -m benchmarks.coach`, each against the same seed of the modes."""
-    seeds = (1, 3)
-    led = [coached(seed, "paper") for seed in seeds]
-    others = [modes(seed, "paper") for seed in seeds]
-    for mine, other in zip(led, others, strict=True):
-        assert mine.reached <= WANTED * other.reached
-        assert max(mine.errors.values()) < 100.0 * TARGET
-    later = [ratio for flight in led for part in flight.told[1:] for ratio in part]
-    assert 1.0 / AGREES < np.median(later) < AGREES
 
 
 @pytest.mark.thorough

@@ -118,7 +118,7 @@ def changed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_mass_step_is_seen_within_three_samples(changed, seed):
     samples = measured(changed["mass"], seed)
     (change, *_), detector = watch(samples)

@@ -20,11 +20,6 @@ from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 from gcs_sysid.estimation.rows.thrust_drift import Drift
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
-from sim_bridge.doublets import ALL_MISSIONS
-from sim_bridge.ensemble import fly_ensemble
-from sim_bridge.physics import Physics
-from sim_bridge.simulated_vehicle import stack_vehicles
-from testbed import command_flights as early
 
 DT = 0.005
 LAG = 0.05
@@ -173,29 +168,6 @@ def test_a_fit_far_from_its_rows_knows_curve_and_lag_as_before_the_flight(estima
     assert std[Unknown.LAG] >= COORDINATE_STD[1]
     assert np.all(std >= np.abs(along))
     assert std[Unknown.CURVE] >= COORDINATE_STD[2]
-
-
-@pytest.mark.slow
-@pytest.mark.thorough  # in `make accept`, among the early results
-def test_a_lag_first_found_wrong_misleads_no_one():
-    """Speed lags by 119 ms, 24 s of doublets say 48: what is shown until 40 s holds."""
-    vehicle = early.drawn(3, 3)[2]
-    clean = fly_ensemble(
-        stack_vehicles([vehicle]), ALL_MISSIONS[early.MISSION], early.RATE, 40.4,
-        physics=Physics(lag_of="speed"),
-    )  # fmt: skip
-    samples = early.samples_of(clean.with_noise("mems", 0.0, [3]), 0, commands=True)
-    truth = vehicle.truth()
-    looks = early.shown(samples, clean.t, truth["mass"])
-    wrong = {
-        (at, name): (value.value - truth[name]) / value.std
-        for at, values in zip(early.TIMES, looks, strict=True)
-        for name, value in values.items()
-        if name in early.JUDGED and value.status in early.SHOWN and value.std
-        if abs(value.value - truth[name]) > 3.0 * value.std
-    }
-    assert wrong == {}
-    assert looks[-1]["Ixx"].status == "identified"
 
 
 @pytest.mark.parametrize("curves", [COMMANDS.curves, (0.0,)])

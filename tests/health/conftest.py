@@ -6,7 +6,7 @@ HOVER = (
     "--mission",
     "gentle",
     "--duration",
-    "45",
+    "36",
     "--rate",
     "25",
     "--noise",

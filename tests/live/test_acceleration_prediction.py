@@ -18,6 +18,12 @@ from tests.feeding import feed
 SELDOM = ChainOptions(history_interval=1.0)
 
 
+@pytest.fixture(scope="module")
+def records(paper_records):
+    """The first 40 s of the article's flight."""
+    return [r for r in paper_records if r.t - paper_records[0].t < 40.0]
+
+
 @pytest.fixture
 def watched():
     chain = Chain(load_airframe("paper"), SELDOM)
@@ -27,10 +33,10 @@ def watched():
 
 
 @pytest.mark.slow
-def test_the_last_seconds_are_foretold(watched, paper_records):
+def test_the_last_seconds_are_foretold(watched, records):
     chain, prediction = watched
     assert prediction.acceleration() is None
-    feed(chain, paper_records, 64)  # rows are kept by the pieces that brought them
+    feed(chain, records, 64)  # rows are kept by the pieces that brought them
     found = prediction.acceleration()
     step = np.diff(found.t)
     assert chain.t - 1.5 < found.t[-1] < chain.t
@@ -42,11 +48,11 @@ def test_the_last_seconds_are_foretold(watched, paper_records):
 
 
 @pytest.mark.slow
-def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, paper_records):
+def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, records):
     """With a fit frozen beforehand, the rows are those of the same model over the whole flight."""
     chain, prediction = watched
-    half = len(paper_records) // 2
-    feed(chain, paper_records[:half])
+    half = len(records) // 2
+    feed(chain, records[:half])
     blocks = []
     fit = chain.fit
     since = chain.t
@@ -57,7 +63,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
         prediction.add_samples(block)
 
     chain.observers[:] = [take]
-    feed(chain, paper_records[half:])
+    feed(chain, records[half:])
     found = prediction.acceleration()
     rotation = fit.rotation
     model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, RotorInput.SPEED)
@@ -83,32 +89,32 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
 
 
 @pytest.mark.slow
-def test_what_was_given_out_does_not_change(watched, paper_records):
+def test_what_was_given_out_does_not_change(watched, records):
     chain, prediction = watched
-    half = len(paper_records) // 2
-    feed(chain, paper_records[:half])
+    half = len(records) // 2
+    feed(chain, records[:half])
     found = prediction.acceleration()
     before = found.measured.copy(), found.predicted.copy()
-    feed(chain, paper_records[half:])
+    feed(chain, records[half:])
     np.testing.assert_array_equal(found.measured, before[0])
     np.testing.assert_array_equal(found.predicted, before[1])
 
 
 @pytest.mark.slow
-def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
+def test_the_estimate_does_not_depend_on_being_watched(watched, records):
     chain, _ = watched
     alone = Chain(load_airframe("paper"), SELDOM)
-    feed(chain, paper_records)
-    feed(alone, paper_records)
+    feed(chain, records)
+    feed(alone, records)
     assert chain.finish() == alone.finish()
 
 
 @pytest.mark.slow
-def test_after_a_reset_only_what_is_new_is_shown(watched, paper_records):
+def test_after_a_reset_only_what_is_new_is_shown(watched, records):
     chain, prediction = watched
-    half = len(paper_records) // 2
-    feed(chain, paper_records[:half])
+    half = len(records) // 2
+    feed(chain, records[:half])
     last = prediction.acceleration().t[-1]
     chain.reset()
-    feed(chain, paper_records[half:])
+    feed(chain, records[half:])
     assert prediction.acceleration().t[-1] > last

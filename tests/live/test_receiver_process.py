@@ -111,7 +111,7 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     """It learns when it can: the result is that of the recording, whatever was put off."""
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
     source, sent, go_on = receiver(record_to=path), threading.Event(), threading.Event()
-    options = LiveOptions(listen_only=True, refit_interval=0.2)
+    options = LISTEN
     session = LiveSession(source, airframe, options, path, sender_gone=sent.is_set)
     chain = session._estimate.chain
     take = chain.take

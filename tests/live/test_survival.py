@@ -140,7 +140,7 @@ def scraps(rng, n):
 
 
 # Some cost more to take, and more to make.
-COUNTS = {"senders": 66_000, "parameters": 6000}
+COUNTS = {"senders": 66_000, "parameters": 4000}
 
 
 @pytest.fixture

@@ -80,17 +80,17 @@ def test_nonlinear_one_with_exponent_one_is_the_linear_one():
     v = np.sin(np.pi * t) + 0.5 * np.sin(10.7 * t + 1.0)
     exact = LinearDifferentiator(0.05, 10.0, 2.0).update(v)
     errors = []
-    for substeps in (50, 100, 200):
+    for substeps in (25, 50, 100):
         z = nonlinear_differentiator(v, 0.05, R=10.0, a=1.0, b=2.0, substeps=substeps)
         errors.append([np.abs(z[k] - exact[k]).max() for k in (0, 1)])
     # Semi-implicit Euler is of first order: half the step, half the error (measured 0.50).
     np.testing.assert_allclose(np.divide(errors[1:], errors[:-1]), 0.5, atol=0.02)
-    assert errors[-1][0] < 2e-3
-    assert errors[-1][1] < 1e-2
+    assert errors[-1][0] < 4e-3
+    assert errors[-1][1] < 2e-2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("amplitude", [0.1, 1.0])
+@pytest.mark.parametrize("amplitude", [0.1, pytest.param(1.0, marks=pytest.mark.thorough)])
 def test_printed_form_is_almost_undamped(amplitude):
     """A step still swings between 0 and twice its height after 4 s; the usual form is at rest."""
     v = np.full((2001, 1), amplitude)
@@ -104,8 +104,7 @@ def test_printed_form_is_almost_undamped(amplitude):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("substeps", [5, 20, 100])
-def test_printed_form_does_not_differentiate_at_the_articles_rate(substeps):
+def test_printed_form_does_not_differentiate_at_the_articles_rate():
     t = np.arange(0.0, 20.0, 0.05)[:, None]
     v = np.sin(np.pi * t) + 0.5 * np.sin(10.7 * t + 1.0)
     v_dot = np.pi * np.cos(np.pi * t) + 5.35 * np.cos(10.7 * t + 1.0)
@@ -114,8 +113,9 @@ def test_printed_form_does_not_differentiate_at_the_articles_rate(substeps):
         return np.std((z2 - v_dot)[100:]) / np.std(v_dot)
 
     # No better than to say that the derivative is zero, give or take; finer substeps do not help.
-    _, printed = nonlinear_differentiator(v, 0.05, form="printed", substeps=substeps)
-    assert error(printed) > 0.8
+    for substeps in (5, 50):
+        _, printed = nonlinear_differentiator(v, 0.05, form="printed", substeps=substeps)
+        assert error(printed) > 0.8
     _, usual = nonlinear_differentiator(v, 0.05, R=200.0, substeps=100)
     assert error(usual) < 0.3
     assert error(central_difference(v, 0.05)) < 0.1

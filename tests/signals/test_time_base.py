@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.interpolation import FAR, interpolate
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.time_base import TimeBase
-from gcs_sysid.telemetry.logs import open_log
 from tests.feeding import grid_of
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
@@ -454,17 +452,3 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     silent = stream(Stream.ATTITUDE, 1000.0, start=4.0, end=11.0)
     assert not list(grid_of(base, silent, finish=False))
     assert max(len(b) for b in base._buffers.values()) < 5000
-
-
-@pytest.mark.thorough
-def test_a_real_ardupilot_log_has_one_grid(shared_logs):
-    """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
-    base, fresh = TimeBase(), 0
-    for block in open_log(shared_logs / "ardupilot-sitl.tlog").blocks():
-        imu = RecordBlock(tuple(track for track in block.tracks if track.stream is Stream.IMU))
-        for window in imu.windows(20):
-            for made in base.feed_tracks(window.tracks):
-                base.flown += 0.1
-                fresh += made.fresh
-    assert base.dt == pytest.approx(0.004, rel=0.01)
-    assert (base.restarts, fresh) == (0, 1)
