@@ -135,6 +135,7 @@ class RateController(Controller, ABC):
         injection: added to the normalized torques at a time in s, to measure the loop.
 
     Attributes:
+        targets: rad/s, rate set-points, last period.
         asked: normalized torques as the loops asked for them, last period.
         sent: the same with what was injected.
     """
@@ -159,6 +160,7 @@ class RateController(Controller, ABC):
         self._gyro: list[Value] = [0.0, 0.0, 0.0]
         self._filter: LowPass2 | None = None
         self._mixer = self._make_mixer(vehicle)
+        self.targets: tuple[Value, ...] = (0.0, 0.0, 0.0)
         self.asked: tuple[Value, ...] = (0.0, 0.0, 0.0)
         self.sent: tuple[Value, ...] = (0.0, 0.0, 0.0)
         shares = [thrust / vehicle.T_max for thrust in hover_thrusts(vehicle)]
@@ -203,10 +205,10 @@ class RateController(Controller, ABC):
         e0, *error = multiply((a, -b, -c, -d), set_point)
         turn = 2.0 * sign(e0)
         attitude = (self._get(name) for name in self._attitude_names)
-        targets = [
+        self.targets = tuple(
             r + P * turn * e for r, P, e in zip(reference.rate, attitude, error, strict=True)
-        ]
-        self.asked = tuple(self._torques(targets))
+        )
+        self.asked = tuple(self._torques(self.targets))
         extra = (0.0, 0.0, 0.0) if self._injection is None else self._injection(self._time)
         self.sent = tuple(u + e for u, e in zip(self.asked, extra, strict=True))
         v = self._model

@@ -103,6 +103,29 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
     assert "g.param exists; --force overwrites it" in capsys.readouterr().err
 
 
+def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
+    log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
+    write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")
+    assert run(["tune", "command.json", log, *write, *FEW]) == 1
+    out, err = capsys.readouterr()
+    assert "leave it: the measured response departs from the model's on roll" in out
+    assert "flown" in out
+    assert "new.params is not written" in err
+    assert not (files / "new.params").exists()
+    document = json.loads((files / "tune.json").read_text())
+    assert document["objections"][0]["by"] == "frequency response"
+    roll = document["response"]["roll"]["torque"]
+    assert roll["instrument"].startswith("rate set-points")
+    assert len(roll["omega_rad_s"]) == len(roll["magnitude_low"]) == len(roll["model_phase_high"])
+    assert "circle" in (files / "loops.svg").read_text()
+    table = ("--to", "frequency-response", "-o", "response.csv")
+    assert run(["tune", "command.json", log, *table, *FEW]) == 0
+    capsys.readouterr()
+    head, *rows = (files / "response.csv").read_text().splitlines()
+    assert head.startswith("axis,omega_rad_s,magnitude")
+    assert {row.split(",")[0] for row in rows} == {"roll", "pitch", "yaw"}
+
+
 def test_indi_matrices(files, capsys):
     assert run(["tune", "command.json", "--to", "indi", "-o", "g.txt"]) == 0
     assert "set indi_act_g1_roll = " in (files / "g.txt").read_text()

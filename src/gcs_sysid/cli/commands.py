@@ -649,7 +649,7 @@ COMMANDS = (
                 "parameters",
                 "LOG|PARAMETERS",
                 "log, .params or .param file with the autopilot's parameters: its gains and "
-                "filters",
+                "filters; the response of a log's flight is compared with the model",
                 nargs="?",
             ),
             option(
@@ -671,10 +671,17 @@ COMMANDS = (
             option(
                 "--to",
                 None,
-                "format of -o: gains, or G1 and G2 of INDI (Indiflight, Paparazzi)",
-                choices=("px4-params", "ardupilot-param", "indi", "paparazzi"),
+                "format of -o: gains, G1 and G2 of INDI (Indiflight, Paparazzi), or the measured "
+                "response as a table",
+                choices=(
+                    "px4-params",
+                    "ardupilot-param",
+                    "indi",
+                    "paparazzi",
+                    "frequency-response",
+                ),
             ),
-            OUTPUT.but("file for a ground station"),
+            OUTPUT.but("file for a ground station, or .csv"),
             FORCE,
             option("--draws", "N", "vehicles drawn (default 100)", type=DRAWS, default=100),
             SEED.but("seed of the draws (default 1)"),

@@ -3,13 +3,14 @@
 Bode diagram of the loops as SVG, complete, with the band of the covariance.
 
 Every axis has a column: magnitude above, phase below, of the loop broken at the axis' torque with
-the attitude loop closed. The band holds 95 % of the draws.
+the attitude loop closed. The band holds 95 % of the draws, points are measured.
 """
 
 import argparse
 import functools
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +26,7 @@ from gcs_sysid.control.tuning_study import (
     document_of,
     joined_vehicle,
     parameter_text,
+    response_csv,
     study,
     tuning_text,
     with_delay,
@@ -33,13 +35,17 @@ from gcs_sysid.control.tuning_study import (
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
+from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.drawing import line, picture, polyline, text
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
+from gcs_sysid.signals.sampling import SampleBlock
 
 _OF_TARGET = {"px4-params": "px4", "ardupilot-param": "ardupilot"}
+_RESPONSE = "frequency-response"
 _INDI = {"indi": "indiflight", "paparazzi": "paparazzi"}
 _COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
 _LOW, _HIGH = 0.5, 300.0
@@ -68,7 +74,9 @@ def _check_outputs(options: argparse.Namespace) -> None:
     check_outputs(options.json, options.output, options.bode, force=options.force)
     if (options.json, options.output, options.bode).count("-") > 1:
         raise InputError("--json, --bode and --output: only one can go to standard output")
-    wanted = {"px4-params": (".params",), "ardupilot-param": (".param", ".parm")}.get(options.to)
+    wanted = {
+        "px4-params": (".params",), "ardupilot-param": (".param", ".parm"), _RESPONSE: (".csv",),
+    }.get(options.to)  # fmt: skip
     if wanted is None or options.output == "-" or is_device(options.output):
         return
     if Path(options.output).suffix not in wanted:
@@ -88,7 +96,7 @@ def _vehicle(options: argparse.Namespace) -> ExportedVehicle:
 
 
 def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
-    parameters, received = _parameters(options)
+    parameters, received, flight = _parameters(options, vehicle)
     autopilot = _autopilot(options, vehicle, received, parameters)
     try:
         tuning = study(
@@ -98,18 +106,26 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
             delay=options.delay,
             draws=options.draws,
             seed=options.seed,
+            flight=flight,
         )
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
     suffix = ".params" if autopilot == "px4" else ".param"
+    responses = options.to == _RESPONSE
+    there = tuning.measured if responses else tuning.proposed
     deliver(
         tuning_text(tuning),
         (options.json, lambda: as_json(document_of(tuning))),
         (options.bode, lambda: bode_svg(tuning)),
-        (options.output, lambda: parameter_text(tuning, suffix)),
+        (
+            options.output if there else None,
+            lambda: response_csv(tuning) if responses else parameter_text(tuning, suffix),
+        ),
         force=options.force,
     )
-    return 0
+    if options.output is not None and not there:
+        say(f"gcs-sysid: {options.output} is not written: see above why")
+    return 0 if there or options.output is None else 1
 
 
 def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
@@ -123,14 +139,18 @@ def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int
     return 0
 
 
-def _parameters(options: argparse.Namespace) -> tuple[Mapping[str, float], str]:
-    """The autopilot's parameters from a file of them or a log, and its name by the latter."""
+def _parameters(
+    options: argparse.Namespace, vehicle: ExportedVehicle
+) -> tuple[Mapping[str, float], str, Iterator[SampleBlock] | None]:
+    """The autopilot's parameters from a file of them or a log; of a log its name and samples."""
     if options.parameters is None:
-        return {}, ""
+        return {}, "", None
     path = Path(options.parameters)
     if path.suffix.lower() in SUFFIXES:
-        return read_parameter_file(path), ""
-    from gcs_sysid.telemetry.logs import open_log  # only who reads a log waits for it
+        return read_parameter_file(path), "", None
+    # Only who reads a log waits for these.
+    from gcs_sysid.session.analysis import aligned_samples
+    from gcs_sysid.telemetry.logs import open_log
 
     log = open_log(path, options.vehicle)
     for _ in log.blocks():
@@ -140,7 +160,12 @@ def _parameters(options: argparse.Namespace) -> tuple[Mapping[str, float], str]:
             f"{path}: holds no parameters of the autopilot: give a .params or .param file saved "
             "by the ground station"
         )
-    return log.parameters, "" if log.vehicle is None else log.vehicle.key
+    named = beside_result(options)
+    airframe = Airframe("result", vehicle.rotors) if named is None else named
+    commanded = replace(airframe, rotor_input=RotorInput.COMMAND)
+    # Opened again: the loop by its parameters makes torques of the log's commands.
+    samples = aligned_samples(open_log(path, options.vehicle), commanded)
+    return log.parameters, "" if log.vehicle is None else log.vehicle.key, samples
 
 
 def _autopilot(
@@ -168,7 +193,7 @@ def bode_svg(tuning: TuningStudy) -> str:
     """The diagram of the gains now and proposed."""
     width = _LEFT + 3 * (_COLUMN + _GAP)
     height = _TOP + _UPPER + _GAP + _LOWER + 60.0
-    title = f"Loops of {tuning.vehicle.name} with {tuning.proposed.autopilot}"
+    title = f"Loops of {tuning.vehicle.name} with {tuning.loop.autopilot}"
     parts: list[Markup] = [_label(_LEFT, 22.0, title, size=16)]
     for i, (name, stroke) in enumerate((n, _STROKES[n]) for n in tuning.studies):
         parts.append(
@@ -199,6 +224,28 @@ def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup
             )
             nominal = ((_x(axis, w), place(v)) for w, v in zip(omega, values[0], strict=True))
             yield polyline(nominal, stroke, 1.5)
+    yield from _measured(tuning, loop, stroke)
+
+
+def _measured(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:
+    """The loops' controllers with the measured responses, each with its 95 % interval."""
+    for axis, one in ((AXES.index(name), one) for name, one in tuning.measured.items()):
+        found = one.torque
+        shown = found.claimed & (found.omega >= _LOW) & (found.omega <= _HIGH)
+        omega, half = found.omega[shown], np.minimum(found.half_width[shown], 0.99)
+        rate, angle, _ = loop.controllers(omega)
+        own = (rate + angle / (1j * omega[:, None]))[:, axis] * found.values[shown]
+        size, phase = 20.0 * np.log10(np.abs(own)), np.degrees(np.angle(own))
+        phase = np.where(phase > 0.0, phase - 360.0, phase)
+        turn = np.degrees(np.arcsin(half))
+        for place, middle, low, high in (
+            (_upper, size, size + 20.0 * np.log10(1.0 - half), size + 20.0 * np.log10(1.0 + half)),
+            (_lower, phase, phase - turn, phase + turn),
+        ):
+            for w, value, least, most in zip(omega, middle, low, high, strict=True):
+                x = _x(axis, w)
+                yield line(x, place(least), x, place(most), "", stroke=stroke)
+                yield element("circle", cx=f"{x:.1f}", cy=f"{place(value):.1f}", r="2", fill=stroke)
 
 
 def _x(axis: int, omega: float) -> float:

@@ -163,6 +163,12 @@ class RateLoop:
         late = np.angle(chain_response(self.derivative_filters, np.array(1j * step)))
         return float(own - late / step)
 
+    def gyro_response(self, omega: Array) -> Array:
+        """(w,) response of the gyro's filters at (w,) rad/s."""
+        s = 1j * omega
+        own = (SignalFilter("butterworth", self.gyro_cutoff),) if self.gyro_cutoff > 0.0 else ()
+        return chain_response((*own, *self.gyro_filters), s)
+
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
         """Response of the loops to the vehicle's motion and to set-points, at frequencies.
 
@@ -176,10 +182,7 @@ class RateLoop:
         """
         s = 1j * omega[:, None]
         z_inverse = np.exp(-s * self.period)
-        gyro = np.ones_like(s)
-        if self.gyro_cutoff > 0.0:
-            gyro = SignalFilter("butterworth", self.gyro_cutoff).response(s)
-        gyro = gyro * chain_response(self.gyro_filters, s)
+        gyro = np.ones_like(s) * self.gyro_response(omega)[:, None]
         P, Ki, D, attitude, FF = (
             np.array([getattr(g, name) for g in self.gains])
             for name in ("P", "I", "D", "attitude", "FF")

@@ -9,13 +9,20 @@ covariance: with the rate loop alone (Acro) and with the attitude loop. I, D and
 follow the crossover in fixed proportions, so that what is chosen is one number and the lead D/P.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.control.frequency_response import (
+    MeasuredAxis,
+    flown_signals,
+    measured_axes,
+    measured_margins,
+    smooth_ratio,
+)
 from gcs_sysid.control.loop_margins import (
     HoverDynamics,
     Margins,
@@ -35,8 +42,11 @@ from gcs_sysid.exports.exported_vehicle import (
     complete,
     drawn_vehicles,
 )
+from gcs_sysid.judgement.prediction import parted
+from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
+from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.significance import Z95
 
 
@@ -60,6 +70,8 @@ class DesignLimits:
         error: rad/s on roll, pitch and yaw.
         attitude_most: 1/s on roll, pitch and yaw: attitude gains that users fly.
         draws: from the covariance, that a choice is judged by.
+        unmodeled: share of the response that the model may lack: the 7 deg, in rad, by which
+            `phase_margin` is above the requirement. 2 dB of gain are more.
     """
 
     phase_margin: float = 52.0
@@ -73,6 +85,7 @@ class DesignLimits:
     error: tuple[float, float, float] = (1.5, 1.5, 0.5)
     attitude_most: tuple[float, float, float] = (10.0, 10.0, 4.0)
     draws: int = 25
+    unmodeled: float = 0.12
 
 
 LIMITS = DesignLimits()
@@ -220,12 +233,14 @@ class AxisStudy:
         alone: the same of the rate loop alone (Acro).
         attitude: response to an attitude step.
         rate: response to a rate step, with no attitude loop.
+        measured: margins of `whole` by the measured response; None: it does not reach so far.
     """
 
     whole: Margins
     alone: Margins
     attitude: StepResponse
     rate: StepResponse
+    measured: Margins | None = None
 
 
 @dataclass(frozen=True)
@@ -238,9 +253,12 @@ class TuningStudy:
         delay: s and standard deviation.
         delay_from: where that comes from.
         now: loops with the gains that the vehicle has; None: not given.
-        proposed: loops with the proposed gains.
+        loop: with the settings that the vehicle has, as far as they are known.
+        proposed: loops with the proposed gains; None: the gains are to be left as they are.
         studies: name ("now", "proposed") -> roll, pitch, yaw.
         notes: what was assumed.
+        objections: why no gains are proposed.
+        measured: axis -> what the flight itself shows; empty where it was not given.
     """
 
     vehicle: ExportedVehicle
@@ -248,15 +266,18 @@ class TuningStudy:
     delay: tuple[float, float]
     delay_from: str
     now: RateLoop | None
-    proposed: RateLoop
+    loop: RateLoop
+    proposed: RateLoop | None
     studies: Mapping[str, tuple[AxisStudy, ...]]
     notes: tuple[str, ...]
+    objections: tuple[Objection, ...] = ()
+    measured: Mapping[str, MeasuredAxis] = field(default_factory=dict)
 
     @property
     def loops(self) -> dict[str, RateLoop]:
         """Name -> loops."""
-        now = {} if self.now is None else {"now": self.now}
-        return {**now, "proposed": self.proposed}
+        named = {"now": self.now, "proposed": self.proposed}
+        return {name: loop for name, loop in named.items() if loop is not None}
 
 
 def study(
@@ -267,6 +288,7 @@ def study(
     delay: tuple[float, float] | None = None,
     draws: int = 100,
     seed: int = 1,
+    flight: Iterable[SampleBlock] | None = None,
 ) -> TuningStudy:
     """Judge the gains that a vehicle has, and propose gains.
 
@@ -278,6 +300,8 @@ def study(
         delay: s and standard deviation from the gyro's sample to the rotors' command.
         draws: from the covariance.
         seed: of the draws.
+        flight: samples of a log with commands, whose response is compared with the model; None:
+            there is no log.
 
     Raises:
         MissingError: the result does not carry gains; says which flight would help.
@@ -289,17 +313,41 @@ def study(
     late, origin = _delay(vehicle, loop, delay)
     vehicles = [vehicle, *drawn_vehicles(vehicle, draws, seed)]
     dynamics = hover_dynamics(vehicles, loop, late, seed, traded=origin == IDENTIFIED_DELAY)
-    proposed = propose(dynamics, loop)
+    notes = list(dynamics.notes)
+    measured: dict[str, MeasuredAxis] = {}
+    if flight is not None:
+        signals = flown_signals(flight, loop)
+        # PX4 logs the gyro before its filters, the others behind.
+        gyro = np.ones_like if autopilot == "px4" else loop.gyro_response
+        if signals is not None:
+            measured = measured_axes(signals, dynamics, loop, gyro)
+        if not measured:
+            notes.append("the log has no gapless flight with commands: its response is not shown")
+        elif signals is not None and not signals.has_setpoints:
+            notes.append(
+                "no rate set-points in the log: the response is biased by feedback, and is not "
+                "compared with the model (log vehicle_rates_setpoint, or RATE)"
+            )
+    smooth = {name: smooth_ratio(one) for name, one in measured.items()}
+    departures = {name: one.departure() for name, one in smooth.items() if one is not None}
+    objections = tuple(parted(departures, LIMITS.unmodeled))
+    proposed = None if objections else propose(dynamics, loop)
     gains = [name for name in loop.as_parameters() if name.endswith(("_P", "RATE_P"))]
     known = any(name in parameters for name in gains)
     now = loop if known else None
-    loops = {"proposed": proposed} if now is None else {"now": now, "proposed": proposed}
-    studies = {name: axis_studies(dynamics, one) for name, one in loops.items()}
+    loops = {"now": now, "proposed": proposed}
+    studies = {
+        name: axis_studies(dynamics, one, measured)
+        for name, one in loops.items()
+        if one is not None
+    }
     filters = sorted(set(loop.assumed) - set(loop.as_parameters()))
-    notes = list(dynamics.notes)
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
-    return TuningStudy(vehicle, dynamics, late, origin, now, proposed, studies, tuple(notes))
+    return TuningStudy(
+        vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
+        measured,
+    )  # fmt: skip
 
 
 def _delay(
@@ -355,7 +403,9 @@ def with_delay(vehicle: ExportedVehicle) -> ExportedVehicle:
     return replace(vehicle, known={**vehicle.known, "rotor_delay": delay})
 
 
-def axis_studies(dynamics: HoverDynamics, loop: RateLoop) -> tuple[AxisStudy, ...]:
+def axis_studies(
+    dynamics: HoverDynamics, loop: RateLoop, measured: Mapping[str, MeasuredAxis]
+) -> tuple[AxisStudy, ...]:
     """Margins and step responses of roll, pitch and yaw."""
     omega = frequencies(loop)
     whole = open_loops(dynamics, loop, omega)
@@ -367,8 +417,9 @@ def axis_studies(dynamics: HoverDynamics, loop: RateLoop) -> tuple[AxisStudy, ..
             margins_of(omega, alone[:, :, axis]),
             step_response(nominal, loop, axis),
             step_response(nominal, loop, axis, of="rate"),
+            measured_margins(measured[name], dynamics, loop, axis) if name in measured else None,
         )
-        for axis in range(3)
+        for axis, name in enumerate(AXES)
     )
 
 
@@ -386,9 +437,9 @@ def document_of(tuning: TuningStudy) -> dict[str, Any]:
         }
     return {
         "schema": SCHEMA,
-        "autopilot": tuning.proposed.autopilot,
+        "autopilot": tuning.loop.autopilot,
         "source": tuning.vehicle.result.source,
-        "loop_rate": tuning.proposed.rate,
+        "loop_rate": tuning.loop.rate,
         "motor_lag": _banded(dynamics.lag),
         "delay": {"value": tuning.delay[0], "std": tuning.delay[1], "from": tuning.delay_from},
         "plant": plant,
@@ -398,6 +449,7 @@ def document_of(tuning: TuningStudy) -> dict[str, Any]:
                 axis: {
                     "attitude_loop_closed": _margins(one.whole),
                     "rate_loop_alone": _margins(one.alone),
+                    **({"measured": _margins(one.measured)} if one.measured else {}),
                     "attitude_step": _step(one.attitude),
                     "rate_step": _step(one.rate),
                 }
@@ -405,8 +457,28 @@ def document_of(tuning: TuningStudy) -> dict[str, Any]:
             }
             for name, studies in tuning.studies.items()
         },
+        "response": {
+            name: {
+                "torque": one.torque.as_json() | one.model_json(),
+                "setpoint": None if one.setpoint is None else one.setpoint.as_json(),
+            }
+            for name, one in tuning.measured.items()
+        },
+        "objections": [objection.as_json() for objection in tuning.objections],
         "notes": list(tuning.notes),
     }
+
+
+def response_csv(tuning: TuningStudy) -> str:
+    """The measured responses to torque beside the model's as a table: a row a frequency."""
+    lines: list[str] = []
+    for name, one in tuning.measured.items():
+        columns = one.torque.as_json() | one.model_json()
+        del columns["instrument"]
+        lines = lines or [",".join(["axis", *columns])]
+        for row in zip(*columns.values(), strict=True):
+            lines.append(",".join([name, *("" if v is None else f"{v:.6g}" for v in row)]))
+    return "\n".join(lines) + "\n"
 
 
 def _margins(margins: Margins) -> dict[str, Any]:
@@ -433,7 +505,7 @@ def _banded(values: Array) -> dict[str, float | None]:
 
 def tuning_text(tuning: TuningStudy) -> str:
     """The study as lines for a terminal."""
-    loop = tuning.proposed
+    loop = tuning.loop
     lines = [
         f"{loop.autopilot}, rate loop {loop.rate:g} Hz, motor lag "
         f"{1e3 * tuning.dynamics.lag[0]:.0f} ms, delay {1e3 * tuning.delay[0]:.1f} ms "
@@ -455,7 +527,13 @@ def tuning_text(tuning: TuningStudy) -> str:
                     f"{100.0 * one.attitude.overshoot[0]:>9.0f} %"
                 )
             lines.append(f"{label:10}{axis:7}{margins.crossover[0]:>11.1f}{tail}")
-    lines += ["", *_gain_table(tuning)]
+            if one.measured is not None:
+                own = one.measured
+                lines.append(
+                    f"{'':10}{'  flown':7}{own.crossover[0]:>11.1f}{_interval(own.phase, 0):>20}"
+                )
+    lines += ["", *_response_table(tuning), *_gain_table(tuning)]
+    lines += [f"leave it: {objection.words}" for objection in tuning.objections]
     lines += [f"note: {note}" for note in tuning.notes]
     return "\n".join(lines)
 
@@ -468,7 +546,39 @@ def _interval(values: Array, digits: int) -> str:
     return f"{values[0]:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
+def _response_table(tuning: TuningStudy) -> list[str]:
+    """A few frequencies of each axis, measured and modeled."""
+    rows = []
+    for name, one in tuning.measured.items():
+        found = one.torque
+        at = np.flatnonzero(found.claimed)
+        few = at[np.unique(np.linspace(0, len(at) - 1, 4).round().astype(int))] if len(at) else []
+        for i in few:
+            size, half = np.abs(found.values[i]), found.half_width[i]
+            turn, off = np.degrees(np.arcsin(min(half, 1.0))), np.angle(found.values / one.model[0])
+            model = np.abs(one.model[:, i])
+            phase = np.degrees(np.angle(one.model[0, i]))
+            rows.append(
+                f"{name:7}{found.omega[i]:>7.1f}{found.coherence[i]:>11.2f}"
+                f"{f'{size:.3g} ({size * (1 - half):.3g} to {size * (1 + half):.3g})':>24}"
+                f"{_interval(model, 2):>24}"
+                f"{f'{phase + np.degrees(off[i]):.0f} +- {turn:.0f}':>12}{phase:>7.0f}"
+            )
+    if not rows:
+        return []
+    source = next(iter(tuning.measured.values())).torque.instrument
+    return [
+        f"rate over normalized torque, measured with {source} as instruments, 95 %:",
+        f"{'axis':7}{'rad/s':>7}{'coherence':>11}{'measured, rad/s':>24}{'model':>24}"
+        f"{'deg':>12}{'model':>7}",
+        *rows,
+        "",
+    ]
+
+
 def _gain_table(tuning: TuningStudy) -> list[str]:
+    if tuning.proposed is None:
+        return []
     proposed = tuning.proposed.as_parameters()
     now = {} if tuning.now is None else tuning.now.as_parameters()
     lines = [f"{'parameter':18}{'now':>12}{'proposed':>12}"]
@@ -485,6 +595,7 @@ def parameter_text(tuning: TuningStudy, suffix: str) -> str:
         tuning: with the gains.
         suffix: ".params" for QGroundControl, ".param" or ".parm" for Mission Planner.
     """
+    assert tuning.proposed is not None
     values = tuning.proposed.as_parameters()
     now = {} if tuning.now is None else tuning.now.as_parameters()
     notes = {n: f"was {now[n]:.6g}" for n in values if n in now}

@@ -5,7 +5,7 @@ badly, where its residuals are not noise, or where nothing could be held out, no
 axis is `identified`, however small its standard deviation is. What is known to be small stays so.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -259,6 +259,28 @@ def misplaced(evidence: Evidence) -> Iterator[Objection]:
             stated=False,
             evidence=_by_axis(rotation.r_squared),
         )
+
+
+def parted(
+    departures: Mapping[str, tuple[float, float, float]], allowed: float
+) -> Iterator[Objection]:
+    """A measured frequency response that parts from the identified model's.
+
+    Gains rest on it, so `tune` asks; a result that was written stays as it was judged.
+
+    Args:
+        departures: axis -> share of the response, its lower bound, and the frequency, rad/s.
+        allowed: share.
+    """
+    for axis, (share, least, omega) in departures.items():
+        if least > allowed:
+            yield Objection(
+                f"the measured response departs from the model's on {axis} by {_percent(share)} at "
+                f"{omega:.0f} rad/s, surely by {_percent(least)}: the model lacks something there",
+                evidence={axis: share},
+                how="check mass, thrust curve, delay and layout, or analyze this flight",
+                by="frequency response",
+            )
 
 
 def still_axes(fit: Fit) -> Mask:

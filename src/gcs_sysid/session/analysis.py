@@ -1,7 +1,7 @@
 """Analysis of recorded flights."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +12,8 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
-from gcs_sysid.signals.sampling import SampleBlock
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
+from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.logs import Log, open_log
 
 
@@ -134,6 +135,25 @@ def take_log(
     if progress:
         progress(1.0)
     return True
+
+
+def aligned_samples(log: Log, airframe: Airframe) -> Iterator[SampleBlock]:
+    """The samples that an analysis would take, without an estimate.
+
+    Args:
+        log: not yet read.
+        airframe: whose rotors and kind of input.
+    """
+    selector = RotorSourceSelector(airframe, None)
+    sampler = Sampler(selector, len(airframe.rotors), imu_arm=airframe.imu_arm)
+    for block in log.blocks():
+        if log.vehicle is not None:
+            selector.autopilot = log.vehicle.key
+        for window in block.windows(WINDOW):
+            for _, parameter in window.parameters:
+                selector.learn(parameter.source, parameter.values[0])
+            yield from sampler.feed_tracks(window.tracks)
+    yield from sampler.finish()
 
 
 def analyze_pair(

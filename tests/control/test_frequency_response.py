@@ -1,0 +1,153 @@
+"""Measured frequency responses: of loops whose response is known, and of emulated flights."""
+
+import numpy as np
+import pytest
+
+from benchmarks.response import flown_by_pilot, true_vehicle
+from benchmarks.tune import DELAY, LAYOUTS, loop_of
+from gcs_sysid.control.frequency_response import (
+    FlownSignals,
+    flown_signals,
+    measured_axes,
+    measured_margins,
+    measured_response,
+    smooth_ratio,
+)
+from gcs_sysid.control.loop_margins import frequencies, hover_dynamics, margins_of, open_loops
+from gcs_sysid.control.rate_loops import read_loop
+from gcs_sysid.control.tuning_study import LIMITS, propose
+from gcs_sysid.exports.exported_vehicle import drawn_vehicles
+from gcs_sysid.judgement.prediction import parted
+from gcs_sysid.model.parameters import AXES
+from gcs_sysid.signals.recursions import lfilter
+from testbed.vehicles import draw
+
+DT, GAIN, P, ATTITUDE = 0.005, 40.0, 0.3, 5.0
+
+
+def closed_loop(gusts, seconds=125.0, seed=3, setpoints=True, attitude=ATTITUDE):
+    """A body y' = GAIN u + gusts on roll, u = P (r - y), r = w - attitude * angle."""
+    random = np.random.default_rng(seed)
+    n = round(seconds / DT)
+    wanted = lfilter([0.3], [1.0, -0.7], random.standard_normal(n))[0]
+    pushes = gusts * lfilter([0.2], [1.0, -0.8], random.standard_normal(n))[0]
+    y = angle = 0.0
+    rows = []
+    for w, push in zip(wanted.tolist(), pushes.tolist(), strict=True):
+        r = w - attitude * angle
+        u = P * (r - y)
+        rows.append((u, y, r))
+        angle, y = angle + DT * y, y + DT * (GAIN * u + push)
+    signals = np.full((n, 9), np.nan)
+    signals[:, :6] = 0.0
+    u, y, r = np.array(rows).T
+    signals[:, 0], signals[:, 3] = u, y
+    if setpoints:
+        signals[:, 6:] = 0.0
+        signals[:, 6] = r
+    return FlownSignals((signals,), DT, 2.0 * np.pi * 20.0)
+
+
+def true(omega):
+    return GAIN * DT / (np.exp(1j * omega * DT) - 1.0)
+
+
+def off(found):
+    return np.abs(found.values / true(found.omega) - 1.0)[found.claimed]
+
+
+def test_the_response_is_free_of_what_the_loop_answers_to_gusts():
+    flight = closed_loop(10.0)
+    found = measured_response(flight, 0, ATTITUDE)
+    assert found.claimed.sum() > 10
+    assert (off(found) <= np.sqrt(2.0) * found.half_width[found.claimed]).mean() > 0.85
+    assert np.median(off(found)) < 0.08
+    # Set-points that answer to the vehicle are no instruments by themselves.
+    gusty = measured_response(closed_loop(15.0), 0, 0.0)
+    assert gusty.claimed.any()
+    assert np.median(off(gusty)) > 0.3
+
+
+def test_without_an_instrument_nothing_is_claimed():
+    found = measured_response(closed_loop(20.0, setpoints=False), 0)
+    assert found.instrument == ""
+    assert not found.claimed.any()
+    # It lies between the vehicle and the inverse of the controller, as theory says.
+    assert np.abs(found.values[4]) < 0.8 * np.abs(true(found.omega[4]))
+
+
+def test_the_band_holds_the_truth_as_often_as_it_says():
+    held = []
+    for seed in range(12):
+        found = measured_response(closed_loop(10.0, 65.0, seed), 0, ATTITUDE)
+        ratio = (found.values / true(found.omega))[found.claimed]
+        half = found.half_width[found.claimed]
+        held += [*(np.abs(1.0 / np.abs(ratio) - 1.0) <= half), *(np.abs(np.angle(ratio)) <= half)]
+    assert 0.92 <= np.mean(held) <= 0.985
+    assert len(held) > 200
+
+
+def test_response_to_the_set_point():
+    found = measured_response(closed_loop(1.0), 0, ATTITUDE, of="setpoint")
+    expected = P * true(found.omega) / (1.0 + P * true(found.omega))
+    apart = np.abs(found.values / expected - 1.0)[found.claimed]
+    assert np.median(apart) < 0.02
+
+
+def test_flight_in_pieces_too_short_shows_nothing():
+    whole = closed_loop(5.0, 20.0).stretches[0]
+    pieces = FlownSignals(tuple(whole[i : i + 400] for i in range(0, 4000, 400)), DT, 100.0)
+    assert measured_response(pieces, 0) is None
+    still = FlownSignals((np.zeros((8000, 9)),), DT, 100.0)
+    assert measured_response(still, 0) is None
+
+
+def test_as_python_control():
+    control = pytest.importorskip("control")
+    found = measured_response(closed_loop(5.0), 0, ATTITUDE)
+    data = found.as_control()
+    assert isinstance(data, control.FrequencyResponseData)
+    assert data.frdata[0, 0] == pytest.approx(found.values[found.claimed])
+
+
+@pytest.fixture(scope="module", params=[(0, "px4", 0.1), (1, "ardupilot", 0.0)])
+def flight(request):
+    seed, autopilot, gusts = request.param
+    drawn = draw(seed, LAYOUTS)
+    loop = loop_of(autopilot, true_vehicle(drawn.vehicle), drawn)
+    dynamics = hover_dynamics([true_vehicle(drawn.vehicle)], loop, (DELAY, 0.0))
+    loop = propose(dynamics, loop)
+    return drawn, loop, dynamics, flown_by_pilot(drawn, loop, gusts, seed)
+
+
+@pytest.mark.slow  # a minute of flight
+def test_an_emulated_flight_shows_its_vehicle_and_phase_margin(flight):
+    _, loop, dynamics, signals = flight
+    omega = frequencies(loop)
+    inside = []
+    for name, one in measured_axes(signals, dynamics, loop).items():
+        found, axis = one.torque, AXES.index(name)
+        ratio = (found.values / one.model[0])[found.claimed]
+        inside += [*(np.abs(ratio - 1.0) <= np.sqrt(2.0) * found.half_width[found.claimed])]
+        by = measured_margins(one, dynamics, loop, axis)
+        whole = margins_of(omega, open_loops(dynamics, loop, omega)[:, :, axis])
+        assert by.phase[0] == pytest.approx(whole.phase[0], abs=3.0)
+    assert len(inside) > 30
+    assert np.mean(inside) > 0.88
+
+
+@pytest.mark.slow
+def test_a_model_that_parts_from_the_flight_is_objected_to(flight):
+    drawn, loop, _, signals = flight
+    for inertia, wrong in ((1.0, False), (4.0 / 3.0, True)):
+        vehicle = true_vehicle(drawn.vehicle, inertia)
+        some = [vehicle, *drawn_vehicles(vehicle, 30, 1)]
+        measured = measured_axes(signals, hover_dynamics(some, loop, (DELAY, 0.001)), loop)
+        smooth = {name: smooth_ratio(one) for name, one in measured.items()}
+        objections = [*parted({n: s.departure() for n, s in smooth.items()}, LIMITS.unmodeled)]
+        assert bool(objections) is wrong
+        assert all("departs from the model's" in o.words for o in objections)
+
+
+def test_no_flight_with_commands_shows_nothing():
+    assert flown_signals([], read_loop("px4", {}, draw(0).vehicle.rotors)) is None
