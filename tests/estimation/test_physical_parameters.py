@@ -126,15 +126,16 @@ def test_accelerometer_gives_no_drag():
     assert values["linear_drag"].value is None
 
 
+@pytest.mark.parametrize("rotor_input", [RotorInput.SPEED, RotorInput.COMMAND])
 @pytest.mark.parametrize("told", ["gyro's low-pass", "rotors ahead of the IMU"])
-def test_drag_is_doubted_where_the_attitude_is_late(told):
+def test_drag_is_doubted_where_the_attitude_is_late(told, rotor_input):
     tau, quickness, sharp = 0.011, 7.0, spread(0.003)
     source = replace(TRANSLATION, quickness=quickness)
     lateness = tau
     if told == "rotors ahead of the IMU":
         lateness, sharp = 0.0, replace(sharp, coordinates=np.array([-tau, 0.0, 0.0, 0.0, 0.0]))
     values = physical_parameters(
-        ScaleReference("mass", MASS), sharp, source, ARM, lateness=lateness
+        ScaleReference("mass", MASS), sharp, source, ARM, rotor_input=rotor_input, lateness=lateness
     )
     std = MASS * np.hypot(TRANSLATION.delta_std, tau * quickness)
     assert values["linear_drag"].std == pytest.approx(std)

@@ -125,7 +125,7 @@ def physical_parameters(
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
         raw |= _axis_values(rotation, scale, own_bend, scaled)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
-        if not rotor_input.motors and rotation is not None:
+        if rotation is not None:
             lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
         spread = math.hypot(translation.delta_std, lateness * translation.quickness)
         raw["linear_drag"] = scale.mass * translation.delta, scale.mass * spread
