@@ -119,6 +119,17 @@ def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
     assert fit.whiteners
 
 
+def test_a_flight_that_ends_before_motors_are_looked_for_has_them_at_its_end(truth, samples, usual):
+    short = flown(truth, samples.part(slice(0, round(5.0 / DT))))
+    assert short._record.commands.white is None
+    fit = short.fit().rotation
+    found, std = fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
+    assert fit.whiteners
+    for place in (0, 1):  # Ixx, Iyy
+        assert abs(found[place] - usual.outcome[0][place]) < 3.0 * std[place]
+        assert std[place] < 0.3 * found[place]
+
+
 def test_quick_samples_are_averaged(truth, samples):
     totals = []
     for n in (1, 2):

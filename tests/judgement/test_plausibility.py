@@ -19,6 +19,7 @@ from gcs_sysid.judgement.judge import judge, judged
 from gcs_sysid.judgement.plausibility import (
     RANGES,
     assumed_unit,
+    edge_of_bodies,
     implausible,
     placeholder_arm,
     reread_speeds,
@@ -318,3 +319,15 @@ def test_a_rotor_that_reads_otherwise_leaves_the_mean_uncertain(speed, shown):
         assert f"rotor 3 by {100.0 * apart[0, 2]:+.0f} %" in found[0].reason
         own = found[0].widening["k_T"] / SOUND["k_T"]
         assert abs(mean - 1.0) < Z95 * own < 2.0 * abs(mean - 1.0)
+
+
+@pytest.mark.parametrize(("Izz", "named"), [(0.03, False), (2e-4, True)])
+def test_a_body_without_extent_is_an_end_of_the_search(Izz, named):
+    theta = rb.theta_of(
+        SOUND | {"Ixx": 0.0201, "Iyy": 0.02, "Izz": Izz, "Ixy": 0.0, "Ixz": 0.0}, 1.0
+    )
+    n = rb.N_THETA
+    rotation = RotationFit(theta, 1e-12 * np.eye(n), np.eye(3), np.ones(3), 5000, True)
+    found = list(edge_of_bodies(replace(evidence(), fit=Fit(rotation, None, 0.0))))
+    assert bool(found) is named
+    assert all({"Izz", "Ixy"} <= one.parameters and "Ixx" not in one.parameters for one in found)

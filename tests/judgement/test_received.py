@@ -16,6 +16,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.saturation import Saturated
+from tests.known_theta import THETA
 
 ALL = Received(frozenset({Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED}), searched=True)
 # Of the article's vehicle, which is plausible.
@@ -30,7 +31,7 @@ NOTHING = Evidence(SURE, Fit(None, None, 0.0), load_airframe("paper"), received=
 def explaining(share, *, still=False):
     """Evidence of a flight of which the rotors explain this share of pitch."""
     n = rb.N_THETA
-    rotation = RotationFit(np.ones(n), 1e-12 * np.eye(n), np.eye(3), np.ones(3), 5000, True)
+    rotation = RotationFit(THETA, 1e-12 * np.eye(n), np.eye(3), np.ones(3), 5000, True)
     rotation = replace(rotation, r_squared=np.array([0.9, share, 0.9]))
     window = 1e6 * (not still) * np.eye(rb.N_SIGNALS + 3)
     moments = FitMoments(window[None], window, 1000)

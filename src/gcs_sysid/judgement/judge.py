@@ -82,6 +82,7 @@ PRODUCERS = (
     Producer("sign", prediction.wrong_sign, Stage.FLIGHT),
     Producer("observability", outcome.not_observed, Stage.OUTCOME),
     Producer("rigid body", prediction.rigid_body, Stage.WIDENING),
+    Producer("rigid body", plausibility.edge_of_bodies, Stage.BELIEF),
     Producer("one scale", outcome.one_scale, Stage.OUTCOME),
     Producer("spin", outcome.negative_torque, Stage.OUTCOME),
     Producer("priors", outcome.contradicted_priors, Stage.BELIEF),

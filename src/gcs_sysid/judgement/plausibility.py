@@ -175,6 +175,26 @@ def implausible(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(reason, names, cap="weak", verdict="partial", how=how)
 
 
+def edge_of_bodies(evidence: Evidence) -> Iterator[Objection]:
+    """A body without any extent along one axis: where nothing shows the scale of yaw, fits end so.
+
+    Then no interval says anything of what coupled the axes.
+    """
+    rotation = evidence.fit.rotation
+    if rotation is None:
+        return
+    moments = np.linalg.eigvalsh(inertia_matrix(rotation.theta[: len(INERTIA)]))
+    if moments[0] < RANGES.yaw[0] / RANGES.roll_pitch[1] * moments[2]:
+        yield Objection(
+            "Izz came out as next to nothing, which no vehicle has: it and products of inertia are "
+            "not observable",
+            frozenset(name for name, p in PARAMETERS.items() if p.rigid_body),
+            cap="unobservable",
+            verdict="partial",
+            how="fly several axes at once, such as roll and yaw",
+        )
+
+
 def _known(evidence: Evidence) -> dict[str, float]:
     """Values of parameters that are claimed."""
     return {

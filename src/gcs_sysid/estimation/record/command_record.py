@@ -104,6 +104,11 @@ class TunedRows:
         off = np.abs(fit.coordinates - self.basis.at)
         return bool((off <= steps * self.basis.moved).all())
 
+    @property
+    def is_believed(self) -> bool:
+        """Whether they explain roll and pitch at all."""
+        return float(self.fit.rotation.r_squared[:2].min()) >= _BELIEVED
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self.maker.restart()
@@ -374,7 +379,7 @@ class CommandRecord:
         if found is not None:
             self._now, self.doubt = found
             rotation = self._now.fit.rotation
-            if float(rotation.r_squared[:2].min()) < _BELIEVED:
+            if not self._now.is_believed:
                 self._now = None
             elif slow is not None:
                 self._apart, self._to_compare = rotation.unknowns - slow.unknowns, None
@@ -385,14 +390,21 @@ class CommandRecord:
             self._kept = self._to_compare = None
 
     @contextmanager
-    def settled(self) -> Iterator[None]:
-        """With rows about the best motor parameters so far; a function of the flight alone."""
+    def settled(self, hover: float) -> Iterator[None]:
+        """With rows about the best motor parameters so far; a function of the flight alone.
+
+        Args:
+            hover: mean command, where none have been looked for yet.
+        """
         before, doubt = self._now, self.doubt
-        if before is not None and self._kept is not None:
+        if self._kept is not None and (before is not None or self._samples):
             if self._settled is None or self._settled[0] != self._samples:
-                basis = before.basis
-                start = basis.at, basis.lag_place.of
-                found = self._found([start], before.maker.hover, LAGS_OF)
+                start = (COORDINATE_MEAN, LAGS_OF[0])
+                if before is not None:
+                    start, hover = (before.basis.at, before.basis.lag_place.of), before.maker.hover
+                found = self._found([start], hover, LAGS_OF)
+                if before is None and found is not None and not found[0].is_believed:
+                    found = None
                 self._settled = (self._samples, *(found or (before, doubt)))
             _, self._now, self.doubt = self._settled
         try:

@@ -285,7 +285,10 @@ class FlightRecord:
 
     def settled(self) -> AbstractContextManager[None]:
         """With whitened rows of commands about the motor parameters identified so far."""
-        return nullcontext() if self.commands is None else self.commands.settled()
+        noise = self.input_noise
+        if self.commands is None or not isinstance(noise, CommandNoise):
+            return nullcontext()
+        return self.commands.settled(noise.level[0])
 
     def places(self, first: LagOf = LAGS_OF[0]) -> list[LagPlace]:
         """What may lag behind the commands, the likeliest first."""
