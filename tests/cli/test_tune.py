@@ -22,7 +22,12 @@ BY = {
     "speed": {"k_T": 2e-4, "k_M": 6e-6, "rotor_inertia": 3e-5},
     "command": {"T_max": 10.0, "thrust_curve": 0.3},
 }
-NOW = {"MC_ROLLRATE_P": 0.4, "MC_ROLLRATE_I": 0.2, "MC_ROLLRATE_D": 0.003, "THR_MDL_FAC": 0.3}
+NOW = {
+    f"MC_{axis}{name}": value
+    for axis in ("ROLL", "PITCH")
+    for name, value in (("RATE_P", 0.09), ("RATE_I", 0.2), ("RATE_D", 0.002), ("_P", 6.5))
+} | {"MC_YAWRATE_P": 0.1, "MC_YAWRATE_I": 0.05, "MC_YAW_P": 1.4, "MC_YAWRATE_FF": 0.01,
+     "THR_MDL_FAC": 0.3}  # fmt: skip
 
 
 def result(by, weak=(), autopilot="px4", **changes):
@@ -65,7 +70,7 @@ def test_gains_now_and_proposed(files, capsys):
     assert run(["tune", "speed.json", "now.params", *more]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert re.search(r"^MC_ROLLRATE_P +0\.4 +0\.\d+$", out, re.MULTILINE)
+    assert re.search(r"^MC_ROLLRATE_P +0\.09 +0\.\d+$", out, re.MULTILINE)
     assert "identified, from command to rotor" in out
     document = json.loads((files / "t.json").read_text())
     assert document["schema"] == "gcs-sysid-tune/1"
@@ -80,11 +85,42 @@ def test_gains_now_and_proposed(files, capsys):
         proposed["attitude_loop_closed"]["phase_deg"]["low"]
         < (proposed["attitude_loop_closed"]["phase_deg"]["high"])
     )
-    assert document["parameters"]["now"]["MC_ROLLRATE_P"] == 0.4
+    gains = document["parameters"]
+    assert gains["now"]["MC_ROLLRATE_P"] == 0.09
+    for name, value in NOW.items():
+        if name in gains["proposed"]:
+            assert 0.5 * value <= gains["proposed"][name] <= 2.0 * value
+    assert gains["proposed"]["MC_YAWRATE_FF"] == 0.01
+    assert document["leave"] is None
+    assert re.search(r"note: proposed gains on .*roll.* keep at least [45]\d deg and \d", out)
     picture = ElementTree.fromstring((files / "b.svg").read_text())
     names = [element.tag.rpartition("}")[2] for element in picture.iter()]
     # Two sets of gains, three axes, magnitude and phase: a line and a band each.
     assert names.count("polyline") == names.count("polygon") == 12
+
+
+@pytest.mark.slow
+def test_gains_that_keep_the_margins_are_left_as_they_are(files, capsys):
+    write = ("--to", "px4-params", "--set", "rotor_inertia=3e-5+-3e-6", *FEW)
+    assert run(["tune", "command.json", *write, "-o", "good.params"]) == 0
+    capsys.readouterr()
+    assert run(["tune", "command.json", "good.params", *write, "-o", "none.params"]) == 1
+    out = capsys.readouterr().out
+    assert "leave it: the present gains on roll, pitch, yaw keep at least" in out
+    assert "MC_ROLLRATE_P" not in out
+    assert not (files / "none.params").exists()
+
+
+@pytest.mark.slow
+def test_an_axis_that_a_step_does_not_mend_is_left_as_it_is(files, capsys):
+    hot = {**NOW, "MC_ROLLRATE_P": 0.4}
+    lines = [f"1\t1\t{name}\t{value}\t9" for name, value in hot.items()]
+    (files / "hot.params").write_text("\n".join(lines) + "\n")
+    assert run(["tune", "speed.json", "hot.params", "--with", "command.json", *FEW]) == 0
+    out = capsys.readouterr().out
+    assert "no gains on roll within a factor of 2 of the present ones are sure to keep" in out
+    assert re.search(r"^MC_ROLLRATE_P +0\.4 +0\.4$", out, re.MULTILINE)
+    assert not re.search(r"^MC_PITCHRATE_P +0\.09 +0\.09$", out, re.MULTILINE)
 
 
 @pytest.mark.slow
@@ -103,6 +139,7 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
     assert "g.param exists; --force overwrites it" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
     write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")

@@ -70,6 +70,10 @@ class DesignLimits:
         error: rad/s on roll, pitch and yaw.
         attitude_most: 1/s on roll, pitch and yaw: attitude gains that users fly.
         draws: from the covariance, that a choice is judged by.
+        required: deg and dB, what the proposal keeps for sure, on all draws, a loop period later
+            than modeled and at `battery`; what is above of the other margins is for finding it.
+        battery: share of the thrust that is left.
+        step: largest change of a gain at once.
         unmodeled: share of the response that the model may lack: the 7 deg, in rad, by which
             `phase_margin` is above the requirement. 2 dB of gain are more.
     """
@@ -85,6 +89,9 @@ class DesignLimits:
     error: tuple[float, float, float] = (1.5, 1.5, 0.5)
     attitude_most: tuple[float, float, float] = (10.0, 10.0, 4.0)
     draws: int = 25
+    required: tuple[float, float] = (45.0, 6.0)
+    battery: float = 0.8
+    step: float = 2.0
     unmodeled: float = 0.12
 
 
@@ -117,6 +124,117 @@ def propose(dynamics: HoverDynamics, loop: RateLoop) -> RateLoop:
         "no gains keep the margins on "
         + " and ".join(AXES[axis] for axis in np.flatnonzero(short))
         + ": the axes are coupled too strongly; give the mixer the vehicle's own geometry first"
+    )
+
+
+def sure_margins(
+    dynamics: HoverDynamics, loop: RateLoop, measured: Mapping[str, MeasuredAxis]
+) -> Array:
+    """(3, 2) least phase and gain margin (deg, dB) of each axis over all draws.
+
+    With and without attitude loop, a loop period later than modeled, with the thrust of a full and
+    of a low battery; and the lower bound of the phase margin by the measured response.
+
+    Args:
+        dynamics: the nominal vehicle and draws.
+        loop: around it.
+        measured: axis -> what the flight shows.
+    """
+    omega = frequencies(loop)
+    later = replace(dynamics, delay=dynamics.delay + loop.period)
+    low = replace(
+        later,
+        effectiveness=LIMITS.battery * later.effectiveness,
+        reaction=LIMITS.battery * later.reaction,
+    )
+    loops = [
+        open_loops(each, loop, omega, attitude=attitude)
+        for each in (later, low)
+        for attitude in (True, False)
+    ]
+    least = np.array(
+        [
+            np.min([margins_of(omega, one[:, :, axis]).worst() for one in loops], axis=0)
+            for axis in range(3)
+        ]
+    )
+    for axis, name in enumerate(AXES):
+        flown = measured_margins(measured[name], dynamics, loop, axis) if name in measured else None
+        if flown is not None:
+            least[axis, 0] = min(least[axis, 0], np.percentile(flown.phase, BAND[0]))
+    return least
+
+
+def stepped(loop: RateLoop, now: RateLoop) -> RateLoop:
+    """Gains on the way from the present ones, none changed by more than the step; 0 stays."""
+    for axis, (new, old) in enumerate(zip(loop.gains, now.gains, strict=True)):
+        within = {
+            name: float(np.clip(getattr(new, name), value / LIMITS.step, value * LIMITS.step))
+            for name in ("P", "I", "D", "attitude")
+            for value in (getattr(old, name),)
+        }
+        loop = loop.with_gains(axis, replace(new, **within))
+    return loop
+
+
+def _proposal(
+    dynamics: HoverDynamics,
+    loop: RateLoop,
+    now: RateLoop | None,
+    measured: Mapping[str, MeasuredAxis],
+) -> tuple[RateLoop | None, tuple[str, ...]]:
+    """Gains that keep the required margins for sure, or None; what they keep, and what is left.
+
+    An axis is left as it is whose present gains keep them, or where none within a step do.
+    """
+
+    def short(least: Array) -> set[int]:
+        return set(np.flatnonzero((least < LIMITS.required).any(axis=1)).tolist())
+
+    open_axes, said = {0, 1, 2}, []
+    if now is not None:
+        least = sure_margins(dynamics, now, measured)
+        open_axes = short(least)
+        if held := sorted({0, 1, 2} - open_axes):
+            said.append(f"the present gains on {_named(held)} keep {_least(least[held])}")
+    try:
+        best = propose(dynamics, loop) if open_axes else loop
+    except InputError as error:
+        return None, (str(error),)
+    tries = 12
+    while open_axes:
+        found = best if now is None else stepped(best, now)
+        for axis in {0, 1, 2} - open_axes:
+            found = found.with_gains(axis, loop.gains[axis])
+        least = sure_margins(dynamics, found, measured)
+        lacking, tries = short(least) & open_axes, tries - 1
+        if not lacking:
+            steps = (
+                "" if now is None else f", none changed by more than a factor of {LIMITS.step:g}"
+            )
+            at = sorted(open_axes)
+            return found, (f"proposed gains on {_named(at)} keep {_least(least[at])}{steps}", *said)
+        if tries < 0:
+            at, open_axes = sorted(lacking), open_axes - lacking if now is not None else set()
+            within = f" within a factor of {LIMITS.step:g} of the present ones" if now else ""
+            said.append(
+                f"no gains on {_named(at)}{within} are sure to keep {LIMITS.required[0]:g} deg and "
+                f"{LIMITS.required[1]:g} dB: those that come nearest keep {_least(least[at])}"
+            )
+        for axis in lacking:
+            best = best.with_gains(axis, _scaled(best.gains[axis], 0.94))
+    return None, tuple(said)
+
+
+def _named(axes: Iterable[int]) -> str:
+    return ", ".join(AXES[axis] for axis in axes)
+
+
+def _least(margins: Array) -> str:
+    phase, gain = margins.min(axis=0)
+    return (
+        f"at least {phase:.0f} deg and {gain:.1f} dB over all draws, a loop period later than "
+        f"modeled and at {100.0 * LIMITS.battery:.0f} % of the thrust"
     )
 
 
@@ -188,7 +306,8 @@ def _of_crossover(
     at = np.array([crossover])
     size = np.exp(np.interp(np.log(crossover), np.log(omega), np.log(np.abs(plant))))
     P = 1.0 / float(size * np.abs(trial.controllers(at)[0][0, axis]))
-    return AxisGains(P, P * unit.I, P * lead, attitude)
+    # Feed-forward is no part of the loop.
+    return AxisGains(P, P * unit.I, P * lead, attitude, loop.gains[axis].FF)
 
 
 def _keeps(plant: Array, loop: RateLoop, axis: int, omega: Array) -> bool:
@@ -257,8 +376,9 @@ class TuningStudy:
         proposed: loops with the proposed gains; None: the gains are to be left as they are.
         studies: name ("now", "proposed") -> roll, pitch, yaw.
         notes: what was assumed.
-        objections: why no gains are proposed.
+        objections: to the model by what was flown; no gains are proposed then.
         measured: axis -> what the flight itself shows; empty where it was not given.
+        leave: why the gains are to be left as they are; empty where others are proposed.
     """
 
     vehicle: ExportedVehicle
@@ -272,6 +392,7 @@ class TuningStudy:
     notes: tuple[str, ...]
     objections: tuple[Objection, ...] = ()
     measured: Mapping[str, MeasuredAxis] = field(default_factory=dict)
+    leave: str = ""
 
     @property
     def loops(self) -> dict[str, RateLoop]:
@@ -305,7 +426,7 @@ def study(
 
     Raises:
         MissingError: the result does not carry gains; says which flight would help.
-        InputError: parameters make no sense, or no gains keep the margins.
+        InputError: parameters make no sense.
     """
     loop = read_loop(autopilot, parameters, vehicle.rotors)
     # What is missing is named before anything is drawn.
@@ -331,10 +452,14 @@ def study(
     smooth = {name: smooth_ratio(one) for name, one in measured.items()}
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
     objections = tuple(parted(departures, LIMITS.unmodeled))
-    proposed = None if objections else propose(dynamics, loop)
     gains = [name for name in loop.as_parameters() if name.endswith(("_P", "RATE_P"))]
     known = any(name in parameters for name in gains)
     now = loop if known else None
+    proposed, said = None, tuple(each.words for each in objections)
+    if not objections:
+        proposed, said = _proposal(dynamics, loop, now, measured)
+    if proposed is not None:
+        notes += said
     loops = {"now": now, "proposed": proposed}
     studies = {
         name: axis_studies(dynamics, one, measured)
@@ -346,7 +471,7 @@ def study(
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
     return TuningStudy(
         vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
-        measured,
+        measured, "" if proposed is not None else "; ".join(said),
     )  # fmt: skip
 
 
@@ -464,6 +589,7 @@ def document_of(tuning: TuningStudy) -> dict[str, Any]:
             }
             for name, one in tuning.measured.items()
         },
+        "leave": tuning.leave or None,
         "objections": [objection.as_json() for objection in tuning.objections],
         "notes": list(tuning.notes),
     }
@@ -533,7 +659,7 @@ def tuning_text(tuning: TuningStudy) -> str:
                     f"{'':10}{'  flown':7}{own.crossover[0]:>11.1f}{_interval(own.phase, 0):>20}"
                 )
     lines += ["", *_response_table(tuning), *_gain_table(tuning)]
-    lines += [f"leave it: {objection.words}" for objection in tuning.objections]
+    lines += [f"leave it: {tuning.leave}"] if tuning.leave else []
     lines += [f"note: {note}" for note in tuning.notes]
     return "\n".join(lines)
 
@@ -604,8 +730,7 @@ def parameter_text(tuning: TuningStudy, suffix: str) -> str:
         f"({tuning.proposed.autopilot}), from",
         f"# {tuning.vehicle.result.source or 'a result'}.",
         "# Review each before writing it. Fly first with room, and a hand on the mode switch.",
-        f"# Design: at least {LIMITS.phase_margin:g} deg and {LIMITS.gain_margin:g} dB over the "
-        "interval of the parameters; predicted:",
+        "# Predicted over the interval of the parameters:",
     ]
     for axis, one in zip(AXES, tuning.studies["proposed"], strict=True):
         head.append(
