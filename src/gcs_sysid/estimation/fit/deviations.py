@@ -122,6 +122,14 @@ class DeviationChoice:
         self._contrasts = np.linalg.svd(np.ones((1, rotors)))[2][1:]
         self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
 
+    @cached_property
+    def older(self) -> Array:
+        """(rotors - 1, 4, 4) what rotors read later than the others do to the four signals, of
+        these differentiated by a delay of all.
+        """
+        own = self._signal.T[:, None, :] * rb.mixer(self._geometry)[:, :, None]
+        return np.tensordot(self._contrasts, own, 1)
+
     def every(self, unknowns: Array) -> Deviations:
         """All of them, limited by the data alone; thrust acts about the CG of (N_UNKNOWNS,)."""
         x, y, s = self._geometry

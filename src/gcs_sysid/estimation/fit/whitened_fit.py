@@ -8,21 +8,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice
 from gcs_sysid.estimation.fit.disturbance import RULES
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior, Unknown
-from gcs_sysid.estimation.fit.problem import NOISE_SHARE, AxisProblem, axis_power, residual_maker
+from gcs_sysid.estimation.fit.problem import (
+    NOISE_SHARE,
+    AxisProblem,
+    Evaluation,
+    axis_power,
+    residual_maker,
+    times_moments,
+)
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.shocks import find_shocks, innovation_maker
-from gcs_sysid.estimation.fit.solver import minimize
+from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.significance import FALSE_ALARM_RATE
 
 _JUDGED = 3
 """Rounds of judging batches, each by the fit without those found before."""
@@ -132,7 +141,8 @@ def fit_whitened(
     bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged], [0])[0]
     fit = bound
     if scatter:
-        fit = _with_scatter(bank, solved, outcome, batches, doubt, hover, only)
+        older = None if choice is None or basis.motors else choice.older
+        fit = _with_scatter(bank, solved, outcome, batches, doubt, hover, only, older)
         if data.judges:
             r_squared = _explained(solved, data.total(kept), data.judges)
             fit = replace(fit, r_squared=r_squared)
@@ -161,6 +171,7 @@ def _with_scatter(
     doubt: float,
     hover: float,
     only: Mask | None,
+    older: Array | None,
 ) -> RotationFit:
     """The fit with standard deviations from the scatter of its batches, and what that hides.
 
@@ -172,6 +183,7 @@ def _with_scatter(
         doubt: as of `fit_whitened`.
         hover: likewise.
         only: likewise.
+        older: see `DeviationChoice.older`; None: rotors are read together.
     """
     data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
     noise = data.noise[list(solved.pick)]
@@ -206,6 +218,9 @@ def _with_scatter(
         ways.append(way)
     if disturbed and basis.motors and only is None:
         ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
+    if older is not None and Unknown.DELAY in problem.free:
+        excess = float(np.trace(spread[0])) / problem.p
+        ways.append(unlike_delays(problem, point, older, excess) / widening[0])
     for way in ways:
         spread = spread + outcome.spread_of(way[None] @ point.hessian[0])
     return outcome.fits(spread, widening, [solved.converged], [0])[0] if ways else fit
@@ -252,6 +267,42 @@ def curve_scatter(
     curves = point.unknowns[:, Unknown.CURVE]
     variance = (_STRETCHES - 1) * float(curves.var()) - own[at, at]
     return along(own, at, float(np.sqrt(max(variance, 0.0))))
+
+
+def unlike_delays(problem: AxisProblem, point: Evaluation, older: Array, excess: float) -> Array:
+    """(p,) what all that is fitted errs by where some rotors' readings are older than others'.
+
+    By how much is found in one step, as a delay of all is. What stands out of chance is an error.
+
+    Args:
+        problem: that was solved, of measured speeds.
+        point: its solution.
+        older: (k, 4, 4) see `DeviationChoice.older`.
+        excess: variance over that of white innovations.
+    """
+    P = problem.maps(point.unknowns)[0]
+    T, W, moments = residual_maker(point.Q[0]), np.diag(point.W[0]), problem.informed
+    at = 1 + problem.basis.free.index(Unknown.DELAY - rb.N_THETA)
+    late = T[:, :4] @ older @ P[at, :4]  # (k, 3, width)
+    weighted = W[:, None] * times_moments(late[None], moments)[0]
+    downhill = -(weighted * (T @ P[0])).sum(axis=(1, 2))
+    columns = weighted @ P[0, : rb.N_SIGNALS].T / W[:, None]
+    by_theta = -np.tensordot(point.WG[0], columns, ((1, 2), (1, 2)))
+    by_coordinate = np.tensordot(T @ P[1:], weighted, ((1, 2), (1, 2)))
+    cross = np.concatenate([by_theta, by_coordinate])  # (p, k)
+    d = scales(point.hessian)[0]
+    own = np.linalg.pinv(point.hessian[0] / np.outer(d, d), rcond=1e-12, hermitian=True)
+    answer = own @ (cross / d[:, None]) / d[:, None]
+    information = np.tensordot(late, weighted, ((1, 2), (1, 2))) - cross.T @ answer
+    values, vectors = np.linalg.eigh(information)
+    seen = values > 1e-6 * values[-1]  # not where rotors share an arm
+    along_seen = vectors[:, seen].T @ downhill
+    likelier = float((along_seen**2 / values[seen]).sum())
+    chance = excess * float(chdtri(int(seen.sum()), FALSE_ALARM_RATE))
+    delays = vectors[:, seen] @ (along_seen / values[seen])
+    beyond = 1.0 - chance / likelier if likelier > chance else 0.0
+    error: Array = answer @ (-beyond * delays)
+    return error
 
 
 def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:
