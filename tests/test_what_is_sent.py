@@ -105,9 +105,9 @@ def pass_time(monkeypatch, capsys):
 def test_as_time_goes_by_only_what_is_documented_is_sent(manners, kinds, pass_time):
     """With an outage, after which all is asked for again."""
     vehicle = Autopilot(**manners)
-    asked = pass_time(vehicle, 40.0, silent=(22.0, 27.0))
+    asked = pass_time(vehicle, 30.0, silent=(15.0, 20.0))
     assert asked.keys() == kinds
-    assert 37 <= asked[HEARTBEAT].total() <= 41
+    assert 27 <= asked[HEARTBEAT].total() <= 31
     document = DOCUMENT.read_text(encoding="utf-8")
     assert all(name in document for name in asked[SETS])
     streams = {value.name: n for n, value in mavlink.enums["MAV_DATA_STREAM"].items()}

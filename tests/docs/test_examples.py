@@ -93,8 +93,9 @@ def _sources() -> list[Path]:
 
 
 def _parameters() -> list[Any]:
-    """The pages; the one that flies and analyzes most is in `make test-all` alone."""
-    long = {"tutorial-emulator": [pytest.mark.thorough]}
+    """The pages; in `make test-all` alone are the one that flies and analyzes most, and one whose
+    command is in the README too."""
+    long = {name: [pytest.mark.thorough] for name in ("tutorial-emulator", "report")}
     return [pytest.param(p, id=p.stem, marks=long.get(p.stem, [])) for p in _sources()]
 
 

@@ -33,7 +33,7 @@ class Stage:
         self.now = 100.0
         airframe = airframe or load_airframe("paper")
         recorded = path if isinstance(path, Recorded) else survey(path, airframe)
-        self.session = ReplaySession(recorded, speed, 0.5, clock=lambda: self.now, **options)
+        self.session = ReplaySession(recorded, speed, 1.0, clock=lambda: self.now, **options)
         self.published = []
 
     @property
@@ -183,7 +183,7 @@ def same_course(stage, other):
     """Up to where the shorter one ends: they may stand a part of the log from each other."""
     a, b = stage.snapshot.history, other.snapshot.history
     n = min(len(a.t), len(b.t))
-    assert n > 30
+    assert n > 12
     assert abs(len(a.t) - len(b.t)) <= 1
     assert a.t[:n] == pytest.approx(b.t[:n], abs=1e-9)
     for name in ("Ixx", "k_T"):
@@ -313,7 +313,7 @@ def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
     flight = fly(
-        *("--mission", "all-axes", "--rate", "50", "--duration", "16", "--seed", "5"),
+        *("--mission", "all-axes", "--rate", "50", "--duration", "12", "--seed", "5"),
         *("--autopilot", "ardupilot"),
     )
     frames = list(read_tlog(flight.tlog))
