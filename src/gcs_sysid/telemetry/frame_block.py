@@ -260,40 +260,73 @@ class SeenFrames:
         """How many there were."""
         # Full from the start, of what no frame is, so that memory stays what it is.
         self._order = deque(range(-self._KEPT, 0))
-        self._known = set(self._order)
+        self._places = {key: key for key in self._order}
+        """Key -> how many were remembered before it."""
+        self._count = 0
 
     def mark(self, frames: FrameBlock) -> FrameBlock:
         """Frames in the order received; those that repeat one before are `REPEATED`."""
         rows = np.flatnonzero(frames.validity == OK)
-        keys = frames.keys[rows].tolist()
-        senders = (frames.system[rows].astype(int) * 256 + frames.component[rows]).tolist()
-        numbers = frames.sequence[rows].tolist()
-        some = dict.fromkeys(keys)
-        if len(some) == len(keys) and self._known.isdisjoint(some):
-            self._remember(some)
-            self._last.update(zip(senders, numbers, strict=True))
+        every = frames.keys[rows]
+        keys = every.tolist()
+        senders = frames.system[rows].astype(int) * 256 + frames.component[rows]
+        sequence = frames.sequence[rows]
+        doubtful = self._doubtful(every, keys)
+        again, remembered = np.zeros(len(keys), bool), np.ones(len(keys), bool)
+        if len(doubtful):
+            stamped = np.isin(frames.message_id[rows[doubtful]], self._stamped)
+            before, numbers, known = _rows_before(senders), sequence.tolist(), 0
+            for i, is_stamped in zip(doubtful.tolist(), stamped.tolist(), strict=True):
+                place = self._count + i - known
+                if self._places.get(keys[i], place - self._KEPT - 1) < place - self._KEPT:
+                    self._places[keys[i]] = place
+                    continue
+                known += 1
+                remembered[i] = False
+                last = before[i]
+                while last >= 0 and again[last]:
+                    last = before[last]
+                number = numbers[i]
+                then = numbers[last] if last >= 0 else self._last[int(senders[i])]
+                ahead = (number - then) % 256
+                again[i] = is_stamped or ahead > 1 + self._LOST or (number and not ahead)
+        self._remember(every[remembered].tolist())
+        self._last.update(zip(senders[~again].tolist(), sequence[~again].tolist(), strict=True))
+        if not again.any():
             return frames
-        again = np.zeros(len(keys), bool)
-        stamped = np.isin(frames.message_id[rows], self._stamped).tolist()
-        for i, (key, sender, number) in enumerate(zip(keys, senders, numbers, strict=True)):
-            if key in self._known:
-                ahead = (number - self._last[sender]) % 256
-                again[i] = stamped[i] or ahead > 1 + self._LOST or (number and not ahead)
-            else:
-                self._remember((key,))
-            if not again[i]:
-                self._last[sender] = number
         self.repeated += int(np.count_nonzero(again))
         validity = frames.validity.copy()
         validity[rows[again]] = REPEATED
         return replace(frames, validity=validity)
 
-    def _remember(self, keys: Collection[int]) -> None:
-        """Remember some that are new, in the order received."""
-        self._known.update(keys)
+    def _doubtful(self, every: Array, keys: list[int]) -> Array:
+        """Rows of keys that came before, in the same block or earlier; mostly there are few."""
+        if len(set(keys)) == len(keys) and self._places.keys().isdisjoint(keys):
+            return np.empty(0, int)
+        known = np.fromiter(map(self._places.__contains__, keys), bool, len(keys))
+        _, which, count = np.unique(every, return_inverse=True, return_counts=True)
+        return np.flatnonzero(known | (count[which] > 1))
+
+    def _remember(self, keys: list[int]) -> None:
+        """Remember some that are new, in the order received, and forget as many."""
+        oldest = self._count - self._KEPT
+        self._places.update(zip(keys, range(self._count, self._count + len(keys)), strict=True))
+        self._count += len(keys)
         self._order.extend(keys)
-        for _ in range(len(keys)):
-            self._known.discard(self._order.popleft())
+        for place in range(oldest, oldest + len(keys)):
+            key = self._order.popleft()
+            if self._places[key] == place:  # and did not come again since
+                del self._places[key]
+
+
+def _rows_before(senders: Array) -> list[int]:
+    """The row before each of the same sender; -1: there is none."""
+    order = np.argsort(senders, kind="stable")
+    before = np.full(len(senders), -1)
+    same = senders[order[1:]] == senders[order[:-1]]
+    before[order[1:][same]] = order[:-1][same]
+    found: list[int] = before.tolist()
+    return found
 
 
 _COLUMNS = [field.name for field in fields(FrameBlock) if field.name not in ("data", "number")]
