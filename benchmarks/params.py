@@ -46,6 +46,7 @@ def truths(vehicle: Vehicle, proposals: tuple[Proposal, ...]) -> dict[str, float
     after = c if curve.verdict == "set" else curve.now or 0.0
     found = {"THR_MDL_FAC": c, "MOT_THST_EXPO": c}
     found |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), thrust(u, after))
+    found["EKF2_MCOEF"] = float(vehicle.linear_drag / vehicle.mass)
     for i, rotor in enumerate(vehicle.rotors):
         found[f"CA_ROTOR{i}_PX"] = rotor.x - vehicle.cg_x
         found[f"CA_ROTOR{i}_PY"] = rotor.y - vehicle.cg_y
@@ -65,6 +66,7 @@ def of_vehicle(
     if random.random() < 0.7:
         now = {name: float(np.clip(c + 0.3 * moved[0], 0.0, 1.0)) for name in now}
     now |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), 0.4 + 0.1 * moved[1])
+    now |= {"EKF2_MCOEF": 0.15, "EKF2_BCOEF_X": 100.0, "EKF2_BCOEF_Y": 100.0}
     for i, rotor in enumerate(drawn.vehicle.rotors):
         now |= {f"CA_ROTOR{i}_PX": rotor.x, f"CA_ROTOR{i}_PY": rotor.y}
     flights = []

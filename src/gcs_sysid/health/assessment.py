@@ -15,6 +15,7 @@ from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
+from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.drive_health import (
     battery_of,
     idle_output,
@@ -293,6 +294,7 @@ def health_of(
         arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
         by_voltage=power_of_voltage(streams, windows, curve),
+        drag=drag_of(streams, windows),
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)

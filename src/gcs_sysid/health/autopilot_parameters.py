@@ -161,6 +161,7 @@ _CLIMB = (
     "hover for 60 s with climbs and descents of 2 m, ESC telemetry logged: the rotors' speeds over "
     "a range of commands"
 )
+_LEGS = "fly legs of 20 s at 3 m/s and at 10 m/s, north, east, south and west, in calm air"
 _STEADY = "hover for 60 s, in calm air and with one load"
 _DISCHARGE = "hover from a full battery until it is low, with the voltage logged"
 
@@ -246,6 +247,20 @@ class _Flight:
         return Proposal(name, quantity if sound else None, self.now(name), note, **more)
 
     @property
+    def air(self) -> tuple[float, float]:
+        """Density of the air over that at sea level, and its relative standard deviation.
+
+        ArduPilot's own throttle shows what it takes for it, where its log has that.
+        """
+        x, now = self.health.hover_command, self.now("MOT_THST_EXPO")
+        if x is None or x.throttle is None or now is None:
+            return 1.0, TUNING.unknown_air
+        before = 1.0 if not self.now("MOT_BAT_VOLT_MAX") else x.voltage
+        if before is None or not x.thrust(now, before) > 0.0:
+            return 1.0, TUNING.unknown_air
+        return x.throttle / x.thrust(now, before), 0.0
+
+    @property
     def falls(self) -> bool | None:
         """Whether thrust falls with the voltage; None: not surely one or the other."""
         power = self.voltage
@@ -300,13 +315,7 @@ def _hover(flight: _Flight, c: Estimate, before: float, after: float) -> Estimat
     x = flight.health.hover_command
     if x is None or c.value is None or c.std is None:
         return None
-    now = flight.now("MOT_THST_EXPO")
-    # Air as on the ground at sea level, unless the autopilot's own throttle shows what it takes.
-    air, by_air = 1.0, TUNING.unknown_air
-    if flight.health.autopilot == "px4":
-        by_air = 0.0
-    elif x.throttle is not None and now is not None and x.thrust(now, before) > 0.0:
-        air, by_air = x.throttle / x.thrust(now, before), 0.0
+    air, by_air = (1.0, 0.0) if flight.health.autopilot == "px4" else flight.air
     value = air * x.thrust(c.value, after)
     # The curve in force is exact; one that is set is off in all flights alike.
     by_curve = air * abs(after**2 * x.square - after * x.mean) * c.std
@@ -357,6 +366,7 @@ def _px4(flight: _Flight) -> Iterator[Proposal]:
                 turn = Estimate(rotor.spin * ratio[0], ratio[1], "m", std_given=ratio[1])
                 yield flight.propose(f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
     yield from _imu(flight, "EKF2_IMU_POS_")
+    yield from _drag(flight, "EKF2_")
 
 
 def _of_hover(hover: Estimate | None) -> float:
@@ -375,6 +385,47 @@ def _ardupilot(flight: _Flight) -> Iterator[Proposal]:
         yield flight.propose("MOT_SPIN_MIN", idle, note)
     if health.arm_known:
         yield from _imu(flight, "INS_POS1_")
+    yield from _drag(flight, "EK3_DRAG_")
+
+
+def _drag(flight: _Flight, prefix: str) -> Iterator[Proposal]:
+    """Drag by which the autopilot estimates the wind, where its log has parameters of it."""
+    names = [f"{prefix}{name}" for name in ("MCOEF", "BCOEF_X", "BCOEF_Y")]
+    if not set(names) <= flight.health.parameters.keys():
+        return
+    drag = flight.health.drag
+    air, by_air = flight.air
+    keep = ""
+    if not any(flight.now(name) for name in names):
+        keep = "0, which turns the estimate of the wind off; for that, set all three by hand"
+    if drag is None:
+        lacks = "no legs through the air whose drag exceeds what gusts do"
+        for name in names:
+            yield flight.propose(name, None, lacks=lacks, fly=_LEGS)
+        return
+    # Both by the density of the air (drag_fusion.cpp): M as its root, B as itself.
+    linear = drag.linear
+    assert linear.value is not None
+    assert linear.std is not None
+    note = f"legs of up to {drag.fastest:.0f} m/s through the air, wind taken off"
+    given = 0.5 * by_air * abs(linear.value)
+    value = max(linear.value, 0.0) / math.sqrt(air)
+    found = Estimate(value, math.hypot(linear.std / math.sqrt(air), given), "1/s", std_given=given)
+    use = max(2.0 * TUNING.worth_knowing * value, TUNING.worth_drag)
+    yield flight.propose(names[0], found, note, use=use, keep=keep, fly=_LEGS)
+    square = drag.square
+    assert square.value is not None
+    assert square.std is not None
+    ballistic = None
+    if square.value > TUNING.sure * square.std:
+        size = 0.5 * TUNING.sea_level * air / square.value
+        given = by_air * size
+        std = math.hypot(square.std / square.value * size, given)
+        ballistic = Estimate(size, std, "kg/m^2", std_given=given)
+    lacks = "" if ballistic is not None else "no legs fast enough for drag of the speed squared"
+    use = math.inf if ballistic is None else 4.0 * TUNING.worth_knowing * (ballistic.value or 0.0)
+    for name in names[1:]:
+        yield flight.propose(name, ballistic, note, use=use, lacks=lacks, keep=keep, fly=_LEGS)
 
 
 def _thrust_hover(flight: _Flight) -> Proposal:

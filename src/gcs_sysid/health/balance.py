@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from gcs_sysid.arrays import Array, nonnegative
 from gcs_sysid.health.hover import Windows
@@ -24,7 +24,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.significance import Z95
+from gcs_sysid.significance import FALSE_ALARM_RATE, Z95
 
 _ROUNDS = 12
 """Reweighted least squares, of Huber's weights."""
@@ -113,8 +113,9 @@ def usual_of(values: Array) -> float:
 def pooled(flights: Sequence[Estimate]) -> Estimate:
     """One value of several flights', each with a value: their weighted mean.
 
-    Where they scatter by more than each has by itself, the interval is that of their scatter
-    (Birge's ratio, with Student's t for as many flights). What was given is the same in all.
+    Where they scatter by more than each has by itself, by a ratio (Birge's), the interval is wider
+    by that; where chance is no reason, it is that of their scatter (with Student's t for as many
+    flights). What was given is the same in all.
     """
     last, n = flights[-1], len(flights)
     value = np.array([one.value for one in flights], dtype=float)
@@ -124,7 +125,9 @@ def pooled(flights: Sequence[Estimate]) -> Estimate:
     weight = 1.0 / own**2
     mean = float(weight @ value / weight.sum())
     birge = float(weight @ (value - mean) ** 2) / (n - 1)
-    more = birge * (float(stdtrit(n - 1, 0.975)) / Z95) ** 2
+    by_chance = float(chdtri(n - 1, FALSE_ALARM_RATE)) / (n - 1)
+    student = float(stdtrit(n - 1, 0.975)) / Z95 if birge > by_chance else 1.0
+    more = birge * student**2
     given = float(np.mean([one.std_given for one in flights]))
     std = math.hypot(math.sqrt(max(more, 1.0) / float(weight.sum())), given)
     return replace(last, value=mean, std=std, std_given=given)

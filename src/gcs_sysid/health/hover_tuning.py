@@ -85,6 +85,12 @@ class HoverTuning:
             interval that is of use: 0.15 changes the slope at hover by 6 % at 0.7 of full command.
         worth_knowing: relative half of an interval of use, of a hover's throttle; over the arm, of
             a place.
+        parts_of_flight: that a jackknife leaves out, one after the other.
+        worth_drag: 1/s, half of an interval of use of momentum drag: wind of 3 m/s off by
+            0.1 m/s^2.
+        sea_level: kg/m^3, density of the air there (standard atmosphere).
+        unknown_drag: prior standard deviations of rho / (2 B) in 1/m (B of 30 kg/m^2 makes 0.02)
+            and of the wind's north and east in m/s.
         unknown_air: relative standard deviation of the air's density over that at sea level, where
             the autopilot's log does not show what it takes for it: fields up to 2000 m.
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
@@ -182,6 +188,10 @@ class HoverTuning:
     usable_curve: float = 0.15
     worth_knowing: float = 0.1
     unknown_air: float = 0.1
+    parts_of_flight: int = 10
+    worth_drag: float = 0.03
+    sea_level: float = 1.225
+    unknown_drag: tuple[float, float, float] = (0.02, 5.0, 5.0)
     above_idle: float = 0.03
     idle_std: float = 0.01
     worth_moving: float = 0.02

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.health.balance import Center
 from gcs_sysid.health.command_curve import Curve
+from gcs_sysid.health.drag import Drag
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
@@ -162,6 +163,7 @@ class Health:
         drift: change of the thrust for a command (or a speed) in a minute, relative.
         idle: least output at which all rotors were measured turning; None where not seen.
         arm_std: m, of an arm that is assumed; 0.0 where the size of the airframe is known.
+        drag: over mass, by legs through the air; None where there are none.
         battery: V, highest, lowest and median; None where not logged.
         battery_mass: kg, of the battery, which may be moved; None: not given.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
@@ -215,6 +217,7 @@ class Health:
     load: Load | None = None
     idle: float | None = None
     arm_std: float = 0.0
+    drag: Drag | None = None
     battery: tuple[float, float, float] | None = None
     battery_mass: float | None = None
     assumptions: tuple[str, ...] = ()
