@@ -113,14 +113,19 @@ def identified(drawn: Drawn, seed: int) -> ExportedVehicle:
     return joined_vehicle(assemble(speeds), with_delay(assemble(commands)))
 
 
-CURVES = {"px4": "THR_MDL_FAC", "ardupilot": "MOT_THST_EXPO"}
-"""The parameter of each autopilot that holds the thrust curve."""
+CURVES = {"px4": "THR_MDL_FAC", "ardupilot": "MOT_THST_EXPO", "betaflight": "thrust_curve"}
+"""The parameter of each autopilot that holds the thrust curve; Betaflight inverts none."""
+SLOW_BETAFLIGHT = {
+    "looptime": 1e6 / LOOP_RATE, "gyro_lpf1_static_hz": 250.0, "dterm_lpf1_static_hz": 75.0,
+}  # fmt: skip
+"""At the emulator's rate, and with low-passes that do not follow the throttle."""
 
 
 def loop_of(autopilot: Autopilot, ours: ExportedVehicle, drawn: Drawn) -> RateLoop:
     """The autopilot's settings before the tuning: the thrust curve as identified, else defaults."""
     curve = min(max(ours.get("thrust_curve") or 0.0, 0.0), 1.0)
-    return read_loop(autopilot, {CURVES[autopilot]: curve}, drawn.vehicle.rotors)
+    own = SLOW_BETAFLIGHT if autopilot == "betaflight" else {CURVES[autopilot]: curve}
+    return read_loop(autopilot, own, drawn.vehicle.rotors)
 
 
 def flown(drawn: Drawn, loop: RateLoop, mission: Mission, gusts: float | None, *more: Any):

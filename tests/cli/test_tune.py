@@ -140,6 +140,20 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
 
 
 @pytest.mark.slow
+def test_lines_for_betaflights_cli(files, capsys):
+    own = ["--autopilot", "betaflight", "--to", "betaflight-cli", "-o", "g.txt"]
+    assert run(["tune", "command.json", *own, *FEW]) == 0
+    lines = (files / "g.txt").read_text().splitlines()
+    settings = dict(line[4:].split(" = ") for line in lines if line.startswith("set "))
+    assert {"p_roll", "i_pitch", "d_roll", "p_yaw"} <= settings.keys()
+    assert all(value.isdigit() for value in settings.values())
+    assert settings["d_yaw"] == "0"
+    assert lines[-1] == "save"
+    out = capsys.readouterr().out
+    assert "betaflight, rate loop 8000 Hz" in out
+    assert "rotor_inertia" not in out or "rotor inertia is not identified" in out
+
+
 def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
     write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")

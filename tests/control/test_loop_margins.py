@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.tune import SLOW_BETAFLIGHT
 from gcs_sysid.control.loop_margins import (
     HoverDynamics,
     frequencies,
@@ -134,15 +135,16 @@ def test_proposed_gains_keep_the_margins_on_every_draw():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot", "betaflight"])
 def test_the_predicted_loop_is_that_measured_in_the_emulator(autopilot):
     """Tones on the roll torque of the flying emulator: the loop transfer at each."""
     truth, vehicle = known_vehicle()
-    loop = read_loop(autopilot, {}, vehicle.rotors)
+    slow = SLOW_BETAFLIGHT if autopilot == "betaflight" else {}
+    loop = read_loop(autopilot, slow, vehicle.rotors)
     dynamics = hover_dynamics([vehicle], loop, (0.005, 0.0))
     loop = propose(dynamics, loop)
     tones = 2.0 * np.pi * np.array([2.0, 3.5, 5.0, 8.0, 12.0])
-    settings = loop.as_parameters()
+    settings = {**loop.as_parameters(), "p_level": 0.0}
     zero, level = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
     class Hover:

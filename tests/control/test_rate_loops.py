@@ -144,4 +144,6 @@ def test_betaflight_gains_by_its_header_and_back():
     # 50 * 0.032029 per deg/s, of a PID sum of 1000.
     assert pytest.approx(50.0 * 0.032029 * math.degrees(1.0) / 1000.0) == loop.gains[0].P
     assert loop.gains_known
+    # What is judged is the lower D: a proposal switches off that it rises.
+    assert gains["d_min_roll"] == 0.0
     assert not read_loop("betaflight", {}, QUAD).gains_known

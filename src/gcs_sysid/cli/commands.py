@@ -640,9 +640,9 @@ COMMANDS = (
     Command(
         "tune",
         "show margins of the autopilot's gains, and propose gains",
-        "Shows phase and gain margins of the present gains of PX4 or ArduPilot, over the "
-        "uncertainty of the result, and proposes gains, as a file for QGroundControl or Mission "
-        "Planner. Nothing is sent to a vehicle.",
+        "Shows phase and gain margins of the present gains of PX4, ArduPilot or Betaflight, over "
+        "the uncertainty of the result, and proposes gains, as a file for QGroundControl or "
+        "Mission Planner, or for Betaflight's CLI. Nothing is sent to a vehicle.",
         (
             RESULT,
             option(
@@ -659,7 +659,12 @@ COMMANDS = (
                 "speeds; supplies what the first lacks",
                 dest="beside",
             ),
-            option("--autopilot", None, "default: the vehicle's", choices=("px4", "ardupilot")),
+            option(
+                "--autopilot",
+                None,
+                "default: the vehicle's",
+                choices=("px4", "ardupilot", "betaflight"),
+            ),
             option(
                 "--delay",
                 "S[±STD]",
@@ -676,6 +681,7 @@ COMMANDS = (
                 choices=(
                     "px4-params",
                     "ardupilot-param",
+                    "betaflight-cli",
                     "indi",
                     "paparazzi",
                     "frequency-response",

@@ -44,7 +44,14 @@ from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.signals.sampling import SampleBlock
 
-_OF_TARGET = {"px4-params": "px4", "ardupilot-param": "ardupilot"}
+_OF_TARGET = {
+    "px4-params": "px4", "ardupilot-param": "ardupilot", "betaflight-cli": "betaflight",
+}  # fmt: skip
+_SUFFIX = {"px4": ".params", "ardupilot": ".param", "betaflight": ".txt"}
+_OWN = "pid_process_denom"
+"""A line of Betaflight's headers that INAV, whose law is another one, does not write."""
+_PREFIX = {"px4": "MC_", "ardupilot": "ATC_", "betaflight": _OWN}
+"""That parameters of an autopilot begin with."""
 _RESPONSE = "frequency-response"
 _INDI = {"indi": "indiflight", "paparazzi": "paparazzi"}
 _COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
@@ -75,7 +82,8 @@ def _check_outputs(options: argparse.Namespace) -> None:
     if (options.json, options.output, options.bode).count("-") > 1:
         raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {
-        "px4-params": (".params",), "ardupilot-param": (".param", ".parm"), _RESPONSE: (".csv",),
+        "px4-params": (".params",), "ardupilot-param": (".param", ".parm"),
+        "betaflight-cli": (".txt",), _RESPONSE: (".csv",),
     }.get(options.to)  # fmt: skip
     if wanted is None or options.output == "-" or is_device(options.output):
         return
@@ -110,7 +118,7 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
         )
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
-    suffix = ".params" if autopilot == "px4" else ".param"
+    suffix = _SUFFIX[autopilot]
     responses = options.to == _RESPONSE
     there = tuning.measured if responses else tuning.proposed
     deliver(
@@ -175,12 +183,14 @@ def _autopilot(
     parameters: Mapping[str, Any],
 ) -> Autopilot:
     wanted = _OF_TARGET.get(options.to)
+    if _OWN in parameters:
+        received = "betaflight"
     named = options.autopilot or wanted or received or vehicle.result.vehicle.get("autopilot")
     if options.autopilot and wanted and options.autopilot != wanted:
         raise InputError(f"--to {options.to} is not for --autopilot {options.autopilot}")
     if named not in AUTOPILOTS:
-        raise InputError("which autopilot? Give --autopilot px4 or ardupilot")
-    prefix = {"px4": "MC_", "ardupilot": "ATC_"}[named]
+        raise InputError("which autopilot? Give --autopilot px4, ardupilot or betaflight")
+    prefix = _PREFIX[named]
     if parameters and not any(name.startswith(prefix) for name in parameters):
         raise InputError(
             f"{options.parameters}: holds no {prefix}* parameters: not those of {named}; "

@@ -50,6 +50,7 @@ class SpectralRules:
         coherence: least of an instrument with command and rate, for a response to be claimed.
         sampled: frequencies over the slower of both sampling rates, up to which interpolation
             between samples does not count.
+        passed: least that the gyro's filters must leave of a rate.
     """
 
     pieces: tuple[float, ...] = (20.0, 10.0, 5.0)
@@ -58,6 +59,7 @@ class SpectralRules:
     products: int = 16
     coherence: float = 0.6
     sampled: float = 0.2
+    passed: float = 0.1
 
 
 RULES = SpectralRules()
@@ -260,6 +262,9 @@ def measured_response(
     if len(lines) < 2 or not asked or (of == "setpoint" and not flight.has_setpoints):
         return None
     omega = 2.0 * np.pi * lines / T
+    # Where a notch leaves next to nothing, nothing is known of the rate.
+    passed = np.abs(np.broadcast_to(gyro(omega), omega.shape)) > RULES.passed
+    lines, omega = lines[passed], omega[passed]
     usual = np.atleast_2d(reference(omega))[0]
     late = max(-float(np.angle(usual[0] * usual[1].conj())) / (omega[0] - omega[1]), 0.0)
     shift = round(late / flight.dt)

@@ -16,13 +16,14 @@ own share of the hover, over the slope of the curve that the autopilot inverts. 
 is left out: it vanishes in hover where as many rotors turn either way.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.control.rate_loops import RateLoop
+from gcs_sysid.control.rate_loops import HoverPoint, RateLoop
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
 
@@ -161,6 +162,19 @@ def hover_dynamics(
             f"drawn from {low:g} to {high:g} s; a result by rotor speeds (--with) narrows it"
         )
     return HoverDynamics(B, reaction, damping, lag, delays, hover, tuple(notes))
+
+
+def hover_point(v: ExportedVehicle) -> HoverPoint:
+    """What is known of the rotors in hover."""
+    n, mass, k_T = len(v.rotors), v.get("mass"), v.get("k_T")
+    if mass is None:
+        return HoverPoint()
+    turning = None if not k_T else math.sqrt(mass * GRAVITY / (n * k_T)) / (2.0 * math.pi)
+    T_max, c = v.get("T_max"), v.get("thrust_curve")
+    if not T_max:
+        return HoverPoint(None, turning)
+    share = np.array(min(mass * GRAVITY / (n * T_max), 1.0))
+    return HoverPoint(float(_command(share, c or 0.0)), turning)
 
 
 def check_needs(vehicle: ExportedVehicle) -> None:

@@ -36,7 +36,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 
 Autopilot = Literal["px4", "ardupilot", "betaflight"]
-AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot")
+AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot", "betaflight")
 _AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
     "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
     "betaflight": ("roll", "pitch", "yaw"),
@@ -108,6 +108,7 @@ class RateLoop:
         gains: of roll, pitch and yaw.
         gyro_filters: of the gyro, besides.
         derivative_filters: of the derivative, besides.
+        besides: what else has to be set so that the gains are these, by name.
         assumed: parameters that were not given, and stand at the autopilot's defaults.
         notes: what else was assumed.
     """
@@ -124,6 +125,7 @@ class RateLoop:
     gains: tuple[AxisGains, AxisGains, AxisGains]
     gyro_filters: tuple[SignalFilter, ...] = ()
     derivative_filters: tuple[SignalFilter, ...] = ()
+    besides: tuple[tuple[str, float], ...] = ()
     assumed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -148,7 +150,12 @@ class RateLoop:
                 unit = _unit(self.autopilot, field, axis)
                 value = getattr(gains, field) / unit
                 out[name.format(axis)] = round(value) if self.autopilot == "betaflight" else value
-        return out
+        return out | dict(self.besides)
+
+    @property
+    def holds_attitude(self) -> bool:
+        """Whether an attitude loop is judged and tuned too; Betaflight's is left alone."""
+        return "attitude" in _GAIN_NAMES[self.autopilot]
 
     @property
     def gains_known(self) -> bool:
@@ -440,6 +447,19 @@ def _betaflight(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop
     gyro += _betaflight_notches(reader, len(rotors))
     derivative = [*_low_passes(reader, "dterm", (75.0, 150.0, 150.0))]
     derivative += _static_notches(reader, "dterm")
+    rising = [
+        (f"{name}_{axis}", 0.0)
+        for name in ("d_min", "d_max")
+        for i, axis in enumerate(_AXIS_NAMES["betaflight"])
+        if reader.optional(f"{name}[{i}]") > 0.0
+    ]
+    if rising:
+        reader.notes.append(
+            "D rises with quick motion: margins are those of the lower D, and a proposal holds it"
+        )
+    throttle, least = reader.hover.throttle, reader.optional("tpa_breakpoint", 2000.0) / 1e3 - 1.0
+    if throttle is not None and throttle > least:
+        reader.notes.append("TPA acts in hover already (tpa_breakpoint): margins leave it out")
     for name, what in (("thrust_linear", "the thrust curve"), ("use_integrated_yaw", "yaw")):
         if reader.optional(name):
             reader.notes.append(f"{name} is not modeled: {what} is another one")
@@ -456,6 +476,7 @@ def _betaflight(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop
         _gains(reader, "betaflight"),
         tuple(gyro),
         tuple(derivative),
+        tuple(rising),
     )
 
 

@@ -30,6 +30,7 @@ from gcs_sysid.control.loop_margins import (
     check_needs,
     frequencies,
     hover_dynamics,
+    hover_point,
     margins_of,
     open_loops,
     step_response,
@@ -270,7 +271,10 @@ def _axis(
     for crossover in np.geomspace(*LIMITS.crossovers)[::-1]:
         for lead in LIMITS.leads if axis < 2 else (0.0,):
             gains = _of_crossover(plant[0], loop, axis, omega, float(crossover), lead)
-            if gains.P + gains.D / max(_lag(loop, axis), lead, 1e-3) > 3.0 * most or most < gains.P:
+            if (
+                gains.P + gains.D / max(loop.derivative_lag(axis), lead, 1e-3) > 3.0 * most
+                or most < gains.P
+            ):
                 continue
             trial = loop.with_gains(axis, gains)
             # The nominal vehicle first: most fail on it already.
@@ -286,11 +290,6 @@ def _axis(
     )
 
 
-def _lag(loop: RateLoop, axis: int) -> float:
-    cutoff = loop.derivative_cutoff[axis]
-    return 1.0 / (2.0 * np.pi * cutoff) if cutoff > 0.0 else 0.0
-
-
 def _of_crossover(
     plant: Array,
     loop: RateLoop,
@@ -301,6 +300,7 @@ def _of_crossover(
 ) -> AxisGains:
     """Gains whose rate loop crosses over there on the nominal vehicle."""
     attitude = min(LIMITS.attitude * crossover, LIMITS.attitude_most[axis])
+    attitude = attitude if loop.holds_attitude else 0.0
     unit = AxisGains(1.0, LIMITS.integral * crossover, lead, attitude)
     trial = loop.with_gains(axis, unit)
     at = np.array([crossover])
@@ -350,7 +350,7 @@ class AxisStudy:
     Attributes:
         whole: margins with the attitude loop closed, of every draw, the nominal vehicle first.
         alone: the same of the rate loop alone (Acro).
-        attitude: response to an attitude step.
+        attitude: response to an attitude step, or where no attitude is held to a rate step.
         rate: response to a rate step, with no attitude loop.
         measured: margins of `whole` by the measured response; None: it does not reach so far.
     """
@@ -428,13 +428,13 @@ def study(
         MissingError: the result does not carry gains; says which flight would help.
         InputError: parameters make no sense.
     """
-    loop = read_loop(autopilot, parameters, vehicle.rotors)
+    loop = read_loop(autopilot, parameters, vehicle.rotors, hover_point(vehicle))
     # What is missing is named before anything is drawn.
     check_needs(vehicle)
     late, origin = _delay(vehicle, loop, delay)
     vehicles = [vehicle, *drawn_vehicles(vehicle, draws, seed)]
     dynamics = hover_dynamics(vehicles, loop, late, seed, traded=origin == IDENTIFIED_DELAY)
-    notes = list(dynamics.notes)
+    notes = [*dynamics.notes, *loop.notes]
     measured: dict[str, MeasuredAxis] = {}
     if flight is not None:
         signals = flown_signals(flight, loop)
@@ -452,9 +452,7 @@ def study(
     smooth = {name: smooth_ratio(one) for name, one in measured.items()}
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
     objections = tuple(parted(departures, LIMITS.unmodeled))
-    gains = [name for name in loop.as_parameters() if name.endswith(("_P", "RATE_P"))]
-    known = any(name in parameters for name in gains)
-    now = loop if known else None
+    now = replace(loop, besides=()) if loop.gains_known else None
     proposed, said = None, tuple(each.words for each in objections)
     if not objections:
         proposed, said = _proposal(dynamics, loop, now, measured)
@@ -486,6 +484,8 @@ def _delay(
         late = -found.value - 0.5 * loop.period
         if -loop.period < late < 0.05:  # beyond, it is one of telemetry
             return (max(late, 0.0), found.std or 0.0), IDENTIFIED_DELAY
+    if loop.autopilot == "betaflight":  # whose protocols take next to no time
+        return (2.0 * loop.period, 0.6 * loop.period), "assumed"
     return ASSUMED_DELAY, "assumed"
 
 
@@ -540,7 +540,7 @@ def axis_studies(
         AxisStudy(
             margins_of(omega, whole[:, :, axis]),
             margins_of(omega, alone[:, :, axis]),
-            step_response(nominal, loop, axis),
+            step_response(nominal, loop, axis, of="attitude" if loop.holds_attitude else "rate"),
             step_response(nominal, loop, axis, of="rate"),
             measured_margins(measured[name], dynamics, loop, axis) if name in measured else None,
         )
@@ -632,6 +632,7 @@ def _banded(values: Array) -> dict[str, float | None]:
 def tuning_text(tuning: TuningStudy) -> str:
     """The study as lines for a terminal."""
     loop = tuning.loop
+    of = "attitude" if loop.holds_attitude else "rate"
     lines = [
         f"{loop.autopilot}, rate loop {loop.rate:g} Hz, motor lag "
         f"{1e3 * tuning.dynamics.lag[0]:.0f} ms, delay {1e3 * tuning.delay[0]:.1f} ms "
@@ -639,7 +640,7 @@ def tuning_text(tuning: TuningStudy) -> str:
         "",
         f"{'':10}{'axis':7}{'crossover':>11}{'phase margin':>20}{'gain margin':>20}"
         f"{'overshoot':>11}",
-        f"{'':10}{'':7}{'rad/s':>11}{'deg (95 %)':>20}{'dB (95 %)':>20}{'attitude':>11}",
+        f"{'':10}{'':7}{'rad/s':>11}{'deg (95 %)':>20}{'dB (95 %)':>20}{of:>11}",
     ]
     for name, studies in tuning.studies.items():
         for axis, one in zip(AXES, studies, strict=True):

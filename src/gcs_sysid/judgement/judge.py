@@ -67,6 +67,7 @@ PRODUCERS = (
     Producer("scale", plausibility.own_units, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
+    Producer("readings", plausibility.unlike_rotors, Stage.WIDENING),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
     Producer("spin", plausibility.unseen_spins, Stage.BELIEF),
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
@@ -88,7 +89,6 @@ PRODUCERS = (
     Producer("givens", outcome.what_was_given, Stage.WIDENING),
     Producer("givens", outcome.limited_by_given, Stage.GIVEN),
     Producer("reference", outcome.unmeasured, Stage.GIVEN),
-    Producer("readings", plausibility.unlike_rotors, Stage.WIDENING),
     Producer("link", received.problems, Stage.BELIEF, first=True),
     Producer("loss", received.lost_samples, Stage.BELIEF),
 )

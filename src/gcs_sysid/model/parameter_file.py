@@ -56,7 +56,8 @@ def parameter_lines(
     Args:
         values: name -> value.
         notes: name -> words, for some or all of them.
-        suffix: of the file: ".params" is QGroundControl's, others are Mission Planner's.
+        suffix: of the file: ".params" is QGroundControl's, ".txt" for Betaflight's CLI, others are
+            Mission Planner's.
         address: system and component of the vehicle.
     """
     named = suffix == ".params"
@@ -64,6 +65,10 @@ def parameter_lines(
     system, component = address
     for name, value in values.items():
         lines += [f"# {name}: {notes[name]}"] if name in notes else []
-        row = f"{system}\t{component}\t{name}\t{value:.9g}\t{REAL32}"
-        lines.append(row if named else f"{name},{value:.9g}")
-    return lines
+        if suffix == ".txt":
+            lines.append(f"set {name} = {value:.9g}")
+        elif named:
+            lines.append(f"{system}\t{component}\t{name}\t{value:.9g}\t{REAL32}")
+        else:
+            lines.append(f"{name},{value:.9g}")
+    return [*lines, "save"] if suffix == ".txt" else lines
