@@ -162,7 +162,7 @@ def serial():
     os.close(two)
 
 
-@pytest.fixture(params=[udp, tcp, serial], ids=["udp", "tcp", "serial"])
+@pytest.fixture
 def wire(request):
     """A link of each kind."""
     made = request.param()
@@ -230,6 +230,12 @@ def assert_same(first, second):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "wire",
+    # UDP: test_receiver_process, TCP: test_live_session.
+    [*(pytest.param(link, marks=pytest.mark.thorough) for link in (udp, tcp)), serial],
+    indirect=True,
+)
 def test_a_recording_played_over_any_link_gives_the_same_numbers(
     wire, paper_flight, paper_result, tmp_path
 ):

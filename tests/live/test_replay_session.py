@@ -140,7 +140,7 @@ def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analyzed):
     assert recorded.duration - 3.0 < len(told) <= recorded.duration
 
 
-def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
+def test_it_keeps_the_pace_of_the_vehicles_clock_and_ends_with_the_analysis(recorded, analyzed):
     stage = Stage(recorded)
     stage.play(10.0)
     assert 9.7 < stage.playback.position <= 10.0
@@ -152,14 +152,8 @@ def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
     assert positions == sorted(positions)
     # Five pictures a second, no more.
     assert 40 <= len(positions) <= 62
-
-
-def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analyzed):
-    stage = Stage(recorded)
-    stage.play(4.0)
     assert stage.snapshot.link.state is LinkState.REPLAY
-    stage.session.change_speed(1)
-    stage.play(8.0)
+    stage.play(2.0)
     assert stage.playback.ended
     assert stage.snapshot.result.dumps() == analyzed.dumps()
     near(own(stage), analyzed)

@@ -24,8 +24,14 @@ def run(records, options=END_ONLY):
 
 
 @pytest.fixture(scope="module")
-def whole(paper_records):
-    return run(paper_records)[1]
+def records(paper_records):
+    """Two thirds of the article's flight."""
+    return [r for r in paper_records if r.t - paper_records[0].t < 44.0]
+
+
+@pytest.fixture(scope="module")
+def whole(records):
+    return run(records)[1]
 
 
 def spoilt(records, share, how, seed=1):
@@ -77,10 +83,10 @@ def test_clean_samples_are_not_touched(whole):
 @pytest.mark.parametrize(
     ("how", "kind"), [(spike, "spikes"), (repeat, "frozen"), (no_gyro, "missing")]
 )
-def test_the_estimate_holds_and_the_faults_are_told(paper_records, whole, how, kind):
-    records, count = spoilt(paper_records, 0.01, how)
-    assert count >= 8
-    chain, result = run(records)
+def test_the_estimate_holds_and_the_faults_are_told(records, whole, how, kind):
+    faulty, count = spoilt(records, 0.01, how)
+    assert count >= 6
+    chain, result = run(faulty)
     agree(result, whole)
     told = result.telemetry["imu_outliers"]
     assert told.pop(kind) == pytest.approx(count, abs=1)
@@ -90,9 +96,9 @@ def test_the_estimate_holds_and_the_faults_are_told(paper_records, whole, how, k
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [pytest.param(0.02, marks=pytest.mark.thorough), 1.0])
-def test_an_accelerometer_that_fails_costs_nothing(paper_records, whole, share):
+def test_an_accelerometer_that_fails_costs_nothing(records, whole, share):
     """Momentum balance gives the scale."""
-    agree(run(spoilt(paper_records, share, no_accelerometer)[0])[1], whole, 0.05)
+    agree(run(spoilt(records, share, no_accelerometer)[0])[1], whole, 0.05)
 
 
 def faulty_stream(rate, seconds):
