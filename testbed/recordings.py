@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.signals.columns import RecordBlock
-from gcs_sysid.signals.records import Record
+from gcs_sysid.signals.columns import RecordBlock, Track
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import logs
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -108,6 +109,23 @@ def block_of(records: Iterable[Record]) -> RecordBlock:
 def records_of(log: logs.Log) -> list[Record]:
     """The records of a log one by one, in the order in which they came."""
     return [record for block in log.blocks() for _, record in block.records()]
+
+
+def columns_of(log: logs.Log) -> dict[tuple[Stream, str], tuple[Array, Array]]:
+    """(n,) times and (n, width) values of each stream of a log, by stream and source.
+
+    Where blocks have them of different widths, the narrowest counts.
+    """
+    parts: dict[tuple[Stream, str], list[Track]] = {}
+    for block in log.blocks():
+        for track in block.tracks:
+            parts.setdefault((track.stream, track.source), []).append(track)
+    found = {}
+    for key, tracks in parts.items():
+        width = min(track.values.shape[1] for track in tracks)
+        values = np.concatenate([track.values[:, :width] for track in tracks])
+        found[key] = np.concatenate([track.t for track in tracks]), values
+    return found
 
 
 def all_logs() -> Iterator[Log]:

@@ -10,27 +10,13 @@ import pytest
 import gcs_sysid
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log
-
-
-def columns(log):
-    """Times and values of the streams of a recording, by stream and source."""
-    parts = {}
-    for block in open_log(log).blocks():
-        for track in block.tracks:
-            parts.setdefault((track.stream, track.source), []).append(track)
-    return {
-        key: (
-            np.concatenate([track.t for track in tracks]),
-            np.concatenate([track.values for track in tracks]),
-        )
-        for key, tracks in parts.items()
-    }
+from testbed.recordings import columns_of
 
 
 @pytest.fixture(scope="module")
 def signals(paper_flight):
     """The flight as a user's arrays, every stream with its own times."""
-    told = columns(paper_flight.tlog)
+    told = columns_of(open_log(paper_flight.tlog))
     t, imu = told[Stream.IMU, ""]
     attitude_t, attitude = told[Stream.ATTITUDE, ""]
     speeds_t, speeds = told[Stream.ROTOR_SPEED, "ESC_STATUS"]
@@ -94,7 +80,9 @@ def test_flying_is_believed(signals, analyzed):
 
 @pytest.mark.slow
 def test_commands_serve_instead_of_speeds(signals, paper_flight):
-    t, outputs = columns(paper_flight.tlog)[Stream.ROTOR_COMMAND, "ACTUATOR_OUTPUT_STATUS"]
+    t, outputs = columns_of(open_log(paper_flight.tlog))[
+        Stream.ROTOR_COMMAND, "ACTUATOR_OUTPUT_STATUS"
+    ]
     given = replace(
         signals,
         speeds=None,

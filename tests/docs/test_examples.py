@@ -93,9 +93,9 @@ def _sources() -> list[Path]:
 
 
 def _parameters() -> list[Any]:
-    """The pages; in `make test-all` alone are the one that flies and analyzes most, and one whose
-    command is in the README too."""
-    long = {name: [pytest.mark.thorough] for name in ("tutorial-emulator", "report")}
+    """The pages; in `make test-all` alone are the one that flies and analyzes most, and those
+    whose commands are run by the README or by test_replay too."""
+    long = {name: [pytest.mark.thorough] for name in ("tutorial-emulator", "report", "replay")}
     return [pytest.param(p, id=p.stem, marks=long.get(p.stem, [])) for p in _sources()]
 
 

@@ -144,7 +144,9 @@ DECISIONS = {
     "commands alone": ("--rotor-input", "command"),
     "ArduPilot": ("--autopilot", "ardupilot"),
 }
-SHOWN_BY_ANALYSES = {"all zero", "rad/s", "few readings", "one dead", "commands sold as speeds"}
+SHOWN_BY_ANALYSES = {
+    "all zero", "rad/s", "few readings", "one dead", "commands sold as speeds", "ArduPilot",
+}  # fmt: skip
 """As far as the analysis is concerned, other tests show these too."""
 
 

@@ -63,7 +63,7 @@ def test_wild_rotor_speeds_are_taken_for_lost(lossy):
     assert result.telemetry["rotor_outliers"] >= 3
 
 
-def imu_times(share, seconds=30.0, rate=250.0):
+def imu_times(share, seconds=12.0, rate=250.0):
     random = np.random.default_rng(3)
     times = np.arange(round(seconds * rate)) / rate
     return times[random.random(len(times)) >= share]

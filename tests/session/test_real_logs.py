@@ -108,6 +108,7 @@ def test_slow_logs_are_refused_with_reasons():
     assert any("too slow to follow the rotors" in reason for reason in result.reasons)
 
 
+@pytest.mark.thorough  # its digits are held by `make accept`
 def test_a_second_flight_on_commands_goes_on(shared_log, tmp_path):
     """50 Hz with 5 % of the messages lost: a fifth of the time."""
     name = "px4_quad_two_flights_unchanged"

@@ -227,7 +227,7 @@ def test_a_proposal_in_words():
 def flight(tmp_path_factory):
     """A hexa whose recording holds what it was asked for: its parameters."""
     log = tmp_path_factory.mktemp("told") / "hexa.tlog"
-    words = ["--airframe", "px4-hexa-x", "--mission", "all-axes", "--duration", "12"]
+    words = ["--airframe", "px4-hexa-x", "--mission", "all-axes", "--duration", "8", "--rate", "50"]
     assert sim_bridge([*words, "--trap", "parameters", "--tlog", str(log)]) == 0
     return log
 

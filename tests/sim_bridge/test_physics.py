@@ -108,7 +108,9 @@ def test_effects_leave_noise_and_gusts_as_they_were(paper_vehicle: Vehicle) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize(
+    "autopilot", [pytest.param("px4", marks=pytest.mark.thorough), "ardupilot"]
+)
 def test_both_autopilots_fly_with_everything_on(
     tmp_path: Path, read_tlog: Read, autopilot: str
 ) -> None:

@@ -16,7 +16,7 @@ from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
 from testbed.fuzz.body_harnesses import assert_alike
 from testbed.fuzz.file_harnesses import check_recording
-from testbed.recordings import records_of
+from testbed.recordings import columns_of, records_of
 
 RPM = 2.0 * math.pi / 60.0
 
@@ -304,34 +304,26 @@ def test_what_is_no_log_gives_one_line(tmp_path, content):
 
 @pytest.mark.slow
 def test_one_flight_recorded_both_ways_agrees(shared_logs):
-    ways = []
-    for name in ("ardupilot-sitl.tlog", "ardupilot-sitl.bin"):
-        streams = {}
-        for record in records_of(open_log(shared_logs / name)):
-            streams.setdefault((record.stream, record.source), []).append(record)
-        ways.append(streams)
-    tlog, onboard = ways
-
-    def arrays(streams, stream, source=""):
-        records = streams[stream, source]
-        return np.array([r.t for r in records]), np.array([r.values for r in records])
-
+    tlog, onboard = ways = [
+        columns_of(open_log(shared_logs / name))
+        for name in ("ardupilot-sitl.tlog", "ardupilot-sitl.bin")
+    ]
     # IMU: the same filtered signal, sampled by different tasks of one loop.
-    t, values = arrays(tlog, Stream.IMU)
-    t_onboard, v_onboard = arrays(onboard, Stream.IMU)
+    t, values = tlog[Stream.IMU, ""]
+    t_onboard, v_onboard = onboard[Stream.IMU, ""]
     common, i, j = np.intersect1d(np.round(t * 1e6), np.round(t_onboard * 1e6), return_indices=True)
     assert len(common) > 30_000
     assert np.std(values[i] - v_onboard[j], axis=0).max() < 0.02 * np.std(values, axis=0).max()
     flying = np.isin(t_onboard, t_onboard[(t_onboard > 75.0) & (t_onboard < 210.0)])
     assert np.diff(t_onboard[flying]).max() < 0.01
-    t, speeds = arrays(tlog, Stream.ROTOR_SPEED, "ESC_TELEMETRY_1_TO_4")
-    t_onboard, s_onboard = arrays(onboard, Stream.ROTOR_SPEED, "ESC")
+    t, speeds = tlog[Stream.ROTOR_SPEED, "ESC_TELEMETRY_1_TO_4"]
+    t_onboard, s_onboard = onboard[Stream.ROTOR_SPEED, "ESC"]
     inside = (t > 75.0) & (t < 210.0)
     for rotor in range(4):
         expected = np.interp(t[inside], t_onboard, s_onboard[:, rotor])
         assert np.corrcoef(speeds[inside, rotor], expected)[0, 1] > 0.98
-    assert onboard[Stream.ROTOR_COMMAND, "RCOU"][0].values[:4] == (1000.0,) * 4
-    landing = [max(r.t for r in w[Stream.IN_AIR, ""] if r.values == (1.0,)) for w in ways]
+    assert onboard[Stream.ROTOR_COMMAND, "RCOU"][1][0, :4].tolist() == [1000.0] * 4
+    landing = [max(t[flies[:, 0] == 1.0]) for t, flies in (w[Stream.IN_AIR, ""] for w in ways)]
     assert landing[0] == pytest.approx(landing[1], abs=1.0)
 
 

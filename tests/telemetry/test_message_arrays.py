@@ -134,8 +134,8 @@ def test_windows_joined_are_the_whole(tmp_path, stream):
 @pytest.mark.parametrize(
     "seeds",
     [
-        range(20),
-        *(pytest.param(range(k, k + 20), marks=pytest.mark.thorough) for k in range(20, 200, 20)),
+        range(10),
+        *(pytest.param(range(k, k + 20), marks=pytest.mark.thorough) for k in range(10, 190, 20)),
     ],
 )
 def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(

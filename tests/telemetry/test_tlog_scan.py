@@ -153,14 +153,14 @@ def test_a_whole_type_of_another_definition_keeps_the_chain(sender):
 def test_a_long_log_is_read_in_little_memory(tmp_path, raws):
     record = as_log(raws)
     path = tmp_path / "long.tlog"
-    path.write_bytes(record * (20_000_000 // len(record)))
+    path.write_bytes(record * (12_000_000 // len(record)))
     tracemalloc.start()
     try:
         frames = sum(map(len, TlogReader(path).blocks()))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert frames == len(raws) * (20_000_000 // len(record))
+    assert frames == len(raws) * (12_000_000 // len(record))
     assert peak < 40_000_000
 
 

@@ -12,7 +12,7 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import ulog_format
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
-from testbed.recordings import records_of
+from testbed.recordings import columns_of, records_of
 
 NAN = float("nan")
 
@@ -190,21 +190,18 @@ def test_what_is_no_log_gives_one_line(tmp_path, capsys, content, says):
 
 @pytest.mark.slow
 def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
-    ways = {}
-    for suffix in ("tlog", "ulg"):
-        ways[suffix] = {}
-        for record in records_of(open_log(shared_logs / f"px4-sih-default.{suffix}")):
-            ways[suffix].setdefault((record.stream, record.source), {})[round(record.t, 6)] = (
-                record.values
-            )
+    ways = [
+        columns_of(open_log(shared_logs / f"px4-sih-default.{suffix}"))
+        for suffix in ("tlog", "ulg")
+    ]
 
     def both(stream, sources=("", ""), decimals=6):
-        tlog, onboard = (
-            {round(t, decimals): v for t, v in ways[way][stream, source].items()}
-            for way, source in zip(("tlog", "ulg"), sources, strict=True)
+        (t, tlog), (t_onboard, onboard) = (
+            way[stream, source] for way, source in zip(ways, sources, strict=True)
         )
-        common = sorted(set(tlog) & set(onboard))
-        return np.array([tlog[t] for t in common]), np.array([onboard[t] for t in common])
+        stamps = (np.round(times, decimals) for times in (t, t_onboard))
+        _, i, j = np.intersect1d(*stamps, return_indices=True)
+        return tlog[i], onboard[j]
 
     tlog, onboard = both(Stream.IMU)
     assert len(tlog) > 39_000
@@ -222,12 +219,10 @@ def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
     tlog, onboard = both(Stream.VELOCITY, decimals=3)
     assert len(tlog) > 7_000
     np.testing.assert_allclose(tlog, onboard)
-    flying = {
-        way: [t for t, v in table[Stream.IN_AIR, ""].items() if v == (1.0,)]
-        for way, table in ways.items()
-    }
+    states = (way[Stream.IN_AIR, ""] for way in ways)
+    tlog, onboard = (t[in_air[:, 0] == 1.0] for t, in_air in states)
     for end in (min, max):
-        assert end(flying["tlog"]) == pytest.approx(end(flying["ulg"]), abs=0.6)
+        assert end(tlog) == pytest.approx(end(onboard), abs=0.6)
 
 
 def test_zeros_at_the_end_as_a_power_cut_leaves_them_cost_no_time(tmp_path, path):
