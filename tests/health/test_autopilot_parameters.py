@@ -56,11 +56,15 @@ def test_what_is_not_known_is_not_set_and_the_flight_that_shows_it_is_named():
     assert found == [
         ("cannot tell", "climb"),
         ("cannot tell", "fly longer"),
-        ("cannot tell", "log the parameters"),
+        ("cannot tell", "log the autopilot's parameters"),
         ("leave", ""),
         ("leave", ""),
     ]
     assert "lies in the interval" in right.reason
+    # A throttle that means another thrust once the curve is set goes with it, known or not.
+    for std in (0.1, 0.5):
+        moved = Proposal("F", Estimate(3.0, std, "1"), 3.1, use=0.5, then=3.3)
+        assert (moved.verdict, moved.new) == ("set", 3.3)
     assert kept.reason == "with the gains alone"
 
 

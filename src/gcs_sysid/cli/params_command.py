@@ -25,8 +25,7 @@ from gcs_sysid.health.vehicle_health import Health, against_first
 from gcs_sysid.results.words import rounded
 
 _SCHEMA = "gcs-sysid-params/1"
-_NAME, _NUMBER = 22, 10
-"""Columns."""
+_ROW = "{:<22}{:>10}{:>10}{:>10}  {}"
 
 
 def run(options: argparse.Namespace) -> int:
@@ -83,18 +82,21 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
     for health in flights:
         if why := excluded(health):
             yield from _wrapped(f"{Path(health.source).name} does not count: {why}", "")
+    seen = {found.at: found.what for health in used for found in health.findings}
+    for at, what in seen.items():
+        yield from _wrapped(f"LOOK AT {at}: {what}", "")
     if not used:
         return
     seconds = sum(health.seconds for health in used)
     count = Path(used[0].source).name if len(used) == 1 else f"{len(used)} flights"
-    if len(used) < len(flights):
+    if seen or len(used) < len(flights):
         yield ""
-    yield f"Autopilot parameters by {count}, {seconds:.0f} s of hover (nothing is sent)"
+    head = f"Autopilot parameters by {count}, {seconds:.0f} s of hover (nothing is sent)"
+    yield from _wrapped(head, "")
     if not found:
         yield "none are known for this autopilot, or its log has none"
         return
-    heads = ("old", "new", "± 95 %")
-    yield f"{'':<{_NAME}}" + "".join(f"{head:>{_NUMBER}}" for head in heads)
+    yield _ROW.format("", "old", "new", "± 95 %", "").rstrip()
     for (reason, action), alike in groupby(found, lambda one: (one.reason, one.action)):
         some = list(alike)
         if len(some) > 2 and all(one.quantity is None for one in some):
@@ -110,13 +112,9 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
 
 def _row(one: Proposal) -> str:
     half = None if one.quantity is None else one.quantity.half
-    cells = (
-        rounded(one.now, None, 4),
-        rounded(one.new, half, 4),
-        f"{half:.2g}" if half else "-",
-    )
-    row = f"{one.name:<{_NAME}}" + "".join(f"{cell:>{_NUMBER}}" for cell in cells)
-    return f"{row}  {one.verdict}"
+    interval = f"{half:.2g}" if half else "-"
+    old, new = rounded(one.now, None, 4), rounded(one.new, half, 4)
+    return _ROW.format(one.name, old, new, interval, one.verdict)
 
 
 def _wrapped(text: str, begin: str) -> list[str]:

@@ -77,25 +77,27 @@ class Proposal:
         That is, where half of the way is `TUNING.sure` standard deviations or more; or where the
         old value means something else once the others are set.
         """
-        value, half = self._value, self._half
-        if value is None or self.lacks or half > self.use:
-            return "cannot tell"
-        if self.keep:
+        if self.now is not None and self.then is not None:
+            return "set"
+        if self._known and self.keep:
             return "leave"
-        if self.now is None:
+        if not self._known or self.now is None:
             return "cannot tell"
-        return "set" if self._surely or self.then is not None else "leave"
+        return "set" if self._surely else "leave"
+
+    @property
+    def _known(self) -> bool:
+        """Whether there is a value that is of use."""
+        return self._value is not None and not self.lacks and self._half <= self.use
 
     @property
     def _surely(self) -> bool:
-        """Whether the truth is nearer to the value than to the old one."""
-        if self.quantity is None or self.quantity.value is None or self.now is None:
+        """Whether the truth is nearer to the value than to what the old one amounts to."""
+        if not self._known or self.quantity is None or self._value is None or self.now is None:
             return False
-        value, old = self.quantity.value, self.now if self.then is None else self.then
+        half_way = 0.5 * abs(self._value - (self.now if self.then is None else self.then))
         # What a file holds is rounded to single precision.
-        return 0.5 * abs(value - old) > max(
-            TUNING.sure * (self.quantity.std or 0.0), 1e-6 * abs(value)
-        )
+        return half_way > max(TUNING.sure * (self.quantity.std or 0.0), 1e-6 * abs(self._value))
 
     @property
     def new(self) -> float | None:
@@ -106,32 +108,28 @@ class Proposal:
     def reason(self) -> str:
         """Why, and where the value comes from, in words."""
         value, half = self._value, self._half
-        if value is None or self.lacks:
+        if self.verdict == "set":
+            why = "" if self._surely else "what it is now, with the others set"
+        elif value is None or self.lacks:
             return self.lacks or "not determined"
-        if half > self.use:
+        elif half > self.use:
             why = f"known to {half:.2g}, which is too little: {self.use:.2g} is of use"
         elif self.keep:
             return self.keep
         elif self.now is None:
             why = "what it is now is not in the log"
-        elif self.verdict == "set" and not self._surely:
-            why = "what it is now, with the others set"
-        elif self.verdict == "set":
-            return self.note
         elif abs(value - self.now) <= max(half, 1e-6 * abs(value)):
             why = "what it is now lies in the interval"
         else:
             why = "not surely nearer to the truth than what it is now"
-        return f"{self.note}; {why}" if self.note else why
+        return "; ".join(filter(None, (self.note, why)))
 
     @property
     def action(self) -> str:
         """What to fly or to log where it is not known; else empty."""
         if self.verdict != "cannot tell":
             return ""
-        if self.now is None and self._value is not None and not self.lacks and not self.fly:
-            return "log the parameters"
-        return self.fly
+        return "log the autopilot's parameters" if self._known else self.fly
 
     @property
     def _value(self) -> float | None:
@@ -177,7 +175,7 @@ def determined(flights: Sequence[Health]) -> tuple[Proposal, ...]:
     usable = [health for health in flights if not excluded(health)]
     if not usable or usable[-1].autopilot not in of:
         return ()
-    curve = _together([h.curve.c for h in usable if h.curve is not None and h.curve.c.std])
+    curve = _together([c for h in usable if (c := _curve(h)) is not None])
     voltage = _together([h.by_voltage for h in usable if h.by_voltage is not None])
     found: dict[str, list[Proposal]] = {}
     for health in usable:
@@ -206,6 +204,14 @@ def proposed(flights: Sequence[Health]) -> tuple[Proposal, ...]:
 
 def _together(some: Sequence[Estimate]) -> Estimate | None:
     return pooled(some) if some else None
+
+
+def _curve(health: Health) -> Estimate | None:
+    """C of a flight, where it is of use."""
+    curve = health.curve
+    if curve is None or curve.c.std is None or not 0.0 < curve.c.std < TUNING.usable_curve:
+        return None
+    return curve.c
 
 
 def _merged(some: Sequence[Proposal]) -> Proposal:
@@ -262,24 +268,19 @@ class _Flight:
 
     @property
     def falls(self) -> bool | None:
-        """Whether thrust falls with the voltage; None: not surely one or the other."""
+        """Whether thrust falls with the voltage; None: not surely one or the other.
+
+        Powers far from both are of a voltage that is none of the pack's.
+        """
         power = self.voltage
         if power is None or power.value is None or power.std is None:
             return None
-        off = power.value - 0.5
-        return None if abs(off) < TUNING.sure * power.std else off > 0.0
-
-    @property
-    def found_curve(self) -> Estimate | None:
-        """C of this flight, where it is of use."""
-        curve = self.health.curve
-        if curve is None or curve.c.std is None or not 0.0 < curve.c.std < TUNING.usable_curve:
-            return None
-        return curve.c
+        off, sure = power.value - 0.5, TUNING.sure * power.std
+        return off > 0.0 if sure < abs(off) < 1.0 + sure else None
 
     def of_curve(self, name: str) -> Proposal:
         """THR_MDL_FAC or MOT_THST_EXPO."""
-        now, c = self.now(name), self.found_curve
+        now, c = self.now(name), _curve(self.health)
         note = "thrust curve"
         x = self.health.hover_command
         if c is not None and self.curve is not None and now is not None and x is not None:
@@ -371,7 +372,7 @@ def _px4(flight: _Flight) -> Iterator[Proposal]:
 
 def _of_hover(hover: Estimate | None) -> float:
     """Half of an interval of a hover's throttle that is of use."""
-    return math.inf if hover is None else TUNING.worth_knowing * (hover.value or 0.0)
+    return math.inf if hover is None else 2.5 * TUNING.worth_knowing * (hover.value or 0.0)
 
 
 def _ardupilot(flight: _Flight) -> Iterator[Proposal]:
@@ -507,7 +508,7 @@ def _betaflight(flight: _Flight) -> Iterator[Proposal]:
             lacks="another number of poles looks like another thrust coefficient",
             fly="count the motor's magnets",
         )  # fmt: skip
-    c, x = flight.found_curve, flight.health.hover_command
+    c, x = _curve(flight.health), flight.health.hover_command
     if "thrust_linear" not in flight.health.parameters or x is None:
         return
     if c is None:

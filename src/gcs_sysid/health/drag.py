@@ -26,9 +26,6 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.significance import Z95
 
-_ROUNDS = 12
-"""Of Gauss-Newton."""
-
 
 @dataclass(frozen=True)
 class Drag:
@@ -109,7 +106,7 @@ def _solved(start: Array, axes: Array, flown: Array, force: Array) -> tuple[Arra
     target, level = force.T.ravel(), GRAVITY * math.radians(1.0)
     ridge = np.array([np.inf, *TUNING.unknown_drag, level, level])
     value, near = start, start
-    for _ in range(_ROUNDS):
+    for _ in range(TUNING.drag_rounds):
         columns, model = _linearized(near, axes, flown)
         wanted = (target - model + columns @ near)[:, None]
         value = robust_values(columns, wanted, ridge)[:, 0]

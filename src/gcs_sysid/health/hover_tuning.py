@@ -83,8 +83,9 @@ class HoverTuning:
         full_command: command from which a rotor counts as saturated.
         usable_curve: standard deviation of c from which on it is no suggestion, and half of an
             interval that is of use: 0.15 changes the slope at hover by 6 % at 0.7 of full command.
-        worth_knowing: relative half of an interval of use, of a hover's throttle; over the arm, of
-            a place.
+        worth_knowing: over the arm, half of an interval of use of a place; relative, half of that
+            of a hover's throttle or a drag.
+        drag_rounds: of Gauss-Newton by half steps, for drag and wind.
         parts_of_flight: that a jackknife leaves out, one after the other.
         worth_drag: 1/s, half of an interval of use of momentum drag: wind of 3 m/s off by
             0.1 m/s^2.
@@ -188,6 +189,7 @@ class HoverTuning:
     usable_curve: float = 0.15
     worth_knowing: float = 0.1
     unknown_air: float = 0.1
+    drag_rounds: int = 12
     parts_of_flight: int = 10
     worth_drag: float = 0.03
     sea_level: float = 1.225
