@@ -8,6 +8,7 @@ noise many times.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +138,7 @@ def fly_ensemble(
     """
     gusts, _ = np.random.SeedSequence(seed).spawn(2)
     sim = Simulation(vehicle, mission, gusts, turbulence, changes, physics=physics)
-    shape = np.shape(vehicle.mass) or (1,)
+    several = np.shape(vehicle.mass)
     steps = round((mission.duration if duration is None else duration) * 1000.0)
     count = int(np.floor(steps * rate / 1000.0 + 1e-9)) + 1
     # The instants at which a stream of messages of this rate falls due.
@@ -145,7 +146,7 @@ def fly_ensemble(
     due = due[due <= steps]
     wanted = set(due.tolist())
     n = len(vehicle.rotors)
-    rows: list[list[Array]] = []
+    rows: list[list[Any]] = []
     for tick in range(int(due[-1]) + 1):
         if tick:
             sim.step()
@@ -162,8 +163,9 @@ def fly_ensemble(
             *commands,
             sim.voltage,
         ]
-        rows.append([np.broadcast_to(value, shape) for value in values])
-    table = np.moveaxis(np.array(rows, dtype=float), -1, 0)
+        rows.append([np.broadcast_to(value, several) for value in values] if several else values)
+    table = np.array(rows, dtype=float)
+    table = np.moveaxis(table, -1, 0) if several else table[None]
     parts = np.split(table, np.cumsum([3, 3, 4, 3, n, n]), axis=-1)
     gyro_, force_, quaternion, velocity, speeds, commands_, voltage = parts
     return Flight(
