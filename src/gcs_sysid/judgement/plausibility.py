@@ -115,9 +115,8 @@ def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
     rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
     if rotation is None or evidence.rotor_input.motors or not rotation.deviating.thrusts.any():
         return
-    k_T, std = rotor_coefficients(rotation, rotors)[:2]
-    apart = k_T - 1.0
-    excess = float(np.mean(apart**2 + std**2)) - (0.5 * APART) ** 2
+    apart = rotor_coefficients(rotation, rotors)[0] - 1.0
+    excess = float(np.mean(apart**2)) - (0.5 * APART) ** 2
     if excess > 0.0:
         share = math.sqrt(excess / rotors)
         most = int(np.abs(apart).argmax())
