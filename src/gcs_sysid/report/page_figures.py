@@ -117,7 +117,8 @@ def add_histories(figures: ChartData, data: ReportData) -> list[str]:
         held = [estimates[name] for estimates in (*segments, data.result.parameters)
                 if name in estimates]  # fmt: skip
         ends = [end for each in held for end in each.ci95 or ()]
-        if add_history(figures, data.history, name, MOST_INSTANTS, data.truth.get(name), ends):
+        truth, unit = data.truth.get(name), estimate.unit
+        if add_history(figures, data.history, name, MOST_INSTANTS, truth, ends, unit):
             figures.figures[f"history-{name}"]["marks"] = events_of(data.result)
             shown.append(name)
     return shown
@@ -130,6 +131,7 @@ def add_history(
     most: int,
     truth: float | None = None,
     also: Iterable[float] = (),
+    unit: str | None = None,
 ) -> bool:
     """One parameter's estimate over the flight; whether there is one.
 
@@ -140,6 +142,7 @@ def add_history(
         most: instants that are drawn.
         truth: drawn as a level; None: unknown.
         also: values that must be seen.
+        unit: of the values; None: SI.
     """
     t, value, half = known_history(history, name)
     if len(t) < 2:
@@ -151,7 +154,7 @@ def add_history(
     part = slice((len(history.t) - 1) % every, None, every)
     value, half = history.value[name][part], Z95 * history.std[name][part]
     x = figures.array("history.t", history.t[part])
-    unit = PAGE.unit(REGISTRY[name].unit)
+    unit = PAGE.unit(unit or REGISTRY[name].unit)
     line = ChartLine(name, "estimate", f"history.{name}", value)
     title = f"{name} over the flight"
     chart = figures.add_lines(f"history-{name}", title, "history", x, unit, [line])

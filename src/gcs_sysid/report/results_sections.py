@@ -296,7 +296,7 @@ def plan_view(data: ReportData) -> Markup | None:
         ]  # fmt: skip
     halves = [e.half or 0.0 for e in cg if e is not None]
     parts += view.cg((along, across), (halves[0], halves[1]), 9.0)
-    text = cg_text(along, across)
+    text = cg_text(along, across, data.result.parameters["cg_x"].unit)
     picture = element(
         "svg",
         element("title", f"Plan view. {text}"),
@@ -316,10 +316,12 @@ def plan_view(data: ReportData) -> Markup | None:
     )
 
 
-def cg_text(x: float, y: float) -> str:
-    """Where the center of gravity is, in words; m forward and right of the geometric center."""
+def cg_text(x: float, y: float, unit: str) -> str:
+    """Where the center of gravity is, in words: forward and right of the geometric center."""
+    factor, shown = (100.0, "% of the arm") if unit == "m/m" else (1e3, "mm")
     along, across = (
-        f"{PAGE.fixed(abs(1e3 * v), 1)} mm {way(axis, v)}" for axis, v in (("x", x), ("y", y))
+        f"{PAGE.fixed(abs(factor * v), 1)} {shown} {way(axis, v)}"
+        for axis, v in (("x", x), ("y", y))
     )
     return f"The center of gravity (⊕) is {along} and {across} of the geometric center."
 

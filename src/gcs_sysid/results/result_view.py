@@ -340,6 +340,8 @@ def _within(first: Parameter, entries: Mapping[str, Estimate], core: Mapping[str
     widest = max(half for half, _ in halves)
     if first.sign != "any":
         return PAGE.percent(max(half / size if size else math.inf for half, size in halves))
+    if {e.unit for e in entries.values()} == {"m/m"}:
+        return f"{PAGE.percent(widest)} of the arm"
     if first.unit == "m":
         millimeters = max(1e3 * widest, 0.01)
         return f"{PAGE.fixed(millimeters, decimals_for(millimeters))}{PAGE.space}mm"
