@@ -74,42 +74,46 @@ class Proposal:
     def verdict(self) -> ParameterVerdict:
         """What to do: it is set where the truth is surely nearer to the new value than to the old.
 
-        That is, where half of the way is `TUNING.sure` standard deviations or more; or where the
-        old value means something else once the others are set.
+        The new value is that of the flights, or what the old one amounts to once others are set.
         """
-        if self.now is not None and self.then is not None:
-            return "set"
-        if self._known and self.keep:
+        if self.known and self.keep:
             return "leave"
-        if not self._known or self.now is None:
+        if not self.known or self.now is None:
             return "cannot tell"
-        return "set" if self._surely else "leave"
+        return "leave" if self._chosen is None else "set"
 
     @property
-    def _known(self) -> bool:
+    def known(self) -> bool:
         """Whether there is a value that is of use."""
         return self._value is not None and not self.lacks and self._half <= self.use
 
     @property
-    def _surely(self) -> bool:
-        """Whether the truth is nearer to the value than to what the old one amounts to."""
-        if not self._known or self.quantity is None or self._value is None or self.now is None:
-            return False
-        half_way = 0.5 * abs(self._value - (self.now if self.then is None else self.then))
+    def _chosen(self) -> float | None:
+        """The value that the truth is surely nearer to than to the old one; None: there is none."""
+        if not self.known or self.quantity is None or self._value is None or self.now is None:
+            return None
+        value, sure = self._value, TUNING.sure * (self.quantity.std or 0.0)
         # What a file holds is rounded to single precision.
-        return half_way > max(TUNING.sure * (self.quantity.std or 0.0), 1e-6 * abs(self._value))
+        sure = max(sure, 1e-6 * abs(value))
+        others = [self.now] if self.then is None else [self.now, self.then]
+        if all(0.5 * abs(value - other) > sure for other in others):
+            return value
+        if self.then is None:
+            return None
+        beyond = value - 0.5 * (self.now + self.then)
+        return self.then if math.copysign(beyond, beyond * (self.then - self.now)) > sure else None
 
     @property
     def new(self) -> float | None:
         """The value to set, or that would be."""
-        return self.then if self.then is not None and not self._surely else self._value
+        return self._value if self._chosen is None else self._chosen
 
     @property
     def reason(self) -> str:
         """Why, and where the value comes from, in words."""
         value, half = self._value, self._half
         if self.verdict == "set":
-            why = "" if self._surely else "what it is now, with the others set"
+            why = "" if self.new == value else "what it is now, with the others set"
         elif value is None or self.lacks:
             return self.lacks or "not determined"
         elif half > self.use:
@@ -129,7 +133,7 @@ class Proposal:
         """What to fly or to log where it is not known; else empty."""
         if self.verdict != "cannot tell":
             return ""
-        return "log the autopilot's parameters" if self._known else self.fly
+        return "log the autopilot's parameters" if self.known else self.fly
 
     @property
     def _value(self) -> float | None:
@@ -193,13 +197,13 @@ def excluded(health: Health) -> str:
 
 
 def suggested(health: Health) -> tuple[Proposal, ...]:
-    """All values that a flight has."""
+    """All values of use that a flight has."""
     return proposed([health])
 
 
 def proposed(flights: Sequence[Health]) -> tuple[Proposal, ...]:
-    """All values that flights of one vehicle have together."""
-    return tuple(one for one in determined(flights) if one.quantity is not None)
+    """All values of use that flights of one vehicle have together."""
+    return tuple(one for one in determined(flights) if one.known and not one.keep)
 
 
 def _together(some: Sequence[Estimate]) -> Estimate | None:
@@ -585,7 +589,7 @@ def check_suffix(path: Path, *, cli: bool = False) -> None:
 
 
 def parameter_file(flights: Sequence[Health], suffix: str) -> str:
-    """The file of `health`: all values that there are.
+    """The file of `health`: all values of use.
 
     Args:
         flights: of one vehicle, that hover; at least one.
