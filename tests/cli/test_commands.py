@@ -9,7 +9,6 @@ import sys
 
 import pytest
 
-from gcs_sysid.cli.program import run
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
@@ -58,18 +57,6 @@ def check_contract(result):
                 assert estimate["ci95"] == expected
     for event in result["events"]:
         assert event.keys() >= {"t", "kind"}
-
-
-@pytest.fixture
-def analyze(capsys):
-    """Runs `analyze`; (status, standard output, standard error)."""
-
-    def analyze(*argv):
-        status = run(["analyze", *map(str, argv)])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return analyze
 
 
 @pytest.fixture

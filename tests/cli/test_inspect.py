@@ -15,7 +15,6 @@ import pytest
 from gcs_sysid.cli.airframe_choice import command_for
 from gcs_sysid.cli.commands import build_parser
 from gcs_sysid.cli.inspect_command import report
-from gcs_sysid.cli.program import run
 from gcs_sysid.inspection.inspector import inspect_log
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -25,18 +24,6 @@ GOLDEN = Path(__file__).parent / "golden"
 def flight(fly):
     options = ("--autopilot", "ardupilot", "--mission", "all-axes", "--rate", "100")
     return fly(*options, "--duration", "16", "--seed", "5", "--trap", "radio", "--trap", "ground=5")
-
-
-@pytest.fixture
-def inspect(capsys):
-    """Runs `inspect`; (status, standard output, standard error)."""
-
-    def inspect(*argv):
-        status = run(["inspect", *map(str, argv)])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return inspect
 
 
 def rounded(text):

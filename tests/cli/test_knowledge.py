@@ -4,25 +4,12 @@ import json
 
 import pytest
 
-from gcs_sysid.cli.program import run
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ScaleReference
 
 PAPER = ("--airframe", "paper")
-
-
-@pytest.fixture
-def analyze(capsys):
-    """Runs `analyze`; (status, standard output, standard error)."""
-
-    def analyze(*argv):
-        status = run(["analyze", *map(str, argv)])
-        out = capsys.readouterr()
-        return status, out.out, out.err
-
-    return analyze
 
 
 @pytest.fixture(scope="module")

@@ -12,22 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.program import run
-
 SIH = ("--airframe", "px4-sih", "--mass", "1")
 GOLDEN = Path(__file__).parent / "golden" / "plan.txt"
-
-
-@pytest.fixture
-def plan(capsys):
-    """Runs `plan`; (status, standard output, standard error)."""
-
-    def plan(*argv):
-        status = run(["plan", *map(str, argv)])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return plan
 
 
 def rounded(text):
