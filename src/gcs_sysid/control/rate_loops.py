@@ -62,11 +62,8 @@ _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
     "betaflight": ((45.0, 80.0, 30.0), (47.0, 84.0, 34.0), (45.0, 80.0, 0.0)),
 }  # fmt: skip
 """Defaults of the same, in the same order, on each axis."""
-_DEGREES_PER_SUM = 180.0 / math.pi / 1000.0
-"""A PID sum of 1000, of errors in deg/s, is all of the motors' range."""
-_BETAFLIGHT_UNITS = {"P": 0.032029, "I": 0.244381, "D": 0.000529}
-"""PTERM_SCALE, ITERM_SCALE and DTERM_SCALE."""
-_YAW_INTEGRAL = 2.5
+_BETAFLIGHT_UNITS = {"P": 0.032029, "I": 0.244381, "D": 0.000529, "I of yaw": 2.5 * 0.244381}
+"""PTERM_SCALE, ITERM_SCALE and DTERM_SCALE, of errors in deg/s; a sum of 1000 is full torque."""
 _NEGLIGIBLE = 1e-3
 """Entries of PX4's mixer below are zero."""
 
@@ -308,8 +305,8 @@ def _unit(autopilot: Autopilot, field: str, axis: str) -> float:
     """A gain whose parameter is one."""
     if autopilot != "betaflight":
         return 1.0
-    turned = _YAW_INTEGRAL if (field, axis) == ("I", "yaw") else 1.0
-    return _DEGREES_PER_SUM * _BETAFLIGHT_UNITS[field] * turned
+    name = "I of yaw" if (field, axis) == ("I", "yaw") else field
+    return _BETAFLIGHT_UNITS[name] * math.degrees(1.0) / 1000.0
 
 
 def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
@@ -392,8 +389,6 @@ def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
 
 _BY_ROTORS = (2, 3)
 """INS_HNTCH_MODE of a notch that follows the rotors' speed."""
-_OF_EACH = 2
-"""INS_HNTCH_OPTS: a notch for each rotor."""
 
 
 def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
@@ -410,7 +405,8 @@ def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[Signal
         numbers = [n + 1 for n in range(16) if harmonics >> n & 1]
         follows = int(reader.optional(f"{name}_MODE", 1.0)) in _BY_ROTORS
         middles = _harmonics(reader, first, numbers) if follows else (first * n for n in numbers)
-        each = rotors if follows and int(reader.optional(f"{name}_OPTS")) & _OF_EACH else 1
+        of_each = int(reader.optional(f"{name}_OPTS")) & 2
+        each = rotors if follows and of_each else 1
         for middle in middles:
             yield from [SignalFilter("notch", middle, quality, depth)] * each
 
