@@ -70,7 +70,7 @@ def named(size):
     return f"{size[0]}x{size[1]}"
 
 
-IN_BOTH_THEMES = {"all-80x24", "export-80x24", "page-health-80x24"}
+IN_BOTH_THEMES = {"all-80x24", "export-80x24", "page-health-80x24", "pilot-80x24"}
 
 
 async def check_themes(s, name):

@@ -10,7 +10,7 @@ from gcs_sysid.screen.main_view import PilotScreen, blocks, pilot_lines
 from gcs_sysid.screen.view import View
 
 from . import fake
-from .test_golden import SIZES, check_both_themes, contrast, named
+from .test_golden import SIZES, check_themes, contrast, named
 
 
 def led(**changes):
@@ -27,7 +27,7 @@ def written(snapshot, silence=0.0):
 async def test_the_pilot_view(run_screen, size):
     async with run_screen(led(), size=size) as s:
         await s.press("l")
-        await check_both_themes(s, f"pilot-{named(size)}")
+        await check_themes(s, f"pilot-{named(size)}")
 
 
 def test_it_says_what_to_fly_how_long_and_what_is_missing():
