@@ -5,6 +5,7 @@ What cannot be delivered is one line and a status; what can be is delivered all 
 
 import argparse
 import contextlib
+import io
 import json
 import os
 import shutil
@@ -176,7 +177,8 @@ def filled_in(case, places, out):
     """Words of a command; the batch that one of them reads is run when it is first needed."""
     if "{fleet}" in case.argv and not places["fleet"].exists():
         batch = ["batch", str(places["logs"]), "--airframe", "paper", "-o", str(places["fleet"])]
-        assert run(batch) == 0
+        with contextlib.redirect_stderr(io.StringIO()):
+            assert run(batch) == 0
     return [word.format(out=out, **places) for word in case.argv]
 
 
