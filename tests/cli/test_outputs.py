@@ -289,6 +289,23 @@ def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, plac
         check_refusal(status, err)
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "analyze F --airframe paper --json F", "check F --json F", "compare F G --json F",
+        "health F --json F", "inspect F --json F", "params F -o F", "tune F --json F",
+        "export F --to urdf -o F", "tune G F --json F", "twin G F --json F",
+    ],
+)  # fmt: skip
+def test_a_file_that_is_read_is_never_replaced(tmp_path, capsys, command):
+    file = tmp_path / "flight.tlog"
+    file.write_bytes(b"a flight")
+    words = [str(file) if word == "F" else word for word in command.split()]
+    assert run([*words, "--force"]) == 2
+    assert "flight.tlog is also an input" in capsys.readouterr().err
+    assert file.read_bytes() == b"a flight"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 def test_standard_output_on_a_full_disk_costs_no_file(call, tmp_path, case):

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.params import of_vehicle
 from gcs_sysid.__main__ import main
+from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import Proposal, determined, proposal_file
 from gcs_sysid.health.command_curve import Curve
@@ -151,6 +152,13 @@ def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
     text = proposal_file([health], determined([health]), ".txt")
     assert "# Nothing is to be set." in text
     assert all(line.startswith("#") for line in text.splitlines())
+    with pytest.raises(InputError, match=r"\.txt"):
+        proposal_file([health], determined([health]), ".params")
+
+
+def test_no_parameter_of_px4_is_written_for_betaflights_command_line():
+    with pytest.raises(InputError, match=r"\.params"):
+        proposal_file([Health("a.ulg", autopilot="px4")], (), ".txt")
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.offline and options.method != "forward":
         raise InputError("--offline needs --method forward")
-    output.check_outputs(options.json, force=options.force)
+    output.check_outputs(options.json, force=options.force, sources=options.logs)
     show = _PrintedResults(truth, deliveries := output.Deliveries(), on_stdout=options.json != "-")
     results: list[Result] = []
     documents: list[dict[str, Any]] = []

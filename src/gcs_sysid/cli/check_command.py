@@ -33,7 +33,7 @@ _MOST = 2
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where a log does not show whether the vehicle is all right."""
-    output.check_outputs(options.json, force=options.force)
+    output.check_outputs(options.json, force=options.force, sources=options.logs)
     given = health_command.given_of(options)
     documents: list[dict[str, Any]] = []
     words: list[str] = []

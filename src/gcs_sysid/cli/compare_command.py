@@ -18,7 +18,8 @@ _WIDTH = 100
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the results do not allow an answer."""
-    output.check_outputs(options.json, force=options.force)
+    read = options.before, options.after
+    output.check_outputs(options.json, force=options.force, sources=read)
     comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
     document = (options.json, lambda: output.as_json(comparison.as_json()))
     output.deliver(report(comparison), document, force=options.force)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
-from gcs_sysid.cli.output import print_file, progress_bar, say
+from gcs_sysid.cli.output import check_outputs, print_file, progress_bar, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import (
@@ -27,8 +27,8 @@ def run(options: argparse.Namespace) -> int:
     if options.to is None or options.output is None:
         raise InputError("give --to FORMAT and --output FILE, or --signals FILE with a log")
     path = None if options.output == "-" else Path(options.output)
-    if path is not None and path.exists() and not options.force and options.ensemble is None:
-        raise InputError(f"{path} exists; --force overwrites it")
+    if options.ensemble is None:
+        check_outputs(options.output, force=options.force, sources=[options.result])
     result = read_result(Path(options.result))
     vehicle = assemble(result, beside_result(options), dict(options.set), options.name)
     target = FORMATS[options.to]

@@ -10,7 +10,6 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import (
     Proposal,
@@ -31,12 +30,8 @@ from gcs_sysid.results.words import PLAIN
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when nothing hovers in a log."""
     given = given_of(options)
-    output.check_outputs(options.json, force=options.force)
-    for target in (options.params, options.picture):
-        if target is not None:
-            check_target(
-                Path(target), replace=options.force, sources=tuple(map(Path, options.logs))
-            )
+    targets = options.json, options.params, options.picture
+    output.check_outputs(*targets, force=options.force, sources=options.logs)
     if options.params is not None:
         check_suffix(Path(options.params))
     found: list[Health] = []

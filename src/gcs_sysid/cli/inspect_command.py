@@ -78,7 +78,8 @@ def run(options: argparse.Namespace) -> int:
     if options.target is None:
         raise InputError(f"give a LOG ({usual_endings()}) or a link's URL")
     is_log = _is_log(options.target)
-    output.check_outputs(options.json, force=options.force)
+    read = (options.target,) if is_log else ()
+    output.check_outputs(options.json, force=options.force, sources=read)
     found = _log(options) if is_log else _link(options)
     # Lines of more than 120 columns are hard to read.
     width = min(shutil.get_terminal_size((80, 24)).columns, 120)

@@ -12,13 +12,13 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, read_text, write_whole
+from gcs_sysid.files import check_target, log_file, read_text, write_whole
 from gcs_sysid.strict_json import json_text, parse_json
 
 if TYPE_CHECKING:
@@ -151,15 +151,21 @@ def open_output(path: str, *, force: bool) -> TextIO:
         raise InputError(f"{path}: cannot write: {reason}") from error
 
 
-def check_outputs(*paths: str | None, force: bool) -> None:
-    """See beforehand whether `write_text` can write there; None: nothing is asked for.
+def check_outputs(*paths: str | None, force: bool, sources: Iterable[str] = ()) -> None:
+    """See beforehand whether `write_text` can write there.
+
+    Args:
+        paths: None where nothing is asked for.
+        force: whether files may be replaced.
+        sources: logs and results read, which never are.
 
     Raises:
         InputError: as of `write_text`.
     """
+    inputs = tuple(log_file(Path(source)) for source in sources)
     for path in paths:
         if path is not None and path != "-" and not is_device(path):
-            check_target(Path(path), replace=force)
+            check_target(Path(path), replace=force, sources=inputs)
 
 
 def deliver(

@@ -12,7 +12,6 @@ from gcs_sysid.cli import output
 from gcs_sysid.cli.health_command import given_of
 from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.cli.program import OneByOne
-from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import (
     Proposal,
@@ -31,11 +30,10 @@ _ROW = "{:<22}{:>10}{:>10}{:>10}  {}"
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no flight of one vehicle counts."""
     given = given_of(options)
-    output.check_outputs(options.json, force=options.force)
+    targets = options.json, options.output
+    output.check_outputs(*targets, force=options.force, sources=options.logs)
     if options.output is not None:
-        target = Path(options.output)
-        check_target(target, replace=options.force, sources=tuple(map(Path, options.logs)))
-        check_suffix(target, cli=True)
+        check_suffix(Path(options.output), cli=True)
     flights: list[Health] = []
     one_by_one = OneByOne(options.logs)
     for log in options.logs:

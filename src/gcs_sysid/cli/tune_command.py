@@ -78,7 +78,9 @@ def _check_outputs(options: argparse.Namespace) -> None:
     """See beforehand whether all that is asked for can be written."""
     if (options.to is None) != (options.output is None):
         raise InputError("--to and -o go together: give both, or neither")
-    check_outputs(options.json, options.output, options.bode, force=options.force)
+    given = options.result, options.beside, options.parameters
+    read = [path for path in given if path is not None]
+    check_outputs(options.json, options.output, options.bode, force=options.force, sources=read)
     if (options.json, options.output, options.bode).count("-") > 1:
         raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {

@@ -16,7 +16,9 @@ from gcs_sysid.twin.twin_flight import twin_svg, twin_table
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when result or log do not allow an answer."""
     log = Path(options.log)
-    output.check_outputs(options.json, options.picture, force=options.force)
+    output.check_outputs(
+        options.json, options.picture, force=options.force, sources=[options.result, options.log]
+    )
     airframe = _airframe(options, log)
     try:
         result = _result(options, airframe)

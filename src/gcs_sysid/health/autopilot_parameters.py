@@ -620,8 +620,15 @@ def proposal_file(flights: Sequence[Health], found: Sequence[Proposal], suffix: 
         found: by them.
         suffix: of the file: ".params" is QGroundControl's, ".txt" for Betaflight's command line,
             others are Mission Planner's.
+
+    Raises:
+        InputError: the format is another autopilot's.
     """
     used = [flight for flight in flights if not excluded(flight)]
+    ground_station = used[-1].autopilot in ("px4", "ardupilot")
+    if (suffix == ".txt") == ground_station:
+        wanted = " or ".join(SUFFIXES) if ground_station else ".txt"
+        raise InputError(f"{suffix} is no format of this autopilot: end the name with {wanted}")
     names = ", ".join(Path(flight.source).name for flight in used)
     chosen = [one for one in found if one.verdict == "set"]
     others = [f"# {one.name}: {one.verdict}: {one.reason}" for one in found if one not in chosen]
