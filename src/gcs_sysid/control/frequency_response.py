@@ -1,16 +1,16 @@
 """Frequency response measured on a flight, no sweep needed: command to rate, set-point to rate.
 
 Gapless pieces of flight are tapered by discrete prolate spheroidal sequences of time-bandwidth NW
-(Thomson 1982, Proc. IEEE 70, 1055-1096, eq. 3.4): 2 NW - 1 spectra of each piece that are nearly
+(Thomson 1982, Proc. IEEE 70, 1055-1096): 2 NW - 1 spectra of each piece that are nearly
 uncorrelated, and so are frequencies 2 W apart. The products of all pieces, tapers and frequencies
 of a cell are n independent ones. Rotors answer to gusts, so S_yu / S_uu lies between the vehicle
-and the inverse of its controller (Soderstrom and Stoica, System Identification, 10.3). With an
-instrument z that is independent of gusts (eq. 8.14 there, in the frequency domain)
+and the inverse of its controller (Soderstrom and Stoica, System Identification, ch. 10). With an
+instrument z that is independent of gusts (ch. 8 there, in the frequency domain)
 
     G = S_yz / S_uz ,   e = y - G u ,   var G = S_ee S_zz / ((n - 1) |S_uz|^2)
 
-and 2 (n - 1) degrees of freedom are left to e (Bendat and Piersol, Random Data, 4th ed., 9.2.4,
-whose input is its own instrument). Where e grows with z, by nonlinearity, the sandwich
+and 2 (n - 1) degrees of freedom are left to e (Bendat and Piersol, Random Data, ch. 9, where the
+input is its own instrument). Where e grows with z, by nonlinearity, the sandwich
 sum |e|^2 |z|^2 / |sum u z*|^2 is larger, and counts.
 
 Instruments are rate set-points; those that ArduPilot's system identification, Betaflight's chirp
@@ -393,7 +393,7 @@ class SmoothRatio:
         """By how much measured and modeled response part, as a share, where that is surest.
 
         Errors of both count; the band holds at all frequencies of all axes together (Scheffe 1959,
-        The Analysis of Variance, 3.5), but for the false-alarm rate.
+        The Analysis of Variance, ch. 3), but for the false-alarm rate.
 
         Returns:
             The share, its lower bound (below 0: they may agree), and the frequency, rad/s.
