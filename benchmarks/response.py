@@ -56,13 +56,14 @@ class Pilot:
 
     Args:
         seed: of the steps.
-        sizes: rad, of roll, pitch and heading at most.
+        sizes: rad, of roll, pitch and heading at most. Heading steps of 0.2 saturate rotors: the
+            response at that size is not the linear one.
     """
 
     name, duration, turbulence = "pilot", SECONDS, 0.0
     _SLOT = 0.05
 
-    def __init__(self, seed: int, sizes: tuple[float, float, float] = (0.12, 0.12, 0.2)) -> None:
+    def __init__(self, seed: int, sizes: tuple[float, float, float] = (0.12, 0.12, 0.06)) -> None:
         random = np.random.default_rng([seed, 0x50])
         slots = round(2.0 * SECONDS / self._SLOT)
         steps = random.random((slots, 3)) < self._SLOT / 0.8
