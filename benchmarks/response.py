@@ -12,7 +12,6 @@ to 1 %, and against one with a third more inertia.
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -109,25 +108,9 @@ def flown_by_pilot(drawn: Drawn, loop: RateLoop, gusts: float, seed: int) -> Flo
     return FlownSignals((signals,), 1.0 / LOOP_RATE, 2.0 * np.pi * 25.0)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Of one flight.
-
-    Attributes:
-        claimed: magnitudes and phases claimed; `inside`: those whose band holds the truth.
-        margins: measured phase margin, its 95 % interval's half width, and the sweep's, deg.
-        objections: against the true model, and against one with more inertia.
-    """
-
-    claimed: int
-    inside: int
-    margins: list[tuple[float, float, float]]
-    objections: tuple[bool, bool]
-
-
 def outcome(
     flight: FlownSignals, dynamics: list[HoverDynamics], loop: RateLoop, sweeps: list[float]
-) -> Outcome:
+) -> dict:
     """Compare a flight with the truth.
 
     Args:
@@ -135,6 +118,10 @@ def outcome(
         dynamics: true, and wrong.
         loop: that flew.
         sweeps: deg, phase margin of each axis by an injected multisine.
+
+    Returns:
+        Magnitudes and phases claimed, and those whose band holds the truth; phase margins measured,
+        half their interval, and the sweep's, deg; objections to either.
     """
     claimed = inside = 0
     margins = []
@@ -156,7 +143,7 @@ def outcome(
         smooth = {name: smooth_ratio(one) for name, one in measured.items()}
         departures = {name: one.departure() for name, one in smooth.items() if one is not None}
         objected.append(any(parted(departures, LIMITS.unmodeled)))
-    return Outcome(claimed, inside, margins, (objected[0], objected[1]))
+    return {"claimed": claimed, "inside": inside, "margins": margins, "objections": objected}
 
 
 def one_vehicle(seed: int) -> dict:
@@ -174,7 +161,7 @@ def one_vehicle(seed: int) -> dict:
         tones, transfer = measured_loop(drawn, loop, axis, 10.0)
         sweeps.append(float(margins_of(tones, transfer[None]).phase[0]))
     flights = {
-        name: outcome(flown_by_pilot(drawn, loop, gusts, seed), both, loop, sweeps).__dict__
+        name: outcome(flown_by_pilot(drawn, loop, gusts, seed), both, loop, sweeps)
         for name, gusts in (("calm", 0.0), ("gusts", GUSTS))
     }
     return {"vehicle": seed, "layout": drawn.layout, "autopilot": autopilot, **flights}
