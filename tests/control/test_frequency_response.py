@@ -110,7 +110,13 @@ def test_as_python_control():
     assert data.frdata[0, 0] == pytest.approx(found.values[found.claimed])
 
 
-@pytest.fixture(scope="module", params=[(0, "px4", 0.1), (1, "ardupilot", 0.0)])
+@pytest.fixture(
+    scope="module",
+    params=[
+        (0, "px4", 0.1),
+        pytest.param((1, "ardupilot", 0.0), marks=pytest.mark.thorough),
+    ],
+)
 def flight(request):
     seed, autopilot, gusts = request.param
     drawn = draw(seed, LAYOUTS)

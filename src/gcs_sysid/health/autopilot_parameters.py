@@ -183,7 +183,7 @@ def determined(flights: Sequence[Health]) -> tuple[Proposal, ...]:
     voltage = _together([h.by_voltage for h in usable if h.by_voltage is not None])
     found: dict[str, list[Proposal]] = {}
     for health in usable:
-        for one in of[health.autopilot](_Flight(health, curve, voltage)):
+        for one in of[health.autopilot](_HoverFlight(health, curve, voltage)):
             found.setdefault(one.name, []).append(one)
     return tuple(_merged(some) for some in found.values())
 
@@ -228,7 +228,7 @@ def _merged(some: Sequence[Proposal]) -> Proposal:
 
 
 @dataclass(frozen=True)
-class _Flight:
+class _HoverFlight:
     """A flight, and what all flights of the vehicle determine together.
 
     Attributes:
@@ -306,7 +306,7 @@ class _Flight:
         return self.curve if proposal.verdict == "set" else old
 
 
-def _hover(flight: _Flight, c: Estimate, before: float, after: float) -> Estimate | None:
+def _hover(flight: _HoverFlight, c: Estimate, before: float, after: float) -> Estimate | None:
     """Throttle of a hover, by the curve and the share of the voltage made up for after all is set.
 
     It is that of flights to come: loads and charges differ from one to the next.
@@ -330,7 +330,7 @@ def _hover(flight: _Flight, c: Estimate, before: float, after: float) -> Estimat
 
 
 def _then(
-    flight: _Flight, name: str, of_curve: str, c: Estimate, voltage: tuple[float, float]
+    flight: _HoverFlight, name: str, of_curve: str, c: Estimate, voltage: tuple[float, float]
 ) -> float | None:
     """What a hover's throttle of now amounts to by another curve and voltage; None: the same."""
     x, now = flight.health.hover_command, flight.now(name)
@@ -341,7 +341,7 @@ def _then(
     return None if math.isclose(then, now, rel_tol=1e-6) else then
 
 
-def _px4(flight: _Flight) -> Iterator[Proposal]:
+def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
     health = flight.health
     yield flight.of_curve("THR_MDL_FAC")
     c = flight.curve_after("THR_MDL_FAC")
@@ -379,7 +379,7 @@ def _of_hover(hover: Estimate | None) -> float:
     return math.inf if hover is None else 2.5 * TUNING.worth_knowing * (hover.value or 0.0)
 
 
-def _ardupilot(flight: _Flight) -> Iterator[Proposal]:
+def _ardupilot(flight: _HoverFlight) -> Iterator[Proposal]:
     health = flight.health
     yield flight.of_curve("MOT_THST_EXPO")
     yield from _battery(flight)
@@ -393,7 +393,7 @@ def _ardupilot(flight: _Flight) -> Iterator[Proposal]:
     yield from _drag(flight, "EK3_DRAG_")
 
 
-def _drag(flight: _Flight, prefix: str) -> Iterator[Proposal]:
+def _drag(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
     """Drag by which the autopilot estimates the wind, where its log has parameters of it."""
     names = [f"{prefix}{name}" for name in ("MCOEF", "BCOEF_X", "BCOEF_Y")]
     if not set(names) <= flight.health.parameters.keys():
@@ -433,7 +433,7 @@ def _drag(flight: _Flight, prefix: str) -> Iterator[Proposal]:
         yield flight.propose(name, ballistic, note, use=use, lacks=lacks, keep=keep, fly=_LEGS)
 
 
-def _thrust_hover(flight: _Flight) -> Proposal:
+def _thrust_hover(flight: _HoverFlight) -> Proposal:
     health, x = flight.health, flight.health.hover_command
     c = flight.curve_after("MOT_THST_EXPO")
     note = f"hover with MOT_THST_EXPO {c.value or 0.0:.3g}"
@@ -464,7 +464,7 @@ def _thrust_hover(flight: _Flight) -> Proposal:
     )  # fmt: skip
 
 
-def _by_voltage(flight: _Flight, name: str, full: float, unit: str) -> Proposal:
+def _by_voltage(flight: _HoverFlight, name: str, full: float, unit: str) -> Proposal:
     """A parameter that makes up for the voltage, in full where it is `full`."""
     falls, power = flight.falls, flight.voltage
     if falls is None:
@@ -480,7 +480,7 @@ def _power_words(power: Estimate | None) -> str:
     return f"thrust goes with the voltage to the power {share} of that of commands"
 
 
-def _battery(flight: _Flight) -> Iterator[Proposal]:
+def _battery(flight: _HoverFlight) -> Iterator[Proposal]:
     """MOT_BAT_VOLT_*: 0 where the ESC makes up for the voltage by itself, else a pack's limits."""
     names = [f"MOT_BAT_VOLT_{end}" for end in ("MAX", "MIN")]
     battery, falls = flight.health.battery, flight.falls
@@ -502,7 +502,7 @@ def _battery(flight: _Flight) -> Iterator[Proposal]:
         yield flight.propose(name, value, note, lacks=why, fly=_DISCHARGE)
 
 
-def _betaflight(flight: _Flight) -> Iterator[Proposal]:
+def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
     """Of Betaflight, whose logs have its parameters by the names of its command line."""
     if "vbat_sag_compensation" in flight.health.parameters:
         yield _by_voltage(flight, "vbat_sag_compensation", 100.0, "%")
@@ -552,7 +552,7 @@ def _spin_min(health: Health) -> Estimate | None:
     return Estimate(share + TUNING.above_idle, TUNING.idle_std, "1", std_given=TUNING.idle_std)
 
 
-def _imu(flight: _Flight, prefix: str) -> Iterator[Proposal]:
+def _imu(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
     airframe, cg = flight.health.airframe, flight.health.cg
     assert airframe is not None
     assert cg is not None
