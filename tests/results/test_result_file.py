@@ -33,6 +33,11 @@ def test_what_was_written_is_read(tmp_path):
     assert read_result(tmp_path / "r.json") == RESULT
 
 
+def test_a_path_may_be_text_and_a_missing_one_is_one_line():
+    with pytest.raises(InputError, match="No such file"):
+        read_result("nowhere.json")
+
+
 def test_the_last_line_of_a_live_session_counts(tmp_path):
     earlier = RESULT.as_json() | {"source": "earlier"}
     lines = [json.dumps(earlier), RESULT.dumps(indent=None)]

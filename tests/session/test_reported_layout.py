@@ -174,6 +174,8 @@ def test_another_arm_is_worth_a_word_and_no_more():
     assert "arms of 0.25 m" in line
     assert "0.2 m" in line
     assert notes(QUAD, px4(QUAD.with_arm(0.255).rotors)) == ()
+    exact = load_airframe("px4-sih")
+    assert notes(exact, px4(exact.with_arm(exact.arm * (1.0 + 1e-7)).rotors)) == ()
     assert "arms of 0.25 m" in notes(QUAD, px4(QUAD.with_arm(0.265).rotors))[0]
 
 

@@ -37,7 +37,7 @@ def report(comparison: Comparison) -> str:
         f"B {after.verdict}: {after.source}",
         "",
         f"{'parameter':<19}{'A':>12}{'B':>12}{'B - A':>10}{'± 95 %':>9}{'%':>8}  "
-        f"{'unit':<9}verdict",
+        f"{'unit':<15}verdict",
         *map(_row, comparison.differences.values()),
         "",
         *(
@@ -55,8 +55,8 @@ def report(comparison: Comparison) -> str:
 
 
 _RULES = (
-    "verdicts hold for all parameters together: at most one comparison in twenty of an unchanged "
-    "vehicle says changed (Holm); intervals are per parameter",
+    "verdicts hold for all parameters together: at most one comparison in a hundred of an "
+    "unchanged vehicle says changed (Holm); intervals are per parameter",
     "A and B are taken as independent; correlations between parameters are not used",
 )
 
@@ -75,7 +75,7 @@ def _row(found: Difference) -> str:
         line += f"{shown.value:>10}{shown.half or '0':>9}{_percent(found.value, found.before):>8}"
     unit = found.unit if exponent is None else scaled_unit(found.unit, exponent)
     why = f": {found.why}" if found.why else ""
-    return f"{line}  {unit:<9}{CHANGE[found.verdict].meaning}{why}"
+    return f"{line}  {unit:<15}{CHANGE[found.verdict].meaning}{why}"
 
 
 def _percent(difference: float, before: Estimate) -> str:

@@ -342,8 +342,8 @@ _LEGEND = (
 )
 _RULE = (
     "Each flight is compared with the prediction from the flights since the last change, including "
-    "their usual scatter. At most one unchanged vehicle in twenty is called changed at any of its "
-    "flights."
+    "their usual scatter. At most one unchanged vehicle in a hundred is called changed at any of "
+    "its flights."
 )
 _FEW = (
     f"With fewer than {FEWEST} flights the usual scatter is unknown: a difference need not be a "

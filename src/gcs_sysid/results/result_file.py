@@ -21,7 +21,7 @@ MOST_BYTES = 256 * 1024 * 1024
 _MADE_BY = "gcs-sysid analyze {} --json result.json makes one of a log"
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: str | Path) -> Result:
     """Read one result.
 
     Args:
@@ -43,7 +43,7 @@ def read_result(path: Path) -> Result:
     """
     where = str(path)
     try:
-        text = read_text(path, "the result", MOST_BYTES)
+        text = read_text(Path(path), "the result", MOST_BYTES)
     except InputError as error:
         if isinstance(error.__cause__, UnicodeDecodeError):
             raise InputError(

@@ -282,9 +282,10 @@ def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
     ours, theirs = airframe.arm, _arm(reported.rotors)
     # Theirs is hardly measured better.
     share = math.sqrt(2.0) * airframe.uncertainty.arm.of(ours) / ours
-    if reported.sized and abs(ours / theirs - 1.0) > normal_limit() * share:
+    own, said = f"{ours:.3g}", f"{theirs:.3g}"  # exact ones part by the rounding of parameters
+    if reported.sized and own != said and abs(ours / theirs - 1.0) > normal_limit() * share:
         out.append(
-            f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
+            f"arms of {own} m, where the vehicle's {reported.by} say {said} m: inertia "
             "is proportional to the arm, so measure it"
         )
     if reported.shown and _are_reversed(airframe.rotors, reported.rotors):
