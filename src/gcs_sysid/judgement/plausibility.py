@@ -192,6 +192,13 @@ def edge_of_bodies(evidence: Evidence) -> Iterator[Objection]:
             verdict="partial",
             how="fly several axes at once, such as roll and yaw",
         )
+        # Bodies like that have them alike, |Ixx - Iyy| < Izz.
+        yield Objection(
+            "without Izz, Ixx and Iyy come out alike",
+            frozenset({"Ixx", "Iyy"}),
+            cap="weak",
+            stated=False,
+        )
 
 
 def _known(evidence: Evidence) -> dict[str, float]:
