@@ -36,8 +36,11 @@ COAXIAL = tuple(
 )  # fmt: skip
 
 
-def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0):
-    """A vehicle that its mixer turns to and fro, with gusts, at RATE."""
+def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0, crosstalk=0.0):
+    """A vehicle that its mixer turns to and fro, with gusts, at RATE.
+
+    With crosstalk, it does not pitch but for this share of its yaw.
+    """
     random = np.random.default_rng(seed)
     n = int(40.0 * RATE)
     t = 10.0 + np.arange(n) / RATE
@@ -46,12 +49,16 @@ def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0):
     for i in range(1, n):
         wanted[i] = keep * wanted[i - 1] + (1.0 - keep) * wanted[i]
     wanted *= 0.1 * moving / wanted[:, 0].std()
+    if crosstalk:
+        wanted[:, 1] = 0.0
     geometry = Airframe("true", rotors).geometry
     allocation = np.linalg.pinv(mixer(geometry))  # roll, pitch, thrust, yaw to rotors
     thrust = 1.0 + wanted[:, [0, 1, 2, 3]] @ allocation
     thrust /= thrust.mean()
     x, y, spin = geometry
     moment = thrust @ np.column_stack([-y, x, 0.1 * spin])
+    if crosstalk:
+        moment[:, 1] = crosstalk * moment[:, 2]
     moment -= moment.mean(axis=0)
     slow = np.cumsum(random.standard_normal((n, 3)), axis=0)
     slow *= gusts * moment.std(axis=0) / slow.std(axis=0)
@@ -170,6 +177,8 @@ def test_the_order_as_flown_keeps_its_cg_and_so_does_one_that_gusts_hide():
         assert found.available
         assert not found.contradicted
     assert why_no_health({"health": document_of(found)}) == []
+    rolled = flight(BETAFLIGHT, crosstalk=0.1)
+    assert layout(rolled, Airframe("mine", BETAFLIGHT)).as_flown == ""
     gusty = layout(flight(BETAFLIGHT, moving=0.01, gusts=1000.0), Airframe("mine", BETAFLIGHT))
     assert gusty.as_flown == ""
 

@@ -183,6 +183,7 @@ def layout_by_motion(
     ours = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, _least(own))
     best = likeliest is not None and not likeliest.differs(ours)
     shown = _least(own) >= (TUNING.least_explained if best else TUNING.surely_explained)
+    shown &= not any(_rests(turning).any() for _, turning in seen)
     coupled = _most_coupled(airframe, seen)
     guess = replace(guess, explained=_least(own), explained_coupled=coupled)
     clear = max(TUNING.least_explained, TUNING.more_explained * rival)
@@ -337,7 +338,18 @@ def _explained(geometry: Array, thrust: Array, turning: Array) -> list[float]:
         both = float(moment @ turned)
         power = float(moment @ moment) * float(turned @ turned)
         out.append(float(np.copysign(both**2 / power, both)) if power > 0.0 else 0.0)
-    return out
+    return [1.0 if rests else share for rests, share in zip(_rests(turning), out, strict=True)]
+
+
+def _rests(turning: Array) -> Array:
+    """(3,) whether roll or pitch does so little of what the other does that it may be crosstalk.
+
+    Crosstalk fits any order, so nothing there is left to explain.
+    """
+    moved = turning.std(axis=0)
+    rests: Array = moved < TUNING.crosstalk * moved[:2].max()
+    rests[2] = False
+    return rests
 
 
 def _coupled(geometry: Array, thrust: Array, turning: Array) -> float:
@@ -353,7 +365,7 @@ def _coupled(geometry: Array, thrust: Array, turning: Array) -> float:
     power = (turning**2).sum(axis=0)
     answered = (np.diag(gains) > 0.0) & (power > 0.0)
     shares = 1.0 - np.divide(rest, power, out=np.ones(3), where=answered)
-    return float(shares[:2].min())
+    return float(np.where(_rests(turning), 1.0, shares)[:2].min())
 
 
 def _most_coupled(airframe: Airframe, seen: Sequence[tuple[Array, Array]]) -> float:

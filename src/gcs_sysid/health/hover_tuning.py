@@ -30,6 +30,7 @@ class HoverTuning:
             taken. Right ones explained 0.48 to 0.99 of given logs,
             wrong orders at most a tenth of that, a frame turned by 45 degrees half.
         more_explained: times what any other layout explains.
+        crosstalk: of the angular acceleration in roll or pitch, what the other may get of it.
         surely_explained: share from which on an airframe's rotors surely turn the vehicle.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
         least_seen: share of the time in which rotors carry, below which heights do not prove
@@ -150,6 +151,7 @@ class HoverTuning:
     fewest_for_order: int = 60
     least_explained: float = 0.1
     more_explained: float = 1.5
+    crosstalk: float = 0.05
     surely_explained: float = 0.2
     carrying: float = 0.2
     least_seen: float = 0.1
