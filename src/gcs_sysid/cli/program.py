@@ -192,8 +192,7 @@ def welcome() -> str:
     """One screen of 80 columns."""
     commands = "\n".join(f"  {command.name:<12}{command.summary}" for command in COMMANDS)
     return f"""\
-gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
-Try demo, then a log of yours and your vehicle (m from center to motor, kg):
+gcs-sysid {__version__} identifies a multirotor. Try demo, then (arm in m, mass in kg):
   gcs-sysid flight.bin --arm 0.25 --mass 1.5
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
 Commands (options: gcs-sysid COMMAND --help; no vehicle found: gcs-sysid doctor)

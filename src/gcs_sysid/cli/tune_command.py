@@ -195,8 +195,8 @@ def _autopilot(
     prefix = _PREFIX[named]
     if parameters and not any(name.startswith(prefix) for name in parameters):
         raise InputError(
-            f"{options.parameters}: holds no {prefix}* parameters: not those of {named}; "
-            "give --autopilot, or the right file"
+            f"{options.parameters}: holds no {prefix}* parameters, as gains of {named} are: give a "
+            "log or file that has them, or --autopilot if it is another one"
         )
     return cast(Autopilot, named)
 

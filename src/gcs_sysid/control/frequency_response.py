@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal.windows import dpss
 from scipy.special import chdtri, stdtrit
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
@@ -310,6 +309,8 @@ def _spectra(
     The input is `shift` samples early, so that output and input are of one time in a piece.
     """
     length = round(T / flight.dt)
+    from scipy.signal.windows import dpss  # which loads much else
+
     tapers = dpss(length, RULES.bandwidth, round(2.0 * RULES.bandwidth) - 1)
     for stretch in flight.stretches:
         u, y, z = stretch[:, columns].astype(np.float64).T

@@ -450,6 +450,12 @@ def study(
                 "compared with the model (log vehicle_rates_setpoint, or RATE)"
             )
     smooth = {name: smooth_ratio(one) for name, one in measured.items()}
+    few = [name for name, one in smooth.items() if one is None and measured[name].torque.instrument]
+    if few:
+        notes.append(
+            f"the response on {', '.join(few)} is claimed at too few frequencies to be compared "
+            "with the model"
+        )
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
     objections = tuple(parted(departures, LIMITS.unmodeled))
     now = replace(loop, besides=()) if loop.gains_known else None

@@ -113,7 +113,7 @@ class Proposal:
         """Why, and where the value comes from, in words."""
         value, half = self._value, self._half
         if self.verdict == "set":
-            why = "" if self.new == value else "what it is now, with the others set"
+            why = "" if self.new == value else "the old value as it reads once the others are set"
         elif value is None or self.lacks:
             return self.lacks or "not determined"
         elif half > self.use:
