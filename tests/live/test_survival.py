@@ -155,6 +155,15 @@ def session():
     return session
 
 
+@pytest.fixture
+def traced():
+    """Memory is counted, also what a session has from its start and gives up later."""
+    gc.collect()
+    tracemalloc.start()
+    yield
+    tracemalloc.stop()
+
+
 def rounds(session):
     """What the session's thread does, once."""
     session._turn(session._source.next_items(0.0), time.monotonic())
@@ -188,15 +197,10 @@ def flood(session, link, make, count, rng):
     ],
     ids=lambda make: make.__name__,
 )
-def test_memory_stays_flat_whatever_comes(session, make):
+def test_memory_stays_flat_whatever_comes(traced, session, make):
     rng = random.Random(3)
     count = COUNTS.get(make.__name__, 4000)
-    gc.collect()
-    tracemalloc.start()
-    try:
-        first, second = flood(session, session.link, make, count, rng)
-    finally:
-        tracemalloc.stop()
+    first, second = flood(session, session.link, make, count, rng)
     # What is kept is kept by then: the second half adds nothing, and all of it is little.
     assert second < first + 0.3 * MEGABYTE
     assert second < 48 * MEGABYTE  # a grid of 10 kHz takes most, and what loads only then

@@ -254,13 +254,13 @@ class SeenFrames:
 
     def __init__(self, stamped: Collection[int]) -> None:
         self._stamped = np.array(sorted(stamped))
-        self._last: dict[int, int] = {}
-        """Sender -> sequence number of its latest frame that was no copy."""
+        self._last = np.zeros(1 << 16, np.uint8)
+        """Of each sender, the sequence number of its latest frame that was no copy."""
         self.repeated = 0
         """How many there were."""
         # Full from the start, of what no frame is, so that memory stays what it is.
-        self._order = deque(range(-self._KEPT, 0))
-        self._places = {key: key for key in self._order}
+        self._order = deque(-(2**63) - n for n in range(self._KEPT))
+        self._places = dict(zip(self._order, range(-self._KEPT, 0), strict=True))
         """Key -> how many were remembered before it."""
         self._count = 0
 
@@ -287,11 +287,11 @@ class SeenFrames:
                 while last >= 0 and again[last]:
                     last = before[last]
                 number = numbers[i]
-                then = numbers[last] if last >= 0 else self._last[int(senders[i])]
+                then = numbers[last] if last >= 0 else int(self._last[senders[i]])
                 ahead = (number - then) % 256
                 again[i] = is_stamped or ahead > 1 + self._LOST or (number and not ahead)
         self._remember(every[remembered].tolist())
-        self._last.update(zip(senders[~again].tolist(), sequence[~again].tolist(), strict=True))
+        self._last[senders[~again]] = sequence[~again]
         if not again.any():
             return frames
         self.repeated += int(np.count_nonzero(again))
