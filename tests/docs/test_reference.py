@@ -47,7 +47,7 @@ def test_every_public_name_is_told_with_what_its_docstring_says(name):
 
 def test_signatures_are_those_of_the_source():
     page = api_page()
-    assert "read_result(path: Path) -> Result" in page
+    assert "read_result(path: str | Path) -> Result" in page
     assert "    start: float = 0.0,\n    end: float = float('inf'),\n" in page
     assert "    vehicle: tuple[int, int | None] | None = None,\n" in page
     assert "(self" not in page
