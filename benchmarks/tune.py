@@ -259,7 +259,7 @@ def main() -> None:
 
 
 def one_vehicle(seed: int) -> dict:
-    """Both autopilots on one vehicle, as an entry of the file."""
+    """Every autopilot on one vehicle, as an entry of the file."""
     drawn = draw(seed, LAYOUTS)
     v = drawn.vehicle
     entry: dict = {
@@ -313,7 +313,7 @@ def summary(entries: list[dict]) -> None:
     off = [np.abs(np.diff(x)[:, 0]) for x in (phase, gain[finite], over)]
     masses = [entry["mass"] for entry in entries]
     print(
-        f"\n{len(entries)} vehicles of {min(masses):.2f} to {max(masses):.1f} kg with both "
+        f"\n{len(entries)} vehicles of {min(masses):.2f} to {max(masses):.1f} kg with all "
         f"autopilots: {len(tunings) - len(given)} of {len(tunings)} refused, "
         f"{sum(one['flew'] for one in given)} of {len(given)} flew first time"
         f"\nmeasured phase margin at least {phase[:, 1].min():.1f} deg, gain margin at least "
