@@ -32,13 +32,15 @@ def run(options: argparse.Namespace) -> int:
 def report(comparison: Comparison) -> str:
     """The comparison as lines of text."""
     before, after = comparison.before, comparison.after
+    found = comparison.differences.values()
+    wide = max((len(_unit(each)) for each in found), default=0) + 1
     lines = [
         f"A {before.verdict}: {before.source}",
         f"B {after.verdict}: {after.source}",
         "",
         f"{'parameter':<19}{'A':>12}{'B':>12}{'B - A':>10}{'± 95 %':>9}{'%':>8}  "
-        f"{'unit':<15}verdict",
-        *map(_row, comparison.differences.values()),
+        f"{'unit':<{wide}}verdict",
+        *(_row(each, wide) for each in found),
         "",
         *(
             line
@@ -61,9 +63,14 @@ _RULES = (
 )
 
 
-def _row(found: Difference) -> str:
-    parameter = REGISTRY[found.name]
-    exponent = parameter.exponent
+def _unit(found: Difference) -> str:
+    exponent = REGISTRY[found.name].exponent
+    return found.unit if exponent is None else scaled_unit(found.unit, exponent)
+
+
+def _row(found: Difference, wide: int) -> str:
+    """A parameter's line, with so many columns for the unit."""
+    exponent = REGISTRY[found.name].exponent
     line = f"{found.name:<19}"
     for estimate in (found.before, found.after):
         line += f"{figures(estimate, exponent=exponent, digits=5).value:>12}"
@@ -73,9 +80,8 @@ def _row(found: Difference) -> str:
         half = Z95 * found.std
         shown = number_figures(found.value, half, found.unit, exponent=exponent, digits=3)
         line += f"{shown.value:>10}{shown.half or '0':>9}{_percent(found.value, found.before):>8}"
-    unit = found.unit if exponent is None else scaled_unit(found.unit, exponent)
     why = f": {found.why}" if found.why else ""
-    return f"{line}  {unit:<15}{CHANGE[found.verdict].meaning}{why}"
+    return f"{line}  {_unit(found):<{wide}}{CHANGE[found.verdict].meaning}{why}"
 
 
 def _percent(difference: float, before: Estimate) -> str:
