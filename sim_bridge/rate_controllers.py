@@ -53,7 +53,7 @@ BETAFLIGHT_DEFAULTS: dict[str, float] = {
     "gyro_lpf1_static_hz": 250.0, "gyro_lpf2_static_hz": 500.0, "dterm_lpf1_static_hz": 75.0,
     "dterm_lpf2_static_hz": 150.0, "yaw_lowpass_hz": 100.0, "p_level": 50.0,
     "dshot_bidir": 0.0, "rpm_filter_harmonics": 3.0, "rpm_filter_q": 500.0,
-    "rpm_filter_min_hz": 100.0,
+    "rpm_filter_min_hz": 100.0, "thrust_curve": 0.0,
 }  # fmt: skip
 DEFAULTS = {
     "px4": PX4_DEFAULTS, "ardupilot": ARDUPILOT_DEFAULTS, "betaflight": BETAFLIGHT_DEFAULTS,
@@ -168,6 +168,10 @@ class RateController(Controller, ABC):
         first = [vehicle.speed_of(vehicle.command_of((s * vehicle.T_max / vehicle.k_T) ** 0.5))
                  for s in shares]  # fmt: skip
         self._late: deque[list[Value]] = deque([first] * delay_loops)
+        self._begin()
+
+    def _begin(self) -> None:
+        """What the loops of one autopilot remember, from the start."""
 
     def _get(self, name: str) -> Value:
         return self._settings[name]
@@ -299,16 +303,7 @@ class ArduPilotRateController(RateController):
     curve_name = "MOT_THST_EXPO"
     names = ("RLL", "PIT", "YAW")
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        period: float,
-        settings: Mapping[str, Value],
-        delay_loops: int = 0,
-        gains: Gains | None = None,
-        injection: Injection | None = None,
-    ) -> None:
-        super().__init__(vehicle, period, settings, delay_loops, gains, injection)
+    def _begin(self) -> None:
         self._target: list[Value] = [0.0, 0.0, 0.0]
         self._error: list[Value] = [0.0, 0.0, 0.0]
         self._derivative: list[Value] = [0.0, 0.0, 0.0]
@@ -358,18 +353,7 @@ class BetaflightRateController(RateController):
     curve_name = "thrust_curve"
     names = ("roll", "pitch", "yaw")
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        period: float,
-        settings: Mapping[str, Value],
-        delay_loops: int = 0,
-        gains: Gains | None = None,
-        injection: Injection | None = None,
-    ) -> None:
-        super().__init__(
-            vehicle, period, {"thrust_curve": 0.0, **settings}, delay_loops, gains, injection
-        )
+    def _begin(self) -> None:
         self._low: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
         self._notches: list[Notch] | None = None
         self._slow: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]

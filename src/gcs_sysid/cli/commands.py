@@ -351,15 +351,16 @@ UNCHANGED = option(
     "nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
     action="store_true",
 )
-OF_HOVER = (
+HOVER_LOGS = (
     LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
     CSV,
     layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
     VEHICLE,
     BASELINE_FLIGHT,
     UNCHANGED,
-    JSON.but("write the findings; - is stdout"),
 )
+"""Flights of one vehicle, and what is known of it."""
+OF_HOVER = (*HOVER_LOGS, JSON.but("write the findings; - is stdout"))
 """What check and health ask for."""
 
 COMMANDS = (
@@ -557,12 +558,7 @@ COMMANDS = (
         "should be, and whether to set it or to leave it, or what to fly to know. It is set only "
         "where the truth is surely nearer to the new value. Nothing is sent to a vehicle.",
         (
-            LOGS.but(f"{usual_endings()}, .csv; several: of one vehicle"),
-            CSV,
-            layout("default: by the vehicle's parameters or type", None, BATTERY_MASS),
-            VEHICLE,
-            BASELINE_FLIGHT,
-            UNCHANGED,
+            *HOVER_LOGS,
             JSON.but("write the proposals; - is stdout"),
             OUTPUT.but(
                 "what is to be set, to load by hand: .params for QGroundControl, .param for "

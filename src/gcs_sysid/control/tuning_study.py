@@ -746,7 +746,8 @@ def parameter_text(tuning: TuningStudy, suffix: str) -> str:
         )
     head += [f"# Note: {note}" for note in tuning.notes]
     head = ["".join(c if c.isprintable() else " " for c in line) for line in head]
-    return "\n".join([*head, "#", *parameter_lines(values, notes, suffix)]) + "\n"
+    tail = ["save"] if suffix == ".txt" else []
+    return "\n".join([*head, "#", *parameter_lines(values, notes, suffix), *tail]) + "\n"
 
 
 def with_deviations(vehicle: ExportedVehicle, deviations: Mapping[str, float]) -> ExportedVehicle:

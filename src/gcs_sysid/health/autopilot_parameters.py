@@ -654,10 +654,4 @@ def _lines(found: Sequence[Proposal], health: Health, suffix: str) -> list[str]:
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
         values[one.name], notes[one.name] = round(written, 6), f"{interval} ({one.note}{now})"
-    if suffix == ".txt":
-        return [
-            line
-            for name, value in values.items()
-            for line in (f"# {name}: {notes[name]}", f"set {name} = {value:.0f}")
-        ]
     return parameter_lines(values, notes, suffix, address)

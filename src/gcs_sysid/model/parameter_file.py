@@ -56,8 +56,8 @@ def parameter_lines(
     Args:
         values: name -> value.
         notes: name -> words, for some or all of them.
-        suffix: of the file: ".params" is QGroundControl's, ".txt" for Betaflight's CLI, others are
-            Mission Planner's.
+        suffix: of the file: ".params" is QGroundControl's, ".txt" whole numbers for Betaflight's
+            CLI, others are Mission Planner's.
         address: system and component of the vehicle.
     """
     named = suffix == ".params"
@@ -66,9 +66,9 @@ def parameter_lines(
     for name, value in values.items():
         lines += [f"# {name}: {notes[name]}"] if name in notes else []
         if suffix == ".txt":
-            lines.append(f"set {name} = {value:.9g}")
+            lines.append(f"set {name} = {value:.0f}")
         elif named:
             lines.append(f"{system}\t{component}\t{name}\t{value:.9g}\t{REAL32}")
         else:
             lines.append(f"{name},{value:.9g}")
-    return [*lines, "save"] if suffix == ".txt" else lines
+    return lines
