@@ -1,5 +1,6 @@
 """What a result holds and its file says; `results.result` adds what can be made of it."""
 
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -135,33 +136,35 @@ class ResultData:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The result as the dictionary that `--json` writes."""
+        """The result as the dictionary that `--json` writes, the caller's own to change."""
         advice = {} if self.advice is None else {"advice": self.advice}
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "reasons": list(self.reasons),
-            "objections": [objection.as_json() for objection in self.objections],
-            "source": self.source,
-            "vehicle": self.vehicle,
-            "airframe": self.airframe,
-            "scale": None if self.scale is None else self.scale.as_json(),
-            "estimator": self.estimator,
-            **({"method": self.method} if self.method else {}),
-            "rotor_input": self.rotor_input,
-            "parameters": {k: v.as_json() for k, v in self.parameters.items()},
-            "timing": {k: v.as_json() for k, v in self.timing.items()},
-            "events": list(self.events),
-            "segments": list(self.segments),
-            "validation": self.validation,
-            "priors": self.priors,
-            "disturbance": self.disturbance,
-            "rotors": [{k: v.as_json() for k, v in rotor.items()} for rotor in self.rotors],
-            "covariance": self.covariance,
-            "telemetry": self.telemetry,
-            **advice,
-            **({} if self.health is None else {"health": self.health}),
-        }
+        return deepcopy(
+            {
+                "schema": SCHEMA,
+                "verdict": self.verdict,
+                "reasons": list(self.reasons),
+                "objections": [objection.as_json() for objection in self.objections],
+                "source": self.source,
+                "vehicle": self.vehicle,
+                "airframe": self.airframe,
+                "scale": None if self.scale is None else self.scale.as_json(),
+                "estimator": self.estimator,
+                **({"method": self.method} if self.method else {}),
+                "rotor_input": self.rotor_input,
+                "parameters": {k: v.as_json() for k, v in self.parameters.items()},
+                "timing": {k: v.as_json() for k, v in self.timing.items()},
+                "events": list(self.events),
+                "segments": list(self.segments),
+                "validation": self.validation,
+                "priors": self.priors,
+                "disturbance": self.disturbance,
+                "rotors": [{k: v.as_json() for k, v in rotor.items()} for rotor in self.rotors],
+                "covariance": self.covariance,
+                "telemetry": self.telemetry,
+                **advice,
+                **({} if self.health is None else {"health": self.health}),
+            }
+        )
 
     def dumps(self, indent: int | None = 2) -> str:
         """The result as JSON text (strict: no NaN or infinity)."""
