@@ -220,18 +220,6 @@ def test_after_a_damaged_frame_the_next_i_frame_counts():
     assert frames.lost == 7
 
 
-@pytest.mark.slow
-def test_a_truncated_log_is_read_to_its_end():
-    writer, _ = plain_log()
-    whole = frames_of(writer.data).main.values.tolist()
-    head = len(writer.header())
-    for stop in range(head, len(writer.data), 7):
-        data = writer.data[:stop]
-        rows = frames_of(data).main.values.tolist() if stop > head else []
-        assert rows == whole[: len(rows)]
-        assert_as_plain(data)
-
-
 def test_a_pause_is_told_by_an_event_and_a_wrong_time_is_not_believed():
     writer, _ = plain_log(32)
     writer.intra([9000, 2_000_000, 1])  # no event: too far away

@@ -286,20 +286,6 @@ def test_sequence_numbers_are_counted_alike(seed):
         assert vars(blocks) == vars(single)
 
 
-def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path, make_sender):
-    vehicle = make_sender()
-    frames = [vehicle.heartbeat()]
-    for count, off in [(300, False), (1, True), (300, False), (1, True), (300, False)]:
-        frames += [
-            vehicle.imu(900.0 if off else 1.0 + 0.004 * (len(frames) + i)) for i in range(count)
-        ]
-    path = tmp_path / "doubt.tlog"
-    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
-    compare(path, cuts(1))
-    intake, _ = in_blocks(path, 1 << 20, None, lambda b: (b.part(0, 302), b.part(302, len(b))))
-    assert intake.decoder.clock.doubted == 2
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",

@@ -128,23 +128,6 @@ def test_datagrams_over_ipv6_go_both_ways(host, sender):
             assert vehicle.recv(100)[0] == 0xFD
 
 
-@pytest.mark.parametrize("kind", ["tcp", "tcpin"])
-def test_tcp_over_ipv6(host, sender, kind):
-    beat = sender.heartbeat()
-    with socket.create_server((host, 0), family=socket.AF_INET6) as server:
-        port = server.getsockname()[1]
-        if kind == "tcpin":
-            server.close()
-        with open_link(parse_url(f"{kind}:[{host}]:{port}")) as link:
-            if kind == "tcp":
-                vehicle = server.accept()[0]
-            else:
-                vehicle = socket.create_connection((host, port), WAIT)
-            with vehicle:
-                vehicle.sendall(beat.raw)
-                assert receive(Receiver(link), 1) == [beat]
-
-
 @pytest.mark.parametrize("jumps", [(3600.0,), (-3600.0,), (-1e9, 2e9), (0.3, -0.3) * 8])
 def test_a_computer_whose_clock_jumps_changes_no_sample(paper_flight, tmp_path, jumps):
     """Stamps of a .tlog are the host's; times of the samples are the vehicle's."""

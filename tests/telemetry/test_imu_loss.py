@@ -72,19 +72,6 @@ def test_a_reboot_and_an_absence_are_no_loss():
     assert loss.counts == (15_000, 0, 0.0)
 
 
-@pytest.mark.parametrize("size", [1, 7, 300, 4000])
-def test_how_samples_come_together_changes_nothing(size):
-    rng = RNG(4)
-    t = even(250.0, 20.0)
-    t = t[rng.random(len(t)) >= 0.3]
-    loss = ImuLoss()
-    for at in range(0, len(t), size):
-        loss.add_times(t[at : at + size])
-        if size > 100:
-            assert loss.counts.received == min(at + size, len(t))
-    assert loss.counts == counted(t)
-
-
 @pytest.mark.parametrize("late", [0, 40])
 def test_many_samples_at_once_are_counted_as_one_by_one(late):
     """With jitter, losses, a pause and another rate; late ones end what is settled at once."""

@@ -137,20 +137,6 @@ def test_mission_planner_writes_both_directions_out_of_order(tmp_path, sender, m
     assert (told["lost"], told["reboots"], told["dropped"]) == (0, 0, {})
 
 
-def test_versions_1_and_2_mix(tmp_path, sender):
-    rows = flight(sender)
-    mixed = []
-    for i, (wall, frame) in enumerate(rows):
-        if i % 3 == 0 and frame.message_id == mavlink.MAVLINK_MSG_ID_ATTITUDE:
-            t = int.from_bytes(frame.payload[:4], "little")
-            message = mavlink.MAVLink_attitude_message(t, 0, 0, 0, 0, 0, 0)
-            frame = sender.frame(message, version=1)
-        mixed.append((wall, frame))
-    log = open_log(write(tmp_path / "mixed.tlog", mixed))
-    assert sum(r.stream is Stream.ATTITUDE for r in records_of(log)) == 1500
-    assert {frame.version for _, frame in read_tlog(tmp_path / "mixed.tlog")} == {1, 2}
-
-
 def test_the_vehicle_wanted_is_the_onboard_logs_own_or_none(tmp_path, ulog_file):
     ulog_file.parameter("MAV_SYS_ID", 4)
     ulog_file.topic("vehicle_attitude", ["float[4] q"])

@@ -10,7 +10,7 @@ from pymavlink import mavutil
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
 from gcs_sysid.telemetry.frames import Validity
-from gcs_sysid.telemetry.messages import HEADER, LAYOUTS, message_arrays, message_dtype
+from gcs_sysid.telemetry.messages import LAYOUTS, message_arrays
 from gcs_sysid.telemetry.tlog import TlogReader, read_messages, read_tlog
 
 START = 1_750_000_000_000_000
@@ -93,15 +93,6 @@ def test_every_type_is_read_as_pymavlink_reads_it(tmp_path, make_sender, make_me
         assert_same(name, rows, theirs[name])
     order = np.sort(np.concatenate([rows["_frame"] for rows in ours.values()]))
     assert order.tolist() == list(range(len(raws)))
-
-
-def test_arrays_have_the_fields_of_the_wire():
-    kind = message_dtype("ESC_STATUS")
-    assert kind.itemsize == np.dtype(HEADER).itemsize + LAYOUTS[291].size
-    assert kind["rpm"].subdtype == (np.dtype("<i4"), (4,))
-    assert message_dtype("PARAM_VALUE")["param_id"] == np.dtype("S16")
-    with pytest.raises(KeyError):
-        message_dtype("NO_SUCH_MESSAGE")
 
 
 def test_only_the_types_wanted_are_read(tmp_path, sender):

@@ -178,15 +178,6 @@ def test_an_unwritable_folder_is_told_and_nothing_is_lost_once_it_is_writable(tm
     assert writer.dropped == 0
 
 
-def test_an_unwritable_folder_costs_the_recording_and_nothing_else(tmp_path, flight):
-    (tmp_path / "file").write_text("")
-    with TlogWriter(tmp_path / "file" / "flight.tlog") as writer:
-        write_all(writer, flight)
-    assert writer.dropped == len(flight)
-    assert writer.recorded == ()
-    assert writer.summary().startswith("not recording: cannot write")
-
-
 def test_a_full_disk_that_has_room_again_costs_nothing(disk, flight, tmp_path):
     disk.room = len(as_bytes(flight[:7])) + 3  # in the midst of a record
     with TlogWriter(tmp_path / "flight.tlog") as writer:

@@ -177,15 +177,6 @@ def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
     assert (counts.garbage_bytes, counts.resyncs) == (3 * (size + 8), 3)
 
 
-def test_garbage_that_looks_like_frames_of_unknown_types_is_not_taken_up_by_windows(raws):
-    unknown = bytes([0xFD, 1, 0, 0, 9, 1, 1, 0xFF, 0xFF, 0xFF, 7, 1, 2])
-    data = as_log(raws) + b"\x55" * 5 + (bytes(8) + unknown) * 300 + as_log(raws)
-    whole = scan(data)
-    assert whole[2].frames == 2 * len(raws)
-    for window in range(1000, 1000 + len(unknown) + 8):
-        assert scan(data, window) == whole
-
-
 @pytest.mark.parametrize(
     "pattern", [b"\xfe", b"\xfd\x09\0\0", b"\xfe\x09\xfd", b"\xfd\xfe", "frame"]
 )
