@@ -13,31 +13,14 @@ from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change, mass_step
-from sim_bridge.vehicle_files import load_vehicle
+from tests.estimation.flown import DT, GEOMETRY, RATE, VEHICLE, measured, with_payload
 from tests.known_theta import theta_from
 
-RATE = 250
-DT = 1.0 / RATE
 AT = 6.0
 """s, when the vehicle changes."""
-VEHICLE = load_vehicle("paper")
-GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T
-
-
-def with_payload(vehicle):
-    inertia = {n: 1.1 * getattr(vehicle, n) for n in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")}
-    shift = 1.0 + 1.0 / 6.0
-    return replace(
-        vehicle,
-        mass=1.2 * vehicle.mass,
-        cg_x=shift * vehicle.cg_x,
-        cg_y=shift * vehicle.cg_y,
-        **inertia,
-    )
 
 
 CHANGES = {
@@ -50,19 +33,6 @@ CHANGES = {
 def fly(mission, seconds, changes=(), turbulence=None):
     return fly_ensemble(
         VEHICLE, MISSIONS[mission], RATE, seconds, turbulence=turbulence, changes=changes
-    )
-
-
-def measured(flight, seed=1):
-    noisy = flight.with_noise("mems", 0.0, [seed])
-    gyro = noisy.gyro[0]
-    return Samples(
-        gyro=gyro,
-        rates=gyro - np.mean(gyro - flight.gyro[0], axis=0),
-        speeds=noisy.speeds[0],
-        attitude=noisy.quaternion[0],
-        force=noisy.specific_force[0],
-        velocity=noisy.velocity[0],
     )
 
 
@@ -212,20 +182,6 @@ def test_rotor_delay_of_the_fit_is_made_up_for(quiet_flight, changed):
         found, _ = watch(samples, reference(delay=late * DT))
         assert len(found) == count
     assert AT <= found[0].detected <= AT + 0.02 + late * DT
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["mass", "cg"])
-def test_grouping_of_samples_does_not_matter(changed, name):
-    samples = measured(changed[name])
-    whole, one = watch(samples, block=len(samples.gyro))
-    for block in (1, 7, 100):
-        parts, other = watch(samples, block=block)
-        assert len(parts) == len(whole) >= 1
-        for f in ("detected", "onset", "channel", "scale"):
-            assert [getattr(c, f) for c in parts] == [getattr(c, f) for c in whole]
-        assert parts[0].size == pytest.approx(whole[0].size, rel=1e-9)
-        np.testing.assert_allclose(other.frames, one.frames, rtol=1e-9, atol=1e-9)
 
 
 def test_a_renewed_reference_is_no_change(quiet_flight):

@@ -1,11 +1,10 @@
 """Commands as the rotors' input: lag, curve and delay are found with everything else."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, lfilter_zi, sosfilt
+from scipy.signal import butter, sosfilt
 
 from gcs_sysid.estimation.changes.change_reference import reference_of
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
@@ -14,7 +13,6 @@ from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, LagPlace
-from gcs_sysid.estimation.rows.rotor_signals import low_pass_for
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.samples import Samples
@@ -230,23 +228,3 @@ def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
     start = replace(fit.rotation.warm_start, stuck=True)
     stuck = replace(fit, rotation=replace(fit.rotation, warm_start=start))
     assert not reference_of(stuck, truth.geometry, DT, motors=True).watched.any()
-
-
-def test_the_gyros_low_pass_on_commands_does_not_depend_on_blocks():
-    rng = np.random.default_rng(4)
-    u = 0.5 + 0.1 * np.cumsum(rng.normal(size=(900, 4)), axis=0) / 30.0
-    u[400:410] = np.nan
-    whole = low_pass_for(80.0, 0.002).update(u)
-    parts, cut = low_pass_for(80.0, 0.002), [0, 7, 130, 405, 900]
-    again = np.concatenate([parts.update(u[a:b]) for a, b in itertools.pairwise(cut)])
-    np.testing.assert_allclose(again, whole, rtol=1e-12)
-    b, a = butter(2, 80.0 * 2.0 * 0.002)
-    for run in (slice(0, 400), slice(410, 900)):
-        start = lfilter_zi(b, a)[:, None] * u[run.start]
-        expected, got = lfilter(b, a, u[run], axis=0, zi=start)[0], whole[run]
-        settled = np.isfinite(got).all(axis=1)
-        assert settled.mean() > 0.95
-        np.testing.assert_allclose(got[settled], expected[settled], rtol=1e-9)
-    assert np.isnan(whole[400:410]).all()
-    assert low_pass_for(None, 0.002) is None
-    assert low_pass_for(240.0, 0.002) is None

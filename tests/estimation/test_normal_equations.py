@@ -47,19 +47,6 @@ def test_memory_is_bounded_while_batches_grow():
     assert sizes == {1, 2, 4, 8, 16, 32, 64, 128, 256, 512}
 
 
-@settings(max_examples=40, deadline=None)
-@given(cuts=st.lists(st.integers(0, 300), max_size=12))
-def test_grouping_of_rows_does_not_matter(cuts):
-    z = rows(300)
-    whole, parts = (NormalEquations((4, 4), 7, max_batches=16) for _ in range(2))
-    whole.add(z)
-    edges = [0, *sorted(cuts), 300]
-    for k in range(len(edges) - 1):
-        parts.add(z[edges[k] : edges[k + 1]])
-    np.testing.assert_array_equal(parts.counts, whole.counts)
-    close(parts.batches, whole.batches)
-
-
 def test_the_newest_batches_can_be_forgotten():
     z = rows(95)
     moments = NormalEquations((4, 4), 10, max_batches=32)

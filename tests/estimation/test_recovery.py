@@ -114,32 +114,6 @@ def test_no_fit_without_data_or_response(truth, flight):
 
 
 @pytest.mark.slow
-def test_grouping_of_samples_does_not_matter(truth, flight):
-    estimators = [OnlineEstimator(truth.geometry, DT, EstimatorTuning()) for _ in range(2)]
-    n, measured = len(flight.gyro), noisy(flight, 0.02, 1)
-    estimators[0].update(measured)
-    for k in range(0, n, 74):
-        estimators[1].update(measured.part(slice(k, k + 74)))
-    whole, parts = (e.fit() for e in estimators)
-    assert whole.seconds == parts.seconds > 25.0
-    # Sums in another order; the minimizer stops at a small fraction of a standard deviation.
-    difference = np.abs(parts.rotation.theta - whole.rotation.theta)
-    assert np.all(difference < 1e-3 * whole.rotation.std)
-    assert parts.translation.kappa == pytest.approx(whole.translation.kappa, rel=1e-9)
-
-
-def test_missing_samples_are_left_out(truth, flight):
-    """Half a second lost every four: less data, the same numbers."""
-    gone = (np.arange(len(flight.gyro)) % 800) < 100
-    holed = replace(flight, gyro=np.where(gone[:, None], np.nan, flight.gyro))
-    estimator = OnlineEstimator(truth.geometry, DT, WINDOW)
-    estimator.update(holed)
-    fit = estimator.fit()
-    assert np.abs((fit.rotation.theta - truth.theta) / SIZE).max() < 1e-4
-    assert 15.0 < fit.seconds < 26.0
-
-
-@pytest.mark.slow
 def test_missing_samples_are_left_out_of_whitened_rows(truth, flight):
     gone = (np.arange(len(flight.gyro)) % 800) < 100
     rpm = 2.0 * np.pi / 60.0
@@ -155,18 +129,6 @@ def test_missing_samples_are_left_out_of_whitened_rows(truth, flight):
     off = np.abs(holed.rotation.theta - truth.theta)
     assert np.all(off < 3.5 * holed.rotation.std)
     assert np.all(holed.rotation.std[:3] < 2.0 * whole.rotation.std[:3])
-
-
-def test_momentum_balance_is_recovered_without_noise(truth, flight):
-    estimator = OnlineEstimator(truth.geometry, DT, WINDOW)
-    estimator.update(flight)
-    fit = estimator.fit().translation
-    assert fit.source == "momentum"
-    # Exact up to the window's resolution: drag and a steady wind are part of the model.
-    assert fit.kappa == pytest.approx(truth.k_T / truth.m, rel=1e-6)
-    assert fit.delta == pytest.approx(truth.drag / truth.m, rel=1e-4)
-    # The steady wind might as well be a steady error of the attitude.
-    assert fit.kappa_std >= translation.TILT_ERROR_SHARE * fit.kappa
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01])

@@ -169,10 +169,3 @@ def test_a_mass_taken_on_is_weighed_by_the_thrust_that_is_left():
     heavier = later.update(1.08 * commands[-1000:], force[-1000:]).factors
     assert heavier[0] == pytest.approx(np.exp(-follower.drift), rel=1e-6)
     assert heavier[-1] == pytest.approx(heavier[0], rel=0.02)
-
-
-@pytest.mark.parametrize("block", [7, 250])
-def test_factors_with_a_voltage_do_not_depend_on_how_samples_come(block):
-    volts = np.where((T > 20.0) & (T < 24.0), np.nan, SAGGING)
-    drift = 1.0 - (SAGGING / SAGGING[0]) ** 2
-    np.testing.assert_allclose(told(volts, drift, block=block)[0], told(volts, drift)[0], rtol=1e-9)

@@ -11,42 +11,13 @@ from gcs_sysid.estimation.changes.change_kinds import Cause
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change, mass_step
-from sim_bridge.vehicle_files import load_vehicle
+from tests.estimation.flown import DT, GEOMETRY, RATE, VEHICLE, measured, with_payload
 
-RATE, AT, END = 250, 12.0, 20.0
-DT = 1.0 / RATE
-VEHICLE = load_vehicle("paper")
-GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T
+AT, END = 12.0, 20.0
 KAPPA = VEHICLE.k_T / VEHICLE.mass
-
-
-def with_payload(vehicle):
-    names = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
-    inertia = {n: 1.1 * getattr(vehicle, n) for n in names}
-    shift = 1.0 + 1.0 / 6.0
-    return replace(
-        vehicle,
-        mass=1.2 * vehicle.mass,
-        cg_x=shift * vehicle.cg_x,
-        cg_y=shift * vehicle.cg_y,
-        **inertia,
-    )
-
-
-def measured(flight, seed=1):
-    noisy = flight.with_noise("mems", 0.0, [seed])
-    return Samples(
-        gyro=noisy.gyro[0],
-        rates=noisy.gyro[0] - np.mean(noisy.gyro[0] - flight.gyro[0], axis=0),
-        speeds=noisy.speeds[0],
-        attitude=noisy.quaternion[0],
-        force=noisy.specific_force[0],
-        velocity=noisy.velocity[0],
-    )
 
 
 def follow(samples, block=25):
