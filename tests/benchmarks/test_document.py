@@ -3,10 +3,7 @@
 import re
 from typing import Any
 
-import pytest
-
 from benchmarks.accuracy import sections
-from testbed.study import number
 
 Data = dict[str, Any]
 
@@ -16,11 +13,6 @@ def test_page_is_filled_everywhere(data: Data) -> None:
     assert "{{" not in page
     assert "Not in this run" not in page
     assert not re.search(r"(?<![\w.)])/(tmp|home|work|usr)/", page)
-
-
-def test_every_section_has_a_place() -> None:
-    template = sections.TEMPLATE.read_text(encoding="utf-8")
-    assert [name for name in sections.SECTIONS if f"{{{{{name}}}}}" not in template] == []
 
 
 def test_page_of_a_partial_run_says_what_is_missing(data: Data) -> None:
@@ -52,18 +44,3 @@ def test_wrong_claims_are_counted_by_runs(data: Data) -> None:
     found = rows(data, "convergence")
     assert found["wrong at any refit, % of runs"] == ["0"] * 3 + ["20"] + ["0"] * 6 + ["20"]
     assert set(found["wrong at the end, % of runs"]) == {"0"}
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (float("nan"), "–"),
-        (float("inf"), "never"),
-        (0.0, "0"),
-        (0.12345, "0.123"),
-        (0.000036, "0.00004"),
-        (12345.6, "12346"),
-    ],
-)
-def test_numbers_have_three_digits_and_no_exponent(value: float, text: str) -> None:
-    assert number(value) == text

@@ -24,14 +24,6 @@ def short(flight, monkeypatch):
     monkeypatch.setattr(filter_claims, "acceleration", lambda: truth)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("short")
-def test_best_lag_is_the_one_that_a_derivative_has():
-    t = filter_claims.clean(CASE.rate).t
-    late = filter_claims.true_acceleration(t, 0.037)
-    assert filter_claims.best_lag(CASE, late) == pytest.approx(0.037)
-
-
 @pytest.mark.usefixtures("short")
 def test_errors_of_a_late_but_perfect_derivative_are_only_its_lag():
     t = filter_claims.clean(CASE.rate).t
@@ -40,27 +32,6 @@ def test_errors_of_a_late_but_perfect_derivative_are_only_its_lag():
     as_it_comes, lag_out = filter_claims.errors(CASE, method, late)
     assert as_it_comes > 0.1
     assert lag_out == pytest.approx(0.0, abs=1e-20)
-
-
-@pytest.mark.usefixtures("short")
-def test_methods_rank_as_in_the_whole_flight():
-    gyros = filter_claims.signals(filter_claims.noisy(CASE, [1, 2]))
-    backward, central, default = (
-        filter_claims.errors(CASE, method, gyros)[1]
-        for method in (filter_claims.BACKWARD, filter_claims.CENTRAL, filter_claims.DEFAULT)
-    )
-    assert default < central < backward
-
-
-@pytest.mark.usefixtures("short")
-def test_attitude_squares_of_a_seed_add_up():
-    one, other = (
-        filter_claims.attitude_squares(filter_claims.noisy(CASE, [seed])) for seed in (1, 2)
-    )
-    both = filter_claims.attitude_squares(filter_claims.noisy(CASE, [1, 2]))
-    assert both["raw"] == pytest.approx(one["raw"] + other["raw"])
-    assert both["tool"][0] == pytest.approx(one["tool"][0] + other["tool"][0])
-    assert both["formula"] == pytest.approx(np.add(one["formula"], other["formula"]))
 
 
 def test_shares_are_of_all_groups_together():

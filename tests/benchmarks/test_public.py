@@ -1,7 +1,6 @@
 """The public benchmark: what it gives out, how it scores, and that each entry can do its work."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -190,9 +189,3 @@ def test_bad_input_is_one_line(words, said, capsys, monkeypatch, tmp_path):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert said in error
-
-
-def test_every_scenario_of_the_page_exists():
-    names = {name for group in command.EMULATED.values() for name in group}
-    assert names <= {*command._BY_NAME, *command.independent.PLANTS}
-    assert Path(score.TEMPLATE).exists()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.reliability.kills import ALLOWED, judge, table
+from benchmarks.reliability.kills import ALLOWED, judge
 
 SENT = [(0.1 * n, f"frame {n}".encode()) for n in range(50)]
 KILLED = 5.0
@@ -31,13 +31,3 @@ def test_what_cannot_be_read_is_not_good():
     kill = judged([raw for _, raw in SENT], readable=False)
     assert kill.missing == 0.0
     assert not kill.good
-
-
-def test_the_table_counts_the_bad_ones():
-    kills = [judged([raw for _, raw in SENT[:kept]]) for kept in (50, 45, 20)]
-    told = dict(line.rsplit(maxsplit=1) for line in table(kills).splitlines() if line[-1] != "s")
-    assert told["kills"] == told["readable recordings"] == "3"
-    assert told["missing at most the last second"] == "2"
-    assert told["frames sent"] == "150"
-    assert told["frames recorded"] == "115"
-    assert told["session killed"] == "3"

@@ -1,6 +1,5 @@
 """The pieces of the studies of fast links, floods, long days and soaks."""
 
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ from benchmarks.reliability import busy, day, soak
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
-from sim_bridge import line_faults, sensor_faults
 from testbed import fast_link
 from testbed.ground_cycles import emulate
 from testbed.repeated import frames_of
@@ -49,11 +47,6 @@ def test_a_recording_is_held_against_what_was_sent():
     assert busy.compare(sent, [*sent, b"d"]) == (4, 0, 1, True)
 
 
-def test_growth_is_told_from_when_memory_had_settled():
-    memory = [(5, 50), (125, 100), (130, 103), (185, 98), (239, 106), (590, 101), (599, 96)]
-    assert fast_link.growth([(float(t), 1_000_000 * size) for t, size in memory]) == (101.0, 3.0)
-
-
 def test_a_leak_is_growth():
     memory = [(float(t), 100_000_000 + 20_000 * t) for t in range(600)]
     assert fast_link.growth(memory)[1] == pytest.approx(8.4, abs=0.1)
@@ -87,14 +80,6 @@ def test_what_is_sent_again_goes_on_over_the_wraps(flight):
     assert intake.decoder.clock.reboots == 0
     # Before the first stamp there is no time.
     assert intake.as_dict()["dropped"].keys() <= {"no time"}
-
-
-def test_faults_are_drawn_by_the_seed_and_the_emulator_knows_all():
-    drawn = [soak.draw(random.Random(seed)) for seed in range(30)]
-    assert drawn == [soak.draw(random.Random(seed)) for seed in range(30)]
-    assert len({text for trapped, _ in drawn for text in trapped}) > 5
-    assert {text.partition("=")[0] for text in soak.TRAPS} <= sensor_faults.KINDS.keys()
-    assert {text.partition("=")[0] for text in soak.FAULTS} <= line_faults.KINDS.keys()
 
 
 def test_a_wrong_number_counts_unless_it_is_said(result):
