@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US, Schedule
 from sim_bridge.cli import main
 from sim_bridge.simulated_vehicle import Vehicle
-from sim_bridge.wire import FrameWriter
 
 Read = Callable[[Path], Any]
 
@@ -112,15 +110,6 @@ def test_commands_follow_the_thrust_curve(
     assert servo.servo5_raw == 0
 
 
-def test_attitude_messages_agree(records: list[tuple[int, Any]]) -> None:
-    for a, q in zip(
-        of_type(records, "ATTITUDE"), of_type(records, "ATTITUDE_QUATERNION"), strict=True
-    ):
-        expected = from_euler(a.roll, a.pitch, a.yaw)
-        np.testing.assert_allclose((q.q1, q.q2, q.q3, q.q4), expected, atol=1e-6)
-        assert a.rollspeed == q.rollspeed
-
-
 def test_a_hexarotor_reports_two_groups(tmp_path: Path, read_tlog: Read) -> None:
     path = tmp_path / "hexa.tlog"
     assert main(["--airframe", "px4-hexa-x", "--tlog", str(path), "--duration", "1"]) == 0
@@ -133,16 +122,6 @@ def test_a_hexarotor_reports_two_groups(tmp_path: Path, read_tlog: Read) -> None
     assert of_type(records, "ACTUATOR_OUTPUT_STATUS")[0].active == 6
     info = of_type(records, "ESC_INFO")[0]
     assert (info.count, info.info) == (6, 0b111111)
-
-
-@pytest.mark.slow
-def test_same_seed_same_bytes(tmp_path: Path, tlog: Path) -> None:
-    again, other = tmp_path / "again.tlog", tmp_path / "other.tlog"
-    options = ["--duration", "5", "--noise", "mems"]
-    assert main([*options, "--seed", "7", "--tlog", str(again)]) == 0
-    assert main([*options, "--seed", "8", "--tlog", str(other)]) == 0
-    assert again.read_bytes() == tlog.read_bytes()
-    assert other.read_bytes() != tlog.read_bytes()
 
 
 def test_a_low_rate_lowers_all_fast_streams(tmp_path: Path, read_tlog: Read) -> None:
@@ -174,35 +153,6 @@ def test_truth_after_a_mass_step_is_that_at_the_end(tmp_path: Path) -> None:
     assert event["before"]["mass"] == 1.5
     assert event["after"]["mass"] == pytest.approx(1.8)
     assert event["time_usec"] == 21_000_000
-
-
-def test_frames_equal_pymavlinks() -> None:
-    writer = FrameWriter(3, 7)
-    reference = mavlink.MAVLink(None, 3, 7)
-    writer.sequence = reference.seq = 254
-    pairs = [
-        (
-            (mavlink.MAVLink_heartbeat_message, 0, 2, 12, 128, 4, 3),
-            mavlink.MAVLink_heartbeat_message(2, 12, 128, 0, 4, 3),
-        ),
-        (
-            (mavlink.MAVLink_timesync_message, 0, 0),
-            mavlink.MAVLink_timesync_message(0, 0),
-        ),
-        (
-            (
-                mavlink.MAVLink_esc_status_message,
-                *(12345678, 1, -2, 3, 4),
-                *(1.0, 2.0, 3.0, 4.0, 0.5, 0.25, 0.0, 0.0, 0),
-            ),
-            mavlink.MAVLink_esc_status_message(
-                0, 12345678, [1, -2, 3, 4], [1.0, 2.0, 3.0, 4.0], [0.5, 0.25, 0.0, 0.0]
-            ),
-        ),
-    ]
-    for arguments, message in pairs:
-        assert writer.frame(*arguments) == message.pack(reference)
-        reference.seq = (reference.seq + 1) % 256
 
 
 def test_streams_keep_their_mean_rate_on_the_physics_grid() -> None:

@@ -39,20 +39,6 @@ def test_paper_modes_reach_their_body_rates(
     np.testing.assert_allclose(got, expected, rtol=0.15)
 
 
-@pytest.mark.slow
-def test_paper_modes_fly_right_then_forward(flights: dict[str, Flight]) -> None:
-    flight = flights["paper"]
-    travelled = np.cumsum(flight.velocity[0], axis=0) * flight.interval
-
-    def moved(start: float, end: float) -> np.ndarray:
-        at = np.searchsorted(flight.t, [start, end])
-        return np.asarray(travelled[at[1]] - travelled[at[0]])
-
-    assert moved(2, 22)[1] > 5.0
-    assert moved(22, 42)[0] > 5.0
-    assert abs(moved(44, 62)[:2]).max() < 1.5
-
-
 @pytest.mark.parametrize("mission", ["paper", "all-axes", "hover"])
 def test_tilt_height_and_rotors_stay_within_bounds(
     flights: dict[str, Flight], paper_vehicle: Vehicle, mission: str

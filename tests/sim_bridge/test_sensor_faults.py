@@ -1,9 +1,8 @@
 """Each trap does what its name says, and nothing else."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot, recorder_rates
-from sim_bridge.cli import main
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import make_sensor_faults, parse_sensor_fault
@@ -148,19 +146,9 @@ def still(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "copter"])
-def test_sensors_that_stand_still_or_say_nothing(
-    autopilot: str, request: pytest.FixtureRequest
-) -> None:
-    make: OpenDesk = request.getfixturevalue(autopilot)
-    sensor_faults = (
-        "imu-stuck=0.5:0.2",
-        "imu-nan=1:0.1:0.5",
-        "rpm-stuck=0.4:0.3",
-        "attitude-nan=1.2:0.3",
-    )
-    noise = {"noise": "mems"} if autopilot == "px4" else {}
-    desk = make(*sensor_faults, "attitude-stuck=0.6:0.4", **noise)
+def test_sensors_that_stand_still_or_say_nothing(px4: OpenDesk) -> None:
+    sensor_faults = ("imu-stuck=0.5:0.2", "imu-nan=1:0.1:0.5", "rpm-stuck=0.4:0.3")
+    desk = px4(*sensor_faults, "attitude-nan=1.2:0.3", "attitude-stuck=0.6:0.4", noise="mems")
     heard = desk.notice(2.0)
     imu = of_type(heard, "HIGHRES_IMU")
     t = np.array([1e-6 * m.time_usec for m in imu])
@@ -177,11 +165,10 @@ def test_sensors_that_stand_still_or_say_nothing(
     assert still(angles)[(t > 0.63) & (t < 0.97)].all()
     assert np.isnan(angles)[(t > 1.23) & (t < 1.47)].all()
     assert np.isfinite(angles)[(t < 1.17) | (t > 1.53)].all()
-    if autopilot == "px4":  # ArduPilot's repeat by themselves in calm flight
-        rpm = rpm_of(heard)
-        t = 0.004 * np.arange(1, len(rpm) + 1)
-        assert still(rpm)[(t > 0.41) & (t < 0.69)].all()
-        assert still(rpm)[t > 0.71].mean() < 0.9
+    rpm = rpm_of(heard)
+    t = 0.004 * np.arange(1, len(rpm) + 1)
+    assert still(rpm)[(t > 0.41) & (t < 0.69)].all()
+    assert still(rpm)[t > 0.71].mean() < 0.9
 
 
 def test_wild_rotor_speeds(px4: OpenDesk) -> None:
@@ -356,39 +343,3 @@ def test_others_on_the_link(px4: OpenDesk) -> None:
     ours = [m for m in heard if m.get_srcSystem() == 1]
     assert set(np.diff([m.get_seq() for m in ours])) == {1, -255}
     np.testing.assert_array_equal(rpm_of(ours), rpm_of(px4().notice(3.0)))
-
-
-@pytest.mark.parametrize(
-    ("choice", "sent", "left_out"),
-    [
-        ("speed", {"ESC_STATUS"}, {"ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW"}),
-        ("command", {"ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW"}, {"ESC_STATUS"}),
-        ("both", {"ESC_STATUS", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW"}, set()),
-    ],
-)
-def test_rotor_input(
-    choice: str,
-    sent: set[str],
-    left_out: set[str],
-    tmp_path: Path,
-    read_tlog: Callable[[Path], Iterator[tuple[int, Any]]],
-) -> None:
-    path = tmp_path / "f.tlog"
-    assert main(["--rotor-input", choice, "--duration", "1", "--tlog", str(path)]) == 0
-    names = {message.get_type() for _, message in read_tlog(path)}
-    assert sent <= names
-    assert not left_out & names
-
-
-@pytest.mark.slow
-def test_traps_are_seeded(tmp_path: Path) -> None:
-    def fly(name: str, seed: str) -> bytes:
-        path = tmp_path / name
-        options = ["--duration", "2", "--seed", seed, "--tlog", str(path)]
-        for trap in ("skips", "disorder", "gyro-outliers", "rpm-repeats", "forwarded"):
-            options += ["--trap", trap]
-        assert main(options) == 0
-        return path.read_bytes()
-
-    assert fly("a", "3") == fly("b", "3")
-    assert fly("c", "4") != fly("a2", "3")

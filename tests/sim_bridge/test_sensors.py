@@ -86,19 +86,6 @@ def test_paper_noise_sizes() -> None:
     assert abs(np.corrcoef(gyro, attitude)[0, 1]) < 0.05
 
 
-def test_mems_noise_sizes() -> None:
-    channels = make_channels(
-        "mems", 0.0, dict.fromkeys(SENSORS, 0.004), 4, np.random.SeedSequence(5)
-    )
-    gyro = channels["gyro"].block(250)
-    np.testing.assert_allclose(abs(gyro.mean(axis=0)), 0.01, atol=1e-3)
-    assert np.diff(gyro, axis=0).std() / math.sqrt(2) == pytest.approx(
-        math.radians(0.01) * math.sqrt(125.0), rel=0.1
-    )
-    assert channels["rotor"].block(5000).std() == pytest.approx(0.5, rel=0.03)
-    assert 0.01 < channels["velocity"].block(50_000).std() < 0.06
-
-
 @pytest.mark.parametrize("model", ["paper", "mems", "white"])
 def test_the_cut_into_blocks_changes_no_value(model: str) -> None:
     def fresh() -> dict[str, Channel]:

@@ -82,20 +82,6 @@ def test_the_truth_tells_where_an_imu_off_the_cg_is(paper_vehicle: Vehicle) -> N
     assert "imu_x" not in paper_vehicle.truth()
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-@pytest.mark.parametrize(("frame", "count"), [("quad-x", 4), ("hexa-x", 6), ("octo-x", 8)])
-def test_layouts_are_balanced_and_regular(autopilot: str, frame: str, count: int) -> None:
-    rotors = load_vehicle(f"{autopilot}-{frame}").rotors
-    assert len(rotors) == count
-    # One after the other around the center, every spin differs from its neighbor's.
-    around = sorted(rotors, key=lambda r: np.arctan2(r.y, r.x))
-    spins = [r.spin for r in around]
-    assert all(a == -b for a, b in zip(spins, [*spins[1:], spins[0]], strict=True))
-    steps = np.diff(np.unwrap([np.arctan2(r.y, r.x) for r in around]))
-    np.testing.assert_allclose(steps, 2.0 * np.pi / count, atol=1e-9)
-    assert sum(spins) == 0
-
-
 def test_octorotors_are_numbered_as_both_autopilots_do() -> None:
     def degrees(name: str) -> list[float]:
         """Clockwise from the front, seen from above."""
