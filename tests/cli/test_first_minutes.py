@@ -258,14 +258,6 @@ def test_the_doctor_hears_a_vehicle_and_is_not_heard(ports, capsys, monkeypatch)
     assert re.search(r"^(✓|\+) ok +Python: ", out, re.MULTILINE)
 
 
-@pytest.mark.usefixtures("ports")
-def test_without_a_package_the_doctor_still_speaks(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "serial", None)
-    monkeypatch.setitem(sys.modules, "serial.tools", None)
-    assert run(["doctor", "--duration", "0.1"]) == 1
-    assert "cannot be checked" in capsys.readouterr().out
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["numpy", "serial"])
 def test_the_doctor_starts_without_the_packages_that_it_looks_for(module, tmp_path):

@@ -156,15 +156,14 @@ SHARED = {
     "public/px4-sitl.ulg": ("no", None),
     "public/real-quad-copter33.bin": ("no", "RCOU"),
 }
+QUICK = {"public/real-quad-mavlink1.tlog", "public/px4-sitl.ulg"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        pytest.param(
-            *item, marks=[pytest.mark.thorough] if item[0].startswith("px4") else [], id=item[0]
-        )
+        pytest.param(*item, marks=[] if item[0] in QUICK else [pytest.mark.thorough], id=item[0])
         for item in SHARED.items()
     ],
 )

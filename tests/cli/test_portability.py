@@ -136,7 +136,7 @@ def test_an_analysis_with_a_report(as_on_windows, paper_flight, tmp_path):
     assert (tmp_path / "work" / "r.html").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_live_session_where_nobody_speaks_ends_after_its_duration(as_on_windows, tmp_path):
     argv = ["live", "udpin:127.0.0.1:45877", *PAPER, "--headless", "--duration", "0.5"]
     status, out, err = as_on_windows("gcs_sysid", *argv, "--no-record")

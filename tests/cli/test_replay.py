@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def log(fly):
-    flight = fly("--mission", "all-axes", "--rate", "50", "--duration", "16", "--seed", "5")
+    flight = fly("--mission", "all-axes", "--rate", "20", "--duration", "12", "--seed", "5")
     return str(flight.tlog)
 
 

@@ -40,10 +40,10 @@ def test_a_defect_with_one_log_is_a_line(
     monkeypatch.chdir(tmp_path)
     failing(monkeypatch, module, name)
     (tmp_path / "bad.tlog").write_bytes(b"x")
-    words = [command, SAMPLE, "bad.tlog", "absent.tlog", SAMPLE, "--airframe", "paper"]
+    words = [command, "bad.tlog", "absent.tlog", SAMPLE, "--airframe", "paper"]
     assert main([*words, "--json", "out.json"]) == 2
     documents = json.loads((tmp_path / "out.json").read_text())
-    assert [document["source"] for document in documents] == [SAMPLE, SAMPLE]
+    assert [document["source"] for document in documents] == [SAMPLE]
     assert {document["verdict"] for document in documents} <= verdicts
     said = capsys.readouterr().err
     assert "bad.tlog: internal error (UnforeseenError: of a kind that nobody foresaw)" in said

@@ -169,9 +169,13 @@ def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, cap
     assert roll["instrument"].startswith("rate set-points")
     assert len(roll["omega_rad_s"]) == len(roll["magnitude_low"]) == len(roll["model_phase_high"])
     assert "circle" in (files / "loops.svg").read_text()
+
+
+@pytest.mark.thorough
+def test_the_measured_response_is_a_table_too(files, shared_log):
+    log = str(shared_log("px4-sih-default.ulg"))
     table = ("--to", "frequency-response", "-o", "response.csv")
     assert run(["tune", "command.json", log, *table, *FEW]) == 0
-    capsys.readouterr()
     head, *rows = (files / "response.csv").read_text().splitlines()
     assert head.startswith("axis,omega_rad_s,magnitude")
     assert {row.split(",")[0] for row in rows} == {"roll", "pitch", "yaw"}
