@@ -30,8 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.deviations import Deviations
-from gcs_sysid.estimation.fit.imu_rotation import PER_TURN, missed_by, rotation_of, turned
+from gcs_sysid.estimation.fit.deviations import PER_TURN, Deviations, missed_by, rotation_of, turned
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS
 from gcs_sysid.estimation.fit.problem import N_X, residual_maker
 from gcs_sysid.estimation.online.fit import Fit
