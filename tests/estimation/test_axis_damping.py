@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt
 from gcs_sysid.estimation.fit.priors import prior_of
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import minimize
+from gcs_sysid.estimation.fit.window_fit import axis_damping_doubt
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from

@@ -12,12 +12,11 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
-from gcs_sysid.estimation.fit.axis_damping import axis_damping_doubt
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
+from gcs_sysid.estimation.fit.window_fit import axis_damping_doubt, fit_lag_places, fit_rotation
 from gcs_sysid.estimation.online.fit import FitMoments
 from gcs_sysid.estimation.online.instant import Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
