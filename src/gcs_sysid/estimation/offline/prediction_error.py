@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.checks.held_out import predict_held_out
-from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.estimation.checks.validation import Validation, predict_held_out
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker

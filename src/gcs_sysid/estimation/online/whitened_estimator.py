@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.checks.held_out import SHORTEST_VALIDATED, predict_held_out
 from gcs_sysid.estimation.checks.layout_test import LEAST_RATE, SUSPECTED, find_other_layout
 from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import (
+    SHORTEST_VALIDATED,
     Validation,
+    predict_held_out,
 )
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
