@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.checks import layout_test
+from gcs_sysid.estimation.checks import model_tests
 from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model.airframe import load_airframe
@@ -23,8 +23,8 @@ MOMENTS = WhitenedMoments(
 def accused(monkeypatch, own, first, given=0.1):
     """What is said where the first swap explains `first` and all others nothing."""
     answers = iter([np.array(own), np.array(first)])
-    monkeypatch.setattr(layout_test, "explained_by", lambda *_: next(answers, np.zeros(3)))
-    found = layout_test.find_other_layout(MOMENTS, BASIS, GEOMETRY, given)
+    monkeypatch.setattr(model_tests, "explained_by", lambda *_: next(answers, np.zeros(3)))
+    found = model_tests.find_other_layout(MOMENTS, BASIS, GEOMETRY, given)
     return None if found is None else found.says
 
 

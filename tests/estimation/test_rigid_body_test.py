@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.checks.model_tests import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.model import rigid_body as rb
 
 THETA = rb.theta_of(

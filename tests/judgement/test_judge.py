@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.checks.layout_test import LEAST_RATE
+from gcs_sysid.estimation.checks.model_tests import LEAST_RATE
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit

@@ -5,13 +5,13 @@ the first part where rows are the window's (`validate`), stretches between those
 they are whitened (`predict_held_out`). Both parts are sums of moments, so no sample is needed
 again.
 
-**Whiteness.** Neighboring rows of the window share samples, so their residuals are colored by the window
-itself, and a test of the rows for whiteness would always fail. What can be tested is whether the
-residual has the color that white noise on the sensors gets from the filters: white gyro noise is
-differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the same
-residual decide: the rows as they are, and their leaky sums, which weigh low frequencies more. Given
-the residual's power in the one, white sensor noise fixes its power in the other. Both are in the
-moments already.
+**Whiteness.** Neighboring rows of the window share samples, so their residuals are colored by the
+window itself, and a test of the rows for whiteness would always fail. What can be tested is whether
+the residual has the color that white noise on the sensors gets from the filters: white gyro noise
+is differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the
+same residual decide: the rows as they are, and their leaky sums, which weigh low frequencies more.
+Given the residual's power in the one, white sensor noise fixes its power in the other. Both are in
+the moments already.
 """
 
 from dataclasses import dataclass, replace

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.checks.rigid_body_test import RigidBodyTest
+from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.checks.model_tests import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation

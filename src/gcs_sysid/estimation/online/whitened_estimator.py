@@ -11,8 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.checks.layout_test import LEAST_RATE, SUSPECTED, find_other_layout
-from gcs_sysid.estimation.checks.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.checks.model_tests import (
+    LEAST_RATE,
+    PRODUCTS,
+    SUSPECTED,
+    RigidBodyTest,
+    find_other_layout,
+    judge_rigid_body,
+)
 from gcs_sysid.estimation.checks.validation import (
     SHORTEST_VALIDATED,
     Validation,
@@ -150,7 +156,7 @@ class WhitenedEstimator:
         )
 
     def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
-        """Whether the body is rigid, see `estimation.checks.rigid_body_test`."""
+        """Whether the body is rigid, see `estimation.checks.model_tests`."""
         data = self._data
         pick = self._white.places(fit.whiteners)
         batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)

@@ -1,0 +1,191 @@
+"""Is the vehicle what the model takes it for: a rigid body, with the rotors of the airframe file?
+
+**A rigid body.** Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J
+w determines; products of inertia depend on it too. Where a vehicle (or its simulator) does not have
+that torque, the fit bends Izz until there is none, explains nearly all of the motion, and is
+confidently wrong. So the predicted torque is tested: what multiple of it is present, axis by axis,
+with everything that rotors and damping could do left free? A rigid body gives 1.
+
+**Its layout.** An autopilot allocates within the span of its own mixer M: the rotors' O = Omega^2
+are t pinv(M) for signals t = [roll, pitch, thrust, yaw]. With the rotors in another order, O is
+mixed with M', which gives t' = t pinv(M) M'. Under the hypothesis that M is another layout the true
+signals follow from those seen, t = t' (pinv(M) M')^-1, and so do the moments of rows: no sample is
+needed again.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.whitener_choice import explained_by
+from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
+
+PRODUCTS = [rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "rr")]
+"""Columns of the products of rates, which the gyroscopic torque is made of."""
+_OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
+_OFF, _SURE = 0.3, 4.0
+"""By how much, and how many standard deviations, a share must be off to count."""
+_NONE = 1e-8
+"""Share of an axis' acceleration below which gyroscopic torque is negligible."""
+_ROUNDING = 1e-30
+"""Of the largest input, what the square of one must exceed."""
+SUSPECTED = 0.8
+"""Share of roll and pitch that the given layout leaves unexplained where others are tried."""
+LEAST_RATE = 0.1
+"""rad/s rms of roll and pitch, below which the layout is not observable: a hover has noise and
+vibration alone."""
+_CONVINCING = 0.15
+"""By how much of the motion another layout must explain more, on the worse of roll and pitch; and
+at most less, on yaw."""
+_WHITENERS = ("leak 0.3 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz")
+
+
+@dataclass(frozen=True)
+class RigidBodyTest:
+    """Gyroscopic torque found, over that of the rigid body fitted.
+
+    Attributes:
+        share: (3,) per axis; NaN where none is predicted.
+        std: (3,) standard deviations, from the scatter over the batches.
+    """
+
+    share: Array
+    std: Array
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether it is surely not the rigid body's on some axis."""
+        away = np.abs(self.share - 1.0)
+        return bool(np.any((away > _OFF) & (away > _SURE * self.std)))
+
+
+def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
+    """Compare the gyroscopic torque in the data with that of the fit.
+
+    Args:
+        batches: (k, width, width) moments of rows of elements; or (k, 3, width, width) where each
+            axis has its own.
+        P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
+        Q: (3, N_SIGNALS) of the fit.
+    """
+    n = rb.N_SIGNALS
+    each = (
+        batches
+        if batches.ndim == 4
+        else np.broadcast_to(batches[:, None], (len(batches), 3, *batches.shape[1:]))
+    )
+    share, std = np.full(3, np.nan), np.full(3, np.nan)
+    for axis in range(3):
+        own = each[:, axis]
+        total = P @ own.sum(axis=0) @ P.T
+        predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
+        predicted[PRODUCTS] = Q[axis, PRODUCTS]
+        residual[:n], residual[n + axis] = -Q[axis], 1.0
+        power = predicted @ total @ predicted
+        if not power > _NONE * total[n + axis, n + axis]:
+            continue
+        predicted, residual = (_apart(total, v) for v in (predicted, residual))
+        power = float(predicted @ total @ predicted)
+        if not power > _NONE**2 * total[n + axis, n + axis]:
+            continue
+        more = float(predicted @ total @ residual) / power
+        # Neighboring batches share slow noise, as in the sandwich of the fit.
+        scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)
+        meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
+        share[axis] = 1.0 + more
+        std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power
+    return RigidBodyTest(share, std)
+
+
+def _apart(total: Array, combination: Array) -> Array:
+    """A combination of columns without what all the other inputs explain of it."""
+    moments = total[np.ix_(_OTHERS, _OTHERS)]
+    diagonal = np.diag(moments)
+    # Negligible columns are left unchanged: their share of anything is rounding.
+    d = np.sqrt(np.where(diagonal > _ROUNDING * diagonal.max(initial=0.0), diagonal, 1.0))
+    scaled = np.linalg.pinv(moments / np.outer(d, d), rcond=1e-10, hermitian=True)
+    out: Array = combination.copy()
+    out[_OTHERS] -= scaled @ (total[_OTHERS] @ combination / d) / d
+    return out
+
+
+@dataclass(frozen=True)
+class OtherLayout:
+    """A layout that explains the motion better than the one given.
+
+    Attributes:
+        says: what is wrong with the given layout, as text.
+        explained: the lesser share of roll and pitch that it explains.
+    """
+
+    says: str
+    explained: float
+
+
+def find_other_layout(
+    data: WhitenedMoments, basis: ActuatorDynamics, geometry: Array, given: float
+) -> OtherLayout | None:
+    """Try the mistakes that are made: two rotors swapped, the frame turned.
+
+    Args:
+        data: moments of rows with the given layout.
+        basis: of the elements.
+        geometry: (3, rotors) given.
+        given: the lesser share of roll and pitch that it explains.
+    """
+    few = [i for i, whitener in enumerate(data.whiteners) if whitener.name in _WHITENERS]
+    small = replace(
+        data,
+        parts=tuple(part[:, few] for part in data.parts),
+        noise=data.noise[few],
+        whiteners=tuple(data.whiteners[i] for i in few),
+    )
+    # Of the same rows: by those that `given` is of, gusts count for less or for more.
+    own = explained_by(small, basis)
+    least_yaw = -np.inf
+    if own is not None:
+        given, least_yaw = max(given, float(min(own[:2]))), float(own[2]) - _CONVINCING
+    best = OtherLayout("", given + _CONVINCING)
+    for says, other in _mistakes(geometry):
+        between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
+        if np.linalg.cond(between) > 1e6:
+            continue
+        explained = explained_by(_seen_as(small, basis, np.linalg.inv(between).T), basis)
+        if explained is None or explained[2] < least_yaw:
+            continue
+        if min(explained[:2]) > best.explained:
+            best = OtherLayout(says, float(min(explained[:2])))
+    return best if best.says else None
+
+
+def _mistakes(geometry: Array) -> list[tuple[str, Array]]:
+    """What may be the truth where (3, rotors) was given, and the words for it."""
+    found = []
+    for i, j in combinations(range(geometry.shape[1]), 2):
+        order = np.arange(geometry.shape[1])
+        order[[i, j]] = j, i
+        found.append(
+            (f"rotors {i + 1} and {j + 1} look swapped in the airframe file", geometry[:, order])
+        )
+    x, y, s = geometry
+    turned = ((90, -y, x), (180, -x, -y), (270, y, -x))
+    found += [
+        (f"the airframe file looks turned by {angle} degrees", np.stack([a, b, s]))
+        for angle, a, b in turned
+    ]
+    found.append(("the airframe file looks mirrored, left for right", np.stack([x, -y, s])))
+    return found
+
+
+def _seen_as(data: WhitenedMoments, basis: ActuatorDynamics, turn: Array) -> WhitenedMoments:
+    """The data with other rotor signals: (4, 4) `turn` times those of each element."""
+    width = basis.width
+    map_ = np.eye(width)
+    for start in range(0, width - BODY, SIGNALS):
+        map_[start : start + 4, start : start + 4] = turn
+    parts = tuple(map_ @ part @ map_.T for part in data.parts)
+    return replace(data, parts=parts, noise=map_ @ data.noise @ map_.T)
