@@ -16,8 +16,7 @@ from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
-from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.online.instant import Instant
+from gcs_sysid.estimation.online.fit import Fit, Instant
 from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator

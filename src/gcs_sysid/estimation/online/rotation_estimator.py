@@ -17,8 +17,7 @@ from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.window_fit import axis_damping_doubt, fit_lag_places, fit_rotation
-from gcs_sysid.estimation.online.fit import FitMoments
-from gcs_sysid.estimation.online.instant import Instant
+from gcs_sysid.estimation.online.fit import FitMoments, Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LEAST_OWN, LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.record.input_noise import is_sparse, with_sparse_readings

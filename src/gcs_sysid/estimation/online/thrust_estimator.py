@@ -11,7 +11,7 @@ from gcs_sysid.estimation.fit.disturbance import RULES
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.online.instant import Instant
+from gcs_sysid.estimation.online.fit import Instant
 from gcs_sysid.estimation.online.whitened_estimator import WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
