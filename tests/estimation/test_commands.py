@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfilt
 from gcs_sysid.estimation.changes.change_reference import reference_of
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.command_noise import CommandNoise
+from gcs_sysid.estimation.record.input_noise import CommandNoise
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, LagPlace

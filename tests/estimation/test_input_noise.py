@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.input_noise import (
+    CommandNoise,
     SpeedNoise,
 )
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN

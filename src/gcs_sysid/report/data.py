@@ -27,8 +27,7 @@ from gcs_sysid import __version__
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.checks.validation import Validation
-from gcs_sysid.estimation.record.command_noise import CommandNoise
-from gcs_sysid.estimation.record.input_noise import SpeedNoise
+from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import log_file
 from gcs_sysid.live.acceleration_prediction import (
     Model,

@@ -12,9 +12,8 @@ from gcs_sysid.estimation.fit.whitener_choice import explained_by
 from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
 from gcs_sysid.estimation.noise.whitening import bank_for
 from gcs_sysid.estimation.record import article_estimator as article
-from gcs_sysid.estimation.record.command_noise import CommandNoise
 from gcs_sysid.estimation.record.command_record import CommandRecord, FitWindow
-from gcs_sysid.estimation.record.input_noise import SpeedNoise
+from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import (
