@@ -11,12 +11,6 @@ from gcs_sysid.estimation.fit.problem import residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
 from gcs_sysid.estimation.noise.whitening import gauss_markov, torque_noise
-from gcs_sysid.estimation.offline import instrumental_variables
-from gcs_sysid.estimation.offline.instrumental_variables import (
-    InstrumentFit,
-    combined,
-    fit_axis,
-)
 from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
 from gcs_sysid.estimation.offline.likeliest_noise import (
     AxisNoise,
@@ -24,7 +18,13 @@ from gcs_sysid.estimation.offline.likeliest_noise import (
     innovations,
     whitened,
 )
-from gcs_sysid.estimation.offline.offline import fit_offline
+from gcs_sysid.estimation.offline.offline import (
+    INSTRUMENT_RULES,
+    InstrumentFit,
+    combined,
+    fit_axis,
+    fit_offline,
+)
 from gcs_sysid.estimation.offline.prediction_error import estimate
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -174,7 +174,7 @@ def test_instruments_are_free_of_what_the_loop_answered():
 def test_setpoints_that_answer_the_vehicle_are_no_instruments():
     by = fit_axis([asked_and_answered(2, answering=True)], T)
     assert not by.believed
-    assert by.strength > instrumental_variables.RULES.least_f
+    assert by.strength > INSTRUMENT_RULES.least_f
 
 
 def test_without_setpoints_there_are_no_instruments():
