@@ -16,7 +16,7 @@ from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.live.live_estimate import HoverWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.complementary import ComplementaryFilter
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.ensemble import fly_ensemble

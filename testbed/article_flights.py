@@ -8,7 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.complementary import ComplementaryFilter
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change

@@ -19,7 +19,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.summary import values_of
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.physics import Physics

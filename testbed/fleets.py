@@ -16,7 +16,7 @@ from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.flight_detection import FlightDetector
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from sim_bridge.choices import Span
 from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import Flight, fly_ensemble

@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 STEP = 1e-3
 """s, of the loop and of the integration."""

@@ -19,7 +19,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.summary import values_of
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from sim_bridge.sensors import CORNER
 from testbed.article import NAMES
 from testbed.article_flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly

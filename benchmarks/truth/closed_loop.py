@@ -28,7 +28,7 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.significance import Z95
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 from testbed.study import arguments

@@ -11,8 +11,8 @@ from benchmarks.public.flight import Flight, Stretch, flight_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.rotor_units import RotorSource
-from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.sampling import SampleBlock
 
 TRUTH = {

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from tests.known_theta import theta_from
 
 G = 9.80665

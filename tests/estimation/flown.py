@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from sim_bridge.vehicle_files import load_vehicle
 
 RATE = 250

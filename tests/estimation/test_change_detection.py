@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.changes.change_detection import ChangeDetector
-from gcs_sysid.estimation.changes.change_hypotheses import judge
-from gcs_sysid.estimation.changes.change_kinds import describe
+from gcs_sysid.estimation.changes.change_hypotheses import describe, judge
 from gcs_sysid.estimation.changes.change_window import TUNING, Frames
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit

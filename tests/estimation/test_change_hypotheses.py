@@ -14,7 +14,7 @@ from gcs_sysid.estimation.changes.change_window import (
 )
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from tests.known_theta import theta_from
 
 GEOMETRY = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1, 1, -1, -1]])

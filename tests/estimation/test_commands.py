@@ -15,7 +15,7 @@ from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, LagPlace
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.interpolation import interpolate
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 DT = 0.005
 FULL = 1.2

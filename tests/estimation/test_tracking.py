@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
-from gcs_sysid.estimation.changes.change_kinds import Cause
+from gcs_sysid.estimation.changes.change_hypotheses import Cause
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb

@@ -9,9 +9,8 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.rotor_units import RotorSource
-from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.sampling import SampleBlock
 from tests.feeding import feed
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from gcs_sysid.estimation.online.thrust_estimator import MIN_MOMENTUM_SECONDS
-from gcs_sysid.signals.samples import NEEDED_RATE
+from gcs_sysid.signals.records import NEEDED_RATE
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,11 @@ from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.gyro_check import GyroCheck
-from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
 from gcs_sysid.signals.rotor_units import RotorSource, are_pulses
-from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.time_base import Block, TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 

@@ -8,7 +8,7 @@ caller says what time it is.
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
-from gcs_sysid.signals.samples import NEEDED_RATE
+from gcs_sysid.signals.records import NEEDED_RATE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 from gcs_sysid.telemetry.transceiver import Requests

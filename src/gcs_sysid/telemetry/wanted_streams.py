@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text, write_whole
-from gcs_sysid.signals.samples import NEEDED_RATE
+from gcs_sysid.signals.records import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import CHECKSUM, HEADER_2, LONGEST_1, SIGNATURE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS

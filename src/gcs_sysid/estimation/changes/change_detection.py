@@ -32,7 +32,7 @@ from gcs_sysid.estimation.changes.change_reference import (
 )
 from gcs_sysid.estimation.changes.sequential_tests import CLIPPED, Cusum, Level, RecentMean
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 Channel = Literal["thrust", "roll", "pitch", "yaw"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)

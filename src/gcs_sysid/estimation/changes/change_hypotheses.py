@@ -38,7 +38,7 @@ from gcs_sysid.estimation.changes.change_window import (
 )
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 Verdict = Literal["changed", "disturbance", "undecided"]
 

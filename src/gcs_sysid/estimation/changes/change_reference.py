@@ -20,8 +20,8 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf, motor_filter
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.recursions import lfilter
-from gcs_sysid.signals.samples import Samples
 
 MIN_R_SQUARED = 0.8
 MAX_INERTIA_SHARE = 0.1

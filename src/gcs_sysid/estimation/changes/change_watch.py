@@ -31,7 +31,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
 """s of samples that are kept to look at alarms."""

@@ -18,7 +18,7 @@ from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Reference,
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 _TENTHS = 10.0
 """`Reference.floors` are moments of a tenth of the arm."""

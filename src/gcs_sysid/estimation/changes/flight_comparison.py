@@ -12,7 +12,7 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.significance import FALSE_ALARM_RATE, joint_chance
 
 ENOUGH = 10.0

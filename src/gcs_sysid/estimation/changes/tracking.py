@@ -33,7 +33,7 @@ from gcs_sysid.estimation.online.online import OnlineEstimator, PriorSource
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 
 @dataclass(frozen=True)

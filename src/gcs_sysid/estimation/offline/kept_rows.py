@@ -35,7 +35,7 @@ from gcs_sysid.estimation.rows.motor_linearization import (
 from gcs_sysid.estimation.rows.rotor_signals import low_pass_for
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift, hindsight
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 _DEGREE = 5
 _END = 3

@@ -24,7 +24,7 @@ from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 _SETTLE_GROWTH = 1.5
 _WELL_KNOWN = 10.0

@@ -19,7 +19,7 @@ from gcs_sysid.signals.differentiator import (
     ARTICLE_R,
     nonlinear_differentiator,
 )
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 
 Method = Literal["article", "article-usual-td", "article-stepwise", "central-difference"]
 METHODS: tuple[Method, ...] = (

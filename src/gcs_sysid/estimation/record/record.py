@@ -29,8 +29,8 @@ from gcs_sysid.estimation.rows.regression import LeakySums, RegressionRows, RowM
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.one_step import step_for
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
-from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _JUDGED, _JUDGED_AGAIN = 6.0, 2.0

@@ -19,7 +19,7 @@ from gcs_sysid.estimation.rows.thrust_drift import Drift, ThrustDrift
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.one_step import OneStep
-from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.smoothers import Smoothed, Smoother
 
 
