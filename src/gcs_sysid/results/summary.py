@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.changes.change_kinds import describe
+from gcs_sysid.estimation.changes.change_hypotheses import describe
 from gcs_sysid.estimation.changes.tracking import TrackingEvent
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit

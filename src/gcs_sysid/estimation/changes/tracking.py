@@ -21,8 +21,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Detection
-from gcs_sysid.estimation.changes.change_hypotheses import Classification
-from gcs_sysid.estimation.changes.change_kinds import Cause
+from gcs_sysid.estimation.changes.change_hypotheses import Cause, Classification
 from gcs_sysid.estimation.changes.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.changes.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
