@@ -14,8 +14,8 @@ from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, LagPlace
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.records import Samples
+from gcs_sysid.signals.stream_buffer import interpolate
 
 DT = 0.005
 FULL = 1.2

@@ -17,8 +17,8 @@ from gcs_sysid.estimation.rows.normal_equations import NormalEquations
 from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
+from gcs_sysid.signals.stream_buffer import interpolate
 from tests.known_theta import sizes
 
 DT = 0.005

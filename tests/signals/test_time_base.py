@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.signals.interpolation import FAR, interpolate
 from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.stream_buffer import FAR, interpolate
 from gcs_sysid.signals.time_base import TimeBase
 from tests.feeding import grid_of
 

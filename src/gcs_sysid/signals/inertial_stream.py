@@ -21,9 +21,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.interpolation import FAR, interpolate, neighbors, usual_gap
 from gcs_sysid.signals.saturation import Saturation
-from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
+from gcs_sysid.signals.stream_buffer import (
+    FAR,
+    StreamBuffer,
+    as_known,
+    interpolate,
+    neighbors,
+    usual_gap,
+)
 
 
 @dataclass(frozen=True)

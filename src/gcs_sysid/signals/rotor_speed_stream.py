@@ -5,9 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.interpolation import interpolate, neighbors, usual_gaps
 from gcs_sysid.signals.recursions import lfilter
-from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
+from gcs_sysid.signals.stream_buffer import (
+    StreamBuffer,
+    as_known,
+    interpolate,
+    neighbors,
+    usual_gaps,
+)
 
 _NONE = np.zeros(0, np.int64)
 _REACH = 2
