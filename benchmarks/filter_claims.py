@@ -16,13 +16,14 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.complementary import DEFAULT_K_P, ComplementaryFilter
-from gcs_sysid.signals.differentiator import (
+from gcs_sysid.signals.smoothers import (
     ARTICLE_R,
+    DAMPING,
     DEFAULT_BANDWIDTH,
     LinearDifferentiator,
+    cosine_window,
     nonlinear_differentiator,
 )
-from gcs_sysid.signals.smoothers import DAMPING, cosine_window
 from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
 from testbed.article import backward_difference, central_difference, complementary

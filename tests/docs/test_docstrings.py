@@ -18,10 +18,9 @@ MODULES = [
     "results.comparison",
     "results.result",
     "results.result_file",
-    "signals.differentiator",
     "signals.recursions",
-    "signals.interpolation",
     "signals.smoothers",
+    "signals.stream_buffer",
 ]
 
 

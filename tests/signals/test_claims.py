@@ -8,7 +8,7 @@ import pytest
 
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.complementary import ComplementaryFilter
-from gcs_sysid.signals.differentiator import LinearDifferentiator
+from gcs_sysid.signals.smoothers import LinearDifferentiator
 from sim_bridge.missions import PITCH, ROLL, YAW
 from sim_bridge.sensors import SENSORS, make_channels
 from testbed.article import backward_difference, central_difference

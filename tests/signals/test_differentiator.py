@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from gcs_sysid.signals.differentiator import (
+from gcs_sysid.signals.smoothers import (
     LinearDifferentiator,
     nonlinear_differentiator,
 )

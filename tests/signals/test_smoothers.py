@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.signals.differentiator import LinearDifferentiator
 from gcs_sysid.signals.smoothers import (
     DAMPING,
     DifferentiatorSmoother,
+    LinearDifferentiator,
     WindowSmoother,
     cosine_window,
 )
