@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.checks import model_tests
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model.airframe import load_airframe
 

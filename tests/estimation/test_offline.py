@@ -9,8 +9,7 @@ from scipy.signal import lfilter
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.fit.problem import residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
-from gcs_sysid.estimation.noise.whitening import gauss_markov, torque_noise
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, gauss_markov, torque_noise
 from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
 from gcs_sysid.estimation.offline.likeliest_noise import (
     AxisNoise,

@@ -28,8 +28,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.shocks import find_shocks
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
-from gcs_sysid.estimation.noise.whitening import slower
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped, slower
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 
 FITTED_SHARE = 0.6

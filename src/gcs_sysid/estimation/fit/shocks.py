@@ -14,7 +14,7 @@ from gcs_sysid.estimation.fit.priors import COORDINATES
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.solver import minimize
 from gcs_sysid.estimation.fit.whitener_choice import TRY, BankProblem
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 

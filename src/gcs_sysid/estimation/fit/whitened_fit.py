@@ -28,7 +28,7 @@ from gcs_sysid.estimation.fit.shocks import find_shocks, innovation_maker
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.significance import FALSE_ALARM_RATE

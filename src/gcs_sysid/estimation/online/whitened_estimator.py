@@ -30,7 +30,7 @@ from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
-from gcs_sysid.estimation.noise.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
