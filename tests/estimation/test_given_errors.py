@@ -18,7 +18,7 @@ from gcs_sysid.estimation.parameters.given_errors import (
     given_stds,
 )
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor, ScaleReference
 from gcs_sysid.model.estimate import Estimate

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
-from gcs_sysid.estimation.rows.regression import LeakySums
+from gcs_sysid.estimation.rows.regression import LeakySums, NormalEquations
 
 
 def rows(n, width=4, seed=1):

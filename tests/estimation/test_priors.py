@@ -9,7 +9,7 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown, prior_of
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import THETA
 

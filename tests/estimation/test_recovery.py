@@ -13,8 +13,7 @@ from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstima
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
-from gcs_sysid.estimation.rows.regression import LeakySums, RowMaker
+from gcs_sysid.estimation.rows.regression import LeakySums, NormalEquations, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother

@@ -12,7 +12,7 @@ from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, prior_of
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import sizes, theta_from
 

@@ -11,7 +11,7 @@ from gcs_sysid.estimation.fit.search import MAX_ITERATIONS
 from gcs_sysid.estimation.fit.solver import minimize
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import theta_from
 

@@ -16,7 +16,7 @@ from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
 from gcs_sysid.estimation.fit.whitened_fit import bank_fit
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
-from gcs_sysid.estimation.rows.normal_equations import NormalEquations
+from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.signals.one_step import OneStep
 
 SHORT = 0.25
