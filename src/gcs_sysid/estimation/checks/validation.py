@@ -25,8 +25,7 @@ from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.shocks import find_shocks
-from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
+from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped, slower
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics

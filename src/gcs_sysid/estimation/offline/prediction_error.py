@@ -19,8 +19,7 @@ from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.shocks import SHOCK
-from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.fit.whitened_fit import SHOCK, WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, bank_for
 from gcs_sysid.estimation.offline.kept_rows import CommandRows, RowRun, SpeedRows
 from gcs_sysid.estimation.offline.likeliest_noise import Periodogram, innovations

@@ -12,8 +12,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
-from gcs_sysid.estimation.fit.shocks import ShockReference, shocks_in
-from gcs_sysid.estimation.fit.whitened_fit import bank_fit
+from gcs_sysid.estimation.fit.whitened_fit import ShockReference, bank_fit, shocks_in
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, WhitenerBank, essential
 from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import NormalEquations
