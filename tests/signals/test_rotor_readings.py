@@ -72,6 +72,19 @@ def test_without_commands_balance_shows_a_reading_that_is_wrong(name, ratio):
     assert "balances the others" in found.words
 
 
+@pytest.mark.parametrize("name", ["px4-quad-x", "px4-hexa-x"])
+@pytest.mark.parametrize("offset", [0.28, 0.45])
+def test_a_cg_far_off_is_no_wrong_reading(name, offset):
+    """Yaw is in balance, which a rotor that reads so little would not leave it."""
+    x, y, spin = load_airframe(name).geometry
+    effect = np.vstack([np.ones(len(x)), x, y, spin])
+    for way in np.linspace(0.0, 2.0 * np.pi, 24):
+        place = offset * np.hypot(x, y).mean() * np.array([np.cos(way), np.sin(way)])
+        loads = np.linalg.pinv(effect) @ [1.0, *place, 0.0] * len(x)
+        _, omega = flown(rotors=len(x))
+        assert unbalanced_reading(omega * np.sqrt(loads), np.vstack([x, y, spin])) is None
+
+
 def columns(values):
     return [(T, column) for column in values.T]
 
@@ -94,6 +107,13 @@ def test_a_weak_motor_turns_as_fast_as_it_must():
     found = odd_reading(omega, u, SPIN)
     assert found.rotor == 1
     assert not found.by_command
+
+
+def test_motors_that_all_differ_are_no_pole_count():
+    """None that read otherwise would bring yaw into balance."""
+    u, omega = flown()
+    found = odd_reading(omega * [1.25, 0.9, 1.02, 0.85], u, np.array([-1.0, 1.0, 1.0, -1.0]))
+    assert found is None or not found.by_command
 
 
 def test_scatter_of_motors_is_not_odd():

@@ -29,7 +29,7 @@ class OddReading:
     Attributes:
         rotor: from 0.
         ratio: speed read over the speed that the others have at that command.
-        by_command: whether yaw balances by commands and not by speeds.
+        by_command: whether yaw balances with its speed by its command, and not with that read.
     """
 
     rotor: int
@@ -86,10 +86,12 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
     ratio = math.exp(float(means[rotor]))
     if abs(ratio - 1.0) < APART or abs(means[rotor]) < limit[rotor]:
         return None
-    w, e = omega.mean(axis=0), expected.mean(axis=0)
-    by_speed, by_command = (abs(spin @ v**2) / float((v**2).sum()) for v in (w, e))
+    read = omega.mean(axis=0)
+    mended = np.where(np.arange(len(spin)) == rotor, expected.mean(axis=0), read)
+    by_speed, by_command = (abs(spin @ v**2) / float((v**2).sum()) for v in (read, mended))
     # One rotor of n that is off by so much in speed turns the balance by twice that over n.
-    return OddReading(rotor, ratio, by_speed > by_command + 2.0 * APART / len(spin))
+    apart = 2.0 * APART / len(spin)
+    return OddReading(rotor, ratio, bool(by_command < apart < by_speed - by_command))
 
 
 def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
@@ -97,7 +99,8 @@ def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
 
     Squared speeds of alike rotors are those of a CG that is off, of yaw trim, and of propellers
     that scatter, which are all normal. That one reads any other speed is another hypothesis: it
-    holds where the others' speeds without it are as much likelier as such readings are rare.
+    holds where the others' speeds without it are as much likelier as such readings are rare. On
+    four rotors yaw alone decides: a CG may be anywhere that they can balance.
 
     Args:
         speeds: (n, rotors) in any unit, all turning; NaN: no reading.
@@ -116,10 +119,11 @@ def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
     squares = np.nanmean(speeds**2, axis=0)
     if not (np.isfinite(squares).all() and squares.min() > 0.0):
         return None
-    loads = np.log(squares)
-    # A CG a tenth of the arm off shifts a fifth of the load, and a motor's tilt a tenth to yaw.
+    loads = squares / squares.mean()
+    # Evenly within half of the arm, where a rotor of four would stand still, a CG has a standard
+    # deviation of a quarter of it, which shifts half of the load. Motors' tilts shift less to yaw.
     arm = np.hypot(*geometry[:2]).mean()
-    modes = np.vstack([2.0 * APART * geometry[:2] / arm, APART * geometry[2]])
+    modes = np.vstack([0.5 * geometry[:2] / arm, 0.25 * APART * geometry[2]])
     covariance = modes.T @ modes + (0.5 * APART) ** 2 * np.eye(rotors)
     keeps = [np.arange(rotors) != rotor for rotor in range(rotors)]
     # The reading itself may be anything from a quarter to four times.
@@ -128,9 +132,13 @@ def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
         for keep in keeps
     ]
     rotor = int(np.argmax(gains))
-    keep, level = keeps[rotor], float(loads[keeps[rotor]].mean())
+    keep = keeps[rotor]
+    others = loads[keep] / loads[keep].mean()
     weights = np.linalg.solve(covariance[np.ix_(keep, keep)], covariance[keep, rotor])
-    factor = math.exp(0.5 * (loads[rotor] - level - float(weights @ (loads[keep] - level))))
+    balancing = loads[keep].mean() * (1.0 + float(weights @ (others - 1.0)))
+    if balancing <= 0.0:
+        return None
+    factor = math.sqrt(loads[rotor] / balancing)
     sure = gains[rotor] - _likelihood(loads, covariance) > math.log(rotors / FALSE_ALARM_RATE)
     # Less than half of its thrust no propeller gives that flies.
     if not sure or abs(math.log(factor)) < 0.5 * math.log(2.0):
@@ -139,9 +147,10 @@ def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
 
 
 def _likelihood(values: Array, covariance: Array) -> float:
-    """Logarithm of the normal density of (n,) values, whatever their common level is."""
+    """Logarithm of the normal density of (n,) values over their mean, whatever that is."""
     contrasts = np.linalg.svd(np.ones((1, len(values))))[2][1:]
-    apart, variance = contrasts @ values, 2.0 * math.pi * contrasts @ covariance @ contrasts.T
+    apart = contrasts @ values / values.mean()
+    variance = 2.0 * math.pi * contrasts @ covariance @ contrasts.T
     square = 2.0 * math.pi * float(apart @ np.linalg.solve(variance, apart))
     return -0.5 * (square + float(np.linalg.slogdet(variance)[1]))
 
