@@ -18,8 +18,7 @@ _AT_ONCE = 32
 
 def complete_rows(values: Array) -> Mask:
     """(n,) whether nothing is missing in each row of (n, width) values."""
-    mask: Mask = np.asarray(np.isfinite(values).all(axis=1))
-    return mask
+    return np.asarray(np.isfinite(values).all(axis=1))
 
 
 def runs(mask: Mask) -> list[tuple[slice, bool]]:

@@ -178,8 +178,7 @@ def _derivative(signal: Array, period: float) -> Array:
     """Of a periodic signal, exactly up to half the points' frequency."""
     spectrum = np.fft.rfft(signal)
     spectrum *= 2j * np.pi / period * np.arange(len(spectrum))
-    derived: Array = np.fft.irfft(spectrum, len(signal))
-    return derived
+    return np.fft.irfft(spectrum, len(signal))
 
 
 @dataclass(frozen=True)
@@ -214,8 +213,7 @@ def speed_noise(craft: Craft, std: Array, dt: float) -> Array:
     slope = np.ones_like(std) if craft.rotor_input.motors else 2.0 * np.sqrt(craft.mean_share)
     forward = rb.forward_matrix(craft.theta)[:, :4] @ rb.mixer(craft.geometry).T
     scaled = forward * (slope * std)
-    density: Array = dt * scaled @ scaled.T
-    return density
+    return dt * scaled @ scaled.T
 
 
 def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) -> Array:
@@ -245,15 +243,13 @@ def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) ->
     twice = np.full(len(omega), 2.0)
     twice[0] = 1.0
     weighted = np.einsum("fab,jbf->jaf", weight, changes) * twice
-    total: Array = _EFFICIENCY * np.einsum("jaf,kaf->jk", changes.conj(), weighted).real
-    return total
+    return _EFFICIENCY * np.einsum("jaf,kaf->jk", changes.conj(), weighted).real
 
 
 def _bent(motion: Motion, craft: Craft) -> Array:
     """(n, 4) what the thrust curve changes of the rotors' signals: w^2 - w."""
     w = np.clip(motion.shares, 0.0, 1.0)
-    bent: Array = (w * w - w) @ rb.mixer(craft.geometry)
-    return bent
+    return (w * w - w) @ rb.mixer(craft.geometry)
 
 
 @dataclass(frozen=True)

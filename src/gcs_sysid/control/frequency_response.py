@@ -139,8 +139,7 @@ class FrequencyResponse:
     def half_width(self) -> Array:
         """(w,) of the 95 % interval of the magnitude, over it; of the phase it is the arcsine."""
         t = stdtrit(self.freedom, 0.975)
-        width: Array = t * self.std / np.sqrt(2.0) / np.abs(self.values)
-        return width
+        return t * self.std / np.sqrt(2.0) / np.abs(self.values)
 
     def as_control(self) -> object:
         """What is claimed, as a `control.FrequencyResponseData`.
@@ -225,8 +224,7 @@ def measured_axes(
 
 def _response(dynamics: HoverDynamics, loop: RateLoop, axis: int, omega: Array) -> Array:
     """(N, w) of an axis."""
-    response: Array = dynamics.response(omega, loop.period)[:, :, axis, axis]
-    return response
+    return dynamics.response(omega, loop.period)[:, :, axis, axis]
 
 
 def measured_response(
@@ -387,8 +385,7 @@ class SmoothRatio:
         """
         normal = np.random.default_rng(seed).standard_normal((2, 3, count))
         errors = np.hstack([np.zeros((3, 1)), self._root @ (normal[0] + 1j * normal[1])])
-        ratios: Array = np.exp(self._powers(self.omega) @ (self._coefficients[:, None] + errors)).T
-        return ratios
+        return np.exp(self._powers(self.omega) @ (self._coefficients[:, None] + errors)).T
 
     def departure(self) -> tuple[float, float, float]:
         """By how much measured and modeled response part, as a share, where that is surest.

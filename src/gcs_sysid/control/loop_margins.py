@@ -88,8 +88,7 @@ class HoverDynamics:
         )
         if period > 0.0:
             actuator = actuator * (1.0 - np.exp(-s * period)) / (s * period)
-        out: Array = body @ (self.effectiveness[:, None] + s * self.reaction[:, None]) * actuator
-        return out
+        return body @ (self.effectiveness[:, None] + s * self.reaction[:, None]) * actuator
 
     def as_control(self, axis: int, pade: int = 2) -> object:
         """The nominal transfer function of one axis, as a `control.TransferFunction`.
@@ -254,8 +253,7 @@ def _of_each_rotor(v: ExportedVehicle) -> tuple[Array, Array]:
 def _command(share: Array, c: float) -> Array:
     """Command u with (1 - c) u + c u^2 = share."""
     linear = 1.0 - c
-    out: Array = 2.0 * share / (linear + np.sqrt(np.maximum(linear**2 + 4.0 * c * share, 1e-12)))
-    return out
+    return 2.0 * share / (linear + np.sqrt(np.maximum(linear**2 + 4.0 * c * share, 1e-12)))
 
 
 _SECONDS = 16.0
@@ -281,8 +279,7 @@ class Margins:
     @property
     def delay(self) -> Array:
         """(N,) s by which the loop may be later."""
-        out: Array = np.radians(self.phase) / self.crossover
-        return out
+        return np.radians(self.phase) / self.crossover
 
     def worst(self) -> tuple[float, float]:
         """Least phase and gain margin (deg, dB) of all."""
@@ -311,8 +308,7 @@ def open_loops(
     H = rate + angle / (1j * omega[:, None]) if attitude else rate
     difference = np.eye(3) + H[None, :, :, None] * G
     own = np.diagonal(np.linalg.inv(difference), axis1=-2, axis2=-1)
-    out: Array = 1.0 / own - 1.0
-    return out
+    return 1.0 / own - 1.0
 
 
 def margins_of(omega: Array, loops: Array) -> Margins:
@@ -365,15 +361,13 @@ class StepResponse:
     def overshoot(self) -> Array:
         """(N,) share of the step by which the peak exceeds it; never below zero."""
         shown = self.values[:, self.t <= 3.0]  # no overshoot comes later
-        out: Array = np.maximum(shown.max(axis=1) - 1.0, 0.0)
-        return out
+        return np.maximum(shown.max(axis=1) - 1.0, 0.0)
 
     @property
     def rise(self) -> Array:
         """(N,) s from 10 to 90 % of the step."""
         low, high = ((self.values > level).argmax(axis=1) for level in (0.1, 0.9))
-        out: Array = self.t[high] - self.t[low]
-        return out
+        return self.t[high] - self.t[low]
 
 
 def step_response(

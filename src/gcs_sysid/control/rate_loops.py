@@ -219,8 +219,7 @@ class RateLoop:
         """(w, 3) of y += a (x - y), a = dt / (dt + 1 / (2 pi f)), on each axis; 1 where f is 0."""
         f = np.array(cutoffs)
         a = np.where(f > 0.0, self.period / (self.period + 1.0 / (2.0 * np.pi * f.clip(1e-9))), 1.0)
-        response: Array = a / (1.0 - (1.0 - a) * z_inverse)
-        return response
+        return a / (1.0 - (1.0 - a) * z_inverse)
 
 
 @dataclass(frozen=True)
@@ -570,12 +569,10 @@ def px4_mixer(places: Array, ratios: Array) -> Array:
     acting = np.maximum((np.abs(mixer[:, :2]) > _NEGLIGIBLE).sum(axis=0), 1)
     scale = np.sqrt((mixer[:, :2] ** 2).sum(axis=0) / (acting / 2.0)).max()
     mixer = mixer / [scale, scale, max(mixer[:, 2].max(), 1e-9)]
-    out: Array = np.where(np.abs(mixer) < _NEGLIGIBLE, 0.0, mixer)
-    return out
+    return np.where(np.abs(mixer) < _NEGLIGIBLE, 0.0, mixer)
 
 
 def ardupilot_mixer(rotors: tuple[Rotor, ...]) -> Array:
     """(n, 3) ArduPilot's factors (`AP_MotorsMatrix::normalize_rpy_factors`): 0.5 at most."""
     factors = np.array([[-r.y, r.x, float(r.spin)] for r in rotors])
-    mixer: Array = 0.5 * factors / np.maximum(np.abs(factors).max(axis=0), 1e-9)
-    return mixer
+    return 0.5 * factors / np.maximum(np.abs(factors).max(axis=0), 1e-9)

@@ -176,8 +176,7 @@ class ExportedVehicle:
     @property
     def inertia_flu(self) -> Array:
         """The same with axes forward, left, up: Ixy and Ixz change sign."""
-        turned: Array = FLU @ self.inertia @ FLU
-        return turned
+        return FLU @ self.inertia @ FLU
 
     @property
     def cg_flu(self) -> Array:
@@ -194,8 +193,7 @@ class ExportedVehicle:
     @property
     def rotors_flu_from_cg(self) -> Array:
         """The same from the CG."""
-        places: Array = self.rotors_flu - self.cg_flu
-        return places
+        return self.rotors_flu - self.cg_flu
 
 
 def assemble(

@@ -33,8 +33,7 @@ def g1(vehicle: ExportedVehicle) -> Array:
     moments = np.stack([-y, x, spin * vehicle["moment_ratio"]])
     angular = np.linalg.solve(vehicle.inertia, moments)
     force = np.full((1, len(x)), -1.0 / vehicle["mass"])
-    out: Array = np.vstack([force, angular]) * vehicle["T_max"]
-    return out
+    return np.vstack([force, angular]) * vehicle["T_max"]
 
 
 def g2(vehicle: ExportedVehicle) -> Array:
@@ -42,13 +41,11 @@ def g2(vehicle: ExportedVehicle) -> Array:
     spin = np.array([float(r.spin) for r in vehicle.rotors])
     inertia = vehicle.get("rotor_inertia") or 0.0
     moments = np.stack([0.0 * spin, 0.0 * spin, inertia * spin])
-    out: Array = np.linalg.solve(vehicle.inertia, moments)
-    return out
+    return np.linalg.solve(vehicle.inertia, moments)
 
 
 def _indiflight_g1(vehicle: ExportedVehicle) -> Array:
-    scaled: Array = g1(vehicle) * [[100.0], [10.0], [10.0], [10.0]]
-    return scaled
+    return g1(vehicle) * [[100.0], [10.0], [10.0], [10.0]]
 
 
 def _indiflight_text(vehicle: ExportedVehicle, head: list[str]) -> str:

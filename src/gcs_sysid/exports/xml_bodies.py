@@ -85,8 +85,7 @@ def _without_rotors(
 
 def _steiner(offset: Array) -> Array:
     """(3, 3) inertia of a unit mass at an offset."""
-    matrix: Array = offset @ offset * np.eye(3) - np.outer(offset, offset)
-    return matrix
+    return offset @ offset * np.eye(3) - np.outer(offset, offset)
 
 
 def _link(name: str, place: Array, mass: float, cg: Array, inertia: Array, shape: str) -> str:

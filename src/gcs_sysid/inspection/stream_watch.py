@@ -59,8 +59,7 @@ class FlightWatch:
 
     def flying(self, t: Array) -> Mask:
         """(n,) whether it flies at (n,) s of what is known."""
-        flies: Mask = np.searchsorted(self._edges, t, side="right") % 2 == 1
-        return flies
+        return np.searchsorted(self._edges, t, side="right") % 2 == 1
 
     def _turn(self, t: float) -> None:
         self._edges.append(t)
@@ -435,5 +434,4 @@ def _means(place: Array, values: Array, count: int) -> Array:
     """(count, 3) means of the rows at each place; NaN where there are none."""
     n = np.bincount(place, minlength=count)
     sums = [np.bincount(place, weights=column, minlength=count) for column in values.T]
-    means: Array = np.column_stack(sums) / np.where(n, n, np.nan)[:, None]
-    return means
+    return np.column_stack(sums) / np.where(n, n, np.nan)[:, None]

@@ -277,8 +277,7 @@ class Coach:
         for k, axis in enumerate(AXES):
             swing = getattr(came, axis)
             squares[k] *= (getattr(choice.manoeuvre, axis) / swing) ** 2 if swing else 1.0
-        asked: Array = squares
-        return asked
+        return squares
 
     def _advice_now(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
         choice = self.choice
@@ -339,5 +338,4 @@ def _motion(choice: Choice) -> Array:
     manoeuvre = choice.manoeuvre
     climb = 0.5 * (2.0 * np.pi * manoeuvre.pace * manoeuvre.climb) ** 2
     squares = np.append((choice.motion.rates**2).mean(axis=0), climb)
-    wanted: Array = squares * manoeuvre.effective_seconds
-    return wanted
+    return squares * manoeuvre.effective_seconds

@@ -33,14 +33,12 @@ _QUADRATIC = _quadratic()
 
 def multiply(a: Array, b: Array) -> Array:
     """Quaternion product a b, shapes (..., 4)."""
-    product: Array = (a[..., _FACTOR] * _SIGN @ b[..., None])[..., 0]
-    return product
+    return (a[..., _FACTOR] * _SIGN @ b[..., None])[..., 0]
 
 
 def conjugate(q: Array) -> Array:
     """The inverse rotation of unit quaternions (..., 4)."""
-    inverse: Array = q * _INVERSE
-    return inverse
+    return q * _INVERSE
 
 
 def from_rotation_vector(v: Array) -> Array:
@@ -59,15 +57,13 @@ def to_rotation_vector(q: Array) -> Array:
     sine = np.maximum(np.sqrt((vector * vector).sum(axis=-1, keepdims=True)), 1e-150)
     # q and -q are the same rotation; the shorter way is wanted.
     half = np.arctan2(sine, np.abs(real))
-    turn: Array = np.copysign(2.0 * half / sine, real) * vector
-    return turn
+    return np.copysign(2.0 * half / sine, real) * vector
 
 
 def matrices(q: Array) -> Array:
     """(..., 3, 3) matrices from body to world axes."""
     squares = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
-    matrix: Array = (squares @ _QUADRATIC).reshape(*q.shape[:-1], 3, 3)
-    return matrix
+    return (squares @ _QUADRATIC).reshape(*q.shape[:-1], 3, 3)
 
 
 def down_axis(q: Array) -> Array:
@@ -77,8 +73,7 @@ def down_axis(q: Array) -> Array:
 
 def rotate(q: Array, v: Array) -> Array:
     """Body vectors (..., 3) in world axes."""
-    rotated: Array = (matrices(q) @ v[..., None])[..., 0]
-    return rotated
+    return (matrices(q) @ v[..., None])[..., 0]
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -112,5 +107,4 @@ def align_signs(q: Array) -> Array:
     if len(q) < 2:
         return q
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
-    aligned: Array = q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-    return aligned
+    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]

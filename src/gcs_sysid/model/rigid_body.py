@@ -136,8 +136,7 @@ _ELEMENT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
 
 def inertia_matrix(elements: Array) -> Array:
     """The 3 x 3 matrices of (..., 6 or more) [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] (any unit)."""
-    matrix: Array = elements[..., _ELEMENT]
-    return matrix
+    return elements[..., _ELEMENT]
 
 
 def are_physical(elements: Array) -> Mask:
@@ -170,8 +169,7 @@ def forward_matrix(theta: Array, torque: Array | float = 0.0) -> Array:
     Raises:
         numpy.linalg.LinAlgError: an inertia matrix is singular.
     """
-    Q: Array = np.linalg.inv(inertia_matrix(theta)) @ (_input_matrix(theta) + torque)
-    return Q
+    return np.linalg.inv(inertia_matrix(theta)) @ (_input_matrix(theta) + torque)
 
 
 def forward_jacobian(theta: Array, torque: Array | float = 0.0) -> tuple[Array, Array]:
@@ -186,8 +184,7 @@ def forward_jacobian(theta: Array, torque: Array | float = 0.0) -> tuple[Array, 
 
 def _input_matrix(theta: Array) -> Array:
     """B(theta) of J w' = B x."""
-    B: Array = INPUT_CONSTANT + (theta @ _FLAT_SLOPE).reshape(*theta.shape[:-1], 3, N_SIGNALS)
-    return B
+    return INPUT_CONSTANT + (theta @ _FLAT_SLOPE).reshape(*theta.shape[:-1], 3, N_SIGNALS)
 
 
 def rotor_signals(geometry: Array, speeds: Array) -> tuple[Array, Array]:
@@ -216,8 +213,7 @@ _SIGNED, _SIZED = ([("pqr").index(signal[i]) for signal in _ABSOLUTE] for i in (
 
 def rate_products(rates: Array) -> Array:
     """(..., 6) qr, rp, pq, pp, qq, rr of (..., 3) body rates."""
-    products: Array = rates[..., _LEFT] * rates[..., _RIGHT]
-    return products
+    return rates[..., _LEFT] * rates[..., _RIGHT]
 
 
 def rate_signals(rates: Array) -> Array:
@@ -276,5 +272,4 @@ def rms_rates(moments: Array, rows: int) -> Array:
         rows: in it, at least 1.
     """
     squares = np.diag(moments)[[SIGNALS.index(rate) for rate in "pqr"]]
-    rms: Array = np.sqrt(np.maximum(squares, 0.0) / rows)
-    return rms
+    return np.sqrt(np.maximum(squares, 0.0) / rows)

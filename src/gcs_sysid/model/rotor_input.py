@@ -70,13 +70,9 @@ class RotorInput(StrEnum):
     def at_load(self, load: Array, curve: Array) -> Array:
         """The value with this load."""
         if not self.motors:
-            speed: Array = np.sqrt(load)
-            return speed
+            return np.sqrt(load)
         # In the form that holds at c = 0.
-        command: Array = (
-            2.0 * load / (1.0 - curve + np.sqrt((1.0 - curve) ** 2 + 4.0 * curve * load))
-        )
-        return command
+        return 2.0 * load / (1.0 - curve + np.sqrt((1.0 - curve) ** 2 + 4.0 * curve * load))
 
     def turning(self, value: Array, curve: Array) -> Array:
         """What the rotors' angular momentum grows with.
@@ -86,8 +82,7 @@ class RotorInput(StrEnum):
         """
         if not self.motors:
             return value
-        turns: Array = (1.0 - curve) * np.sqrt(np.clip(value, 0.0, None)) + curve * value
-        return turns
+        return (1.0 - curve) * np.sqrt(np.clip(value, 0.0, None)) + curve * value
 
 
 MEASURED = tuple(kind for kind in RotorInput if not kind.motors)

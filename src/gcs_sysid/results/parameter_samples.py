@@ -41,8 +41,7 @@ class ParameterSamples(Mapping[str, Array]):
         """(n,) values of a parameter."""
         if name not in self.names:
             raise KeyError(name)
-        column: Array = self.table[:, self.names.index(name)]
-        return column
+        return self.table[:, self.names.index(name)]
 
     def __iter__(self) -> Iterator[str]:
         """The names."""
@@ -214,8 +213,7 @@ def _root(result: ResultData, names: tuple[str, ...], *, given: bool) -> Array:
     root: Array = axes * np.sqrt(np.maximum(power, 0.0))
     size = np.sqrt((root**2).sum(axis=1))
     size[size == 0.0] = 1.0
-    scaled: Array = (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
-    return scaled
+    return (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
 
 
 def _effects(result: ResultData, count: int) -> Array | None:
@@ -235,8 +233,7 @@ def _shares(result: ResultData, name: str, rotors: int) -> Array:
     values = np.array([np.nan if value is None else value for value in each])
     if len(values) != rotors or not np.isfinite(values).all() or not (values > 0.0).all():
         return np.ones(rotors)
-    share: Array = values / values.mean()
-    return share
+    return values / values.mean()
 
 
 def _physical(names: tuple[str, ...], drawn: Array) -> tuple[Array, Array]:

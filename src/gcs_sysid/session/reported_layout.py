@@ -358,8 +358,7 @@ def _bearings(rotors: Sequence[Rotor]) -> Array:
 
 
 def _apart(a: Array, b: Array) -> Array:
-    apart: Array = np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi)
-    return apart
+    return np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _narrowest(bearings: Array) -> float:

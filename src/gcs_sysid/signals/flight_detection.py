@@ -318,8 +318,7 @@ class FlightDetector:
             before = float(t[0])
         last = np.maximum.accumulate(np.append(before, np.where(happens, t, -np.inf)))
         setattr(self, name, float(last[-1]))
-        since: Array = t - last[1:]
-        return since
+        return t - last[1:]
 
     def _once_weighed(self, force: Array, name: str) -> Mask:
         """(n,) whether the accelerometer has read about 1 g before; kept under a name."""
@@ -361,8 +360,7 @@ class FlightDetector:
         found = np.where(np.isfinite(ratio), ratio, np.inf) - drift
         least = np.minimum.accumulate(np.vstack([self._log_least, found]), axis=0)[1:]
         self._log_least = least[-1].copy()
-        grown: Array = least + drift
-        return grown
+        return least + drift
 
     def _lately(self, t: Array, down: Array) -> Array:
         """(n,) down in m, for a while after the last report."""
@@ -417,5 +415,4 @@ def _held(values: Array, before: float) -> Array:
     """Each value, or where it is NaN the last one before it."""
     known = np.append(before, values)
     index = np.maximum.accumulate(np.where(np.isfinite(known), np.arange(len(known)), 0))
-    held: Array = known[index][1:]
-    return held
+    return known[index][1:]

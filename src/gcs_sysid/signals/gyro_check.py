@@ -150,8 +150,7 @@ def _noise_share(phi: Array) -> Array:
     Differences of white noise that follow each other are correlated by -1/2.
     """
     following = (phi[1:] * phi[:-1]).mean(axis=0)
-    share: Array = -2.0 * following / ((phi**2).mean(axis=0) + math.ulp(1.0))
-    return share
+    return -2.0 * following / ((phi**2).mean(axis=0) + math.ulp(1.0))
 
 
 def _robust(columns: Array, y: Array) -> tuple[Array, Array, float]:

@@ -339,5 +339,4 @@ def at_cg(
     apart = np.diff(t) > gap
     acceleration[1:][apart] = acceleration[:-1][apart] = np.nan
     turning = np.cross(rates, np.cross(rates, arm))
-    out: Array = force - np.cross(acceleration, arm) - turning
-    return out
+    return force - np.cross(acceleration, arm) - turning

@@ -85,5 +85,4 @@ def recursion(kept: Array, added: Array, first: Array) -> Array:
     below[:, :-1] = -kept.reshape(driven.shape)[:, 1:]
     driven[:, 0] += (kept[..., 0] * first[..., 0]).ravel()
     y, _ = dtbtrs(slopes, driven.reshape(n, 1), uplo="L", diag="U", overwrite_b=1)
-    made: Array = y.reshape(shape)
-    return made
+    return y.reshape(shape)

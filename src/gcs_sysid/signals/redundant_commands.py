@@ -54,8 +54,7 @@ def _fits(t: Array, values: Array, other_t: Array, other_values: Array) -> bool:
 def _beside(t: Array, values: Array) -> Array:
     """(n - 2,) what a straight line between the neighbors of each value leaves of it."""
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    left: Array = values[1:-1] - values[:-2] - share * (values[2:] - values[:-2])
-    return left
+    return values[1:-1] - values[:-2] - share * (values[2:] - values[:-2])
 
 
 def mean_of(one: Array, other: Array) -> Array:

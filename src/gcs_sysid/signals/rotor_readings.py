@@ -158,8 +158,7 @@ def _likelihood(values: Array, covariance: Array) -> float:
 def together(rotors: Sequence[tuple[Array, Array]]) -> Array:
     """(n, rotors) readings of all rotors, number by number, from the times and values of each."""
     n = min(len(v) for _, v in rotors)
-    out: Array = np.column_stack([v[:n] for _, v in rotors])
-    return out
+    return np.column_stack([v[:n] for _, v in rotors])
 
 
 def moved_columns(

@@ -145,8 +145,7 @@ def are_pulses(source: str, parameters: Parameters, values: Array) -> Mask:
     """Which outputs are pulses in us, of which 1000 stop a motor: DShot's numbers are none."""
     if source == "motor" and _of_blackbox(parameters).low < 600.0:
         return np.zeros(values.shape, bool)
-    pulses: Mask = (values >= 600.0) & (values <= 2400.0)
-    return pulses
+    return (values >= 600.0) & (values <= 2400.0)
 
 
 def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> str:
@@ -243,8 +242,7 @@ class RotorSource:
         if self.range is not None:
             return normalized(values, self.range)
         stands = 0.0 if self.stops else np.nan
-        speeds: Array = np.where(values <= 0.0, stands, values * self.scale)
-        return speeds
+        return np.where(values <= 0.0, stands, values * self.scale)
 
 
 def normalized(outputs: Array, range_: Range) -> Array:
@@ -254,5 +252,4 @@ def normalized(outputs: Array, range_: Range) -> Array:
     cut off one of both would make the mean of what acted too large.
     """
     u = (outputs - range_.low) / (range_.high - range_.low)
-    stopped: Array = np.where(u < _STOPPED, 0.0, u)
-    return stopped
+    return np.where(u < _STOPPED, 0.0, u)

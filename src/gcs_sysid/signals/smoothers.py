@@ -122,8 +122,7 @@ def _steady_state(numerator: Array, denominator: Array) -> Array:
     """Filter state at rest under a constant input of one."""
     gain = numerator.sum() / denominator.sum()
     rest = numerator - gain * denominator
-    state: Array = np.cumsum(rest[::-1])[::-1][1:]
-    return state
+    return np.cumsum(rest[::-1])[::-1][1:]
 
 
 def nonlinear_differentiator(
@@ -216,8 +215,7 @@ class Window:
             basis = new**powers
             missing = wanted - basis @ guess
             correction = np.linalg.lstsq((bell * basis) @ basis.T, missing, rcond=1e-12)[0]
-            result: Array = guess + bell * (correction @ basis)
-            return result
+            return guess + bell * (correction @ basis)
 
         slope = np.where(np.abs(s) < 1.0, bell * np.sin(np.pi * np.clip(s, -1.0, 1.0)), 0.0)
         slope = slope / (slope @ (new - shift / (half + 1)) * (half + 1) * dt)

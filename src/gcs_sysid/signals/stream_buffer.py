@@ -45,8 +45,7 @@ def usual_gaps(interval: Array) -> Array:
     gap = np.maximum(2.6 * interval, _SHORTEST)
     for lost, most in _BRIDGED:
         np.maximum(gap, np.minimum((lost + 1.2) * interval, most), out=gap)
-    wide: Array = gap + SAME
-    return wide
+    return gap + SAME
 
 
 def usual_gap(interval: float) -> float:
@@ -94,8 +93,7 @@ def _usual(windows: Array) -> Array:
     middle = np.sort(windows, axis=1)[:, count // 2, None]
     near = (windows > 0.75 * middle) & (windows < 1.25 * middle)
     near |= (near.sum(axis=1) < _ALIKE * count)[:, None]
-    mean: Array = np.where(near, windows, 0.0).sum(axis=1) / near.sum(axis=1)
-    return mean
+    return np.where(near, windows, 0.0).sum(axis=1) / near.sum(axis=1)
 
 
 def interpolate(
@@ -280,8 +278,7 @@ class StreamBuffer:
         _, _, counted, step = self._sort_out(t)
         due, intervals = self._renewals(step)
         renewed = np.searchsorted(counted[due], marks)
-        ahead: Array = np.concatenate([[self.interval], intervals])[renewed]
-        return ahead
+        return np.concatenate([[self.interval], intervals])[renewed]
 
     def _sort_out(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Of (n,) times, s, the rows that are newer than all before, and those that are late.
@@ -342,8 +339,7 @@ class StreamBuffer:
     @property
     def gaps(self) -> Array:
         """(ticks,) s beyond which two samples have nothing between them."""
-        gaps: Array = np.maximum(usual_gaps(self._intervals), self._bridged)
-        return gaps
+        return np.maximum(usual_gaps(self._intervals), self._bridged)
 
     def known_until(self, horizon: Array) -> Array:
         """(ticks,) s up to which samples to come change nothing, if none of before `horizon` does.
@@ -402,8 +398,7 @@ class StreamBuffer:
         t, _ = self._arrays()
         index = np.searchsorted(t, grid + SAME, side="right")
         # Before the first is the NaN.
-        stamps: Array = np.append(t, np.nan)[np.minimum(index, self._known[tick]) - 1]
-        return stamps
+        return np.append(t, np.nan)[np.minimum(index, self._known[tick]) - 1]
 
     def forget_before(self, t: float) -> None:
         """Drop what no later grid point needs."""

@@ -336,8 +336,7 @@ class TimeBase:
             horizon = np.minimum(horizon, known)
         settled = [b.settled(newest) for b in self._rotor_buffers()]
         settled.append(self._imu_buffer().settled())
-        ready: Array = np.minimum.reduce([horizon, *settled])
-        return ready
+        return np.minimum.reduce([horizon, *settled])
 
     def _emit(
         self, horizon: Array, orders: Array, arrived: Iterable[tuple[Array, Array]] = ()

@@ -268,8 +268,7 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        found: Array = np.maximum(self._begins.take(self._rank.take(at) + n), at)
-        return found
+        return np.maximum(self._begins.take(self._rank.take(at) + n), at)
 
     def behind_tagged(self, at: Array, count: int) -> Array:
         """Where what follows a tag and the numbers that it marks begins.
@@ -352,14 +351,12 @@ def _convert(values: Array, columns: Array, how: Callable[[Array], Array]) -> No
 
 
 def _zigzag(values: Array) -> Array:
-    signed: Array = (values >> 1) ^ -(values & 1)
-    return signed
+    return (values >> 1) ^ -(values & 1)
 
 
 def _negative_14_bits(values: Array) -> Array:
     low = values & 0xFFFF
-    signed: Array = -np.where(low & 0x2000, (low & 0x3FFF) - 0x4000, low)
-    return signed
+    return -np.where(low & 0x2000, (low & 0x3FFF) - 0x4000, low)
 
 
 class _TaggedNumbers:
@@ -413,8 +410,7 @@ def _signed(words: Array, bits: Array) -> Array:
     """The lowest bits of words, as signed integers."""
     values = words.astype(np.int64) & ((1 << bits) - 1)
     top = (1 << bits) >> 1
-    signed: Array = (values ^ top) - top
-    return signed
+    return (values ^ top) - top
 
 
 class _Tag2:

@@ -116,8 +116,7 @@ class _Chains(NamedTuple):
 
     def since(self, sums: Array) -> Array:
         """What (n,) sums have grown by since the I frame."""
-        grown: Array = sums - self.held(sums[self.first])
-        return grown
+        return sums - self.held(sums[self.first])
 
 
 def _chains(is_key: Mask) -> _Chains:
@@ -210,8 +209,7 @@ def _logged_after(header: Header, loop: Array, n: Array) -> Array:
     before = loop // interval * len(logged)
     rank = before + np.searchsorted(logged, loop % interval, side="right") + n - 1
     later = rank // len(logged) * interval + logged[rank % len(logged)]
-    found: Array = np.where(n == 0, loop, later)
-    return found
+    return np.where(n == 0, loop, later)
 
 
 def _outside(values: Array, low: Array) -> Mask:
@@ -247,8 +245,7 @@ def slow_frames(header: Header, written: FrameTable) -> FrameTable:
 def latest(order: Array, values: Array, places: Array) -> Array:
     """(k,) the last of (n,) values before each place; 0 before the first."""
     before = np.searchsorted(order, places)
-    last: Array = np.append([0], values)[before]
-    return last
+    return np.append([0], values)[before]
 
 
 def _believed_starts(chains: Array, passed: Array, resumed: Array) -> Array:

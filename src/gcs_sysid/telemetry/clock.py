@@ -222,8 +222,7 @@ class ClockTimes:
 
     def after(self, order: Array) -> Array:
         """(n,) s, the clock after the frames with these numbers."""
-        now: Array = self.now[np.searchsorted(self.order, order, side="right")]
-        return now
+        return self.now[np.searchsorted(self.order, order, side="right")]
 
 
 def following(time_usec: Array, now: Array) -> Array:

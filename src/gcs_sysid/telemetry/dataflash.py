@@ -172,8 +172,7 @@ class _EntryReader:
         if not len(known_t):
             return np.zeros(len(places))
         before = np.searchsorted(self._log.places(self._known), places) - 1
-        t: Array = known_t[np.maximum(before, 0)]
-        return t
+        return known_t[np.maximum(before, 0)]
 
     def _read_parameters(self) -> list[tuple[float, str, float]]:
         texts, values = self._log.text("PARM", "Name"), self._column("PARM", "Value")
@@ -209,8 +208,7 @@ class _EntryReader:
             primaries, times = np.unique(chosen, return_counts=True)
             most = primaries[times.argmax()]
             wanted = most if np.any(number == most) else wanted
-        primary: Mask = number == wanted
-        return primary
+        return number == wanted
 
     def _add_entries(self, recording: Recording) -> None:
         for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY, Stream.RATE_SETPOINT):
@@ -360,8 +358,7 @@ class _EntryReader:
     def _primary_instance(self, name: str) -> Mask:
         """(n,) the entries of the first instance, under any of the names that number had."""
         number = self._column(name, "Inst", "Instance", "I")
-        first: Mask = np.ones(len(self._log.places(name)), bool) if number is None else number == 0
-        return first
+        return np.ones(len(self._log.places(name)), bool) if number is None else number == 0
 
     def _pairs(self, name: str, column: str) -> Iterator[tuple[float, float]]:
         values = self._column(name, column)

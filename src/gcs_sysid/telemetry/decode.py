@@ -301,8 +301,7 @@ class RecordDecoder:
         if beats is None:
             return np.full(len(order), known)
         reported = np.concatenate([[known], beats["autopilot"].astype(int)])
-        before: Array = reported[np.searchsorted(beats["_frame"], order)]
-        return before
+        return reported[np.searchsorted(beats["_frame"], order)]
 
     def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
         """Take a SYSTEM_TIME that comes first; number of the next one, from which frames are read
@@ -538,5 +537,4 @@ class RecordDecoder:
 
 def _kept(rows: Array, mask: Mask) -> Array:
     """Rows of a mask, which most often is true throughout: then they are not copied."""
-    kept: Array = rows if mask.all() else rows[mask]
-    return kept
+    return rows if mask.all() else rows[mask]

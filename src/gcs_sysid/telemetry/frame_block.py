@@ -39,8 +39,7 @@ def _word_table() -> Array:
     """(65536,) the state after two bytes, from the state joined with them."""
     word = np.arange(65536, dtype=np.uint16)
     once = (word >> 8) ^ _BYTE[word & 0xFF]
-    table: Array = (once >> 8) ^ _BYTE[once & 0xFF]
-    return table
+    return (once >> 8) ^ _BYTE[once & 0xFF]
 
 
 _WORD = _word_table()
@@ -75,8 +74,7 @@ def checksums_agree(data: Array, at: Array, length: Array, extra: Array) -> Mask
     """(n,) whether the two bytes behind pieces are their checksums; see `checksums`."""
     end = at + length
     behind = data[end] | data[end + 1].astype(np.uint16) << 8
-    agree: Mask = behind == checksums(data, at, length, extra)
-    return agree
+    return behind == checksums(data, at, length, extra)
 
 
 def rows_of(data: Array, at: Array, size: int) -> Array:
@@ -211,8 +209,7 @@ class FrameBlock:
         ):
             whole = whole << np.uint64(8) | part
         # An odd number of the golden ratio spreads stamps, which are alike, over all bits.
-        keys: Array = lead * np.uint64(0x9E3779B97F4A7C15) ^ whole
-        return keys
+        return lead * np.uint64(0x9E3779B97F4A7C15) ^ whole
 
     def frame(self, index: int) -> Frame:
         """One of them as an object."""

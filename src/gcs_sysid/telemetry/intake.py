@@ -277,8 +277,7 @@ class Intake:
 
     @staticmethod
     def _from(frames: FrameBlock, vehicle: MavlinkSystem) -> Mask:
-        mask: Mask = (frames.system == vehicle.system) & (frames.component == vehicle.component)
-        return mask
+        return (frames.system == vehicle.system) & (frames.component == vehicle.component)
 
     def _count(self, frames: FrameBlock) -> None:
         self.monitor.count_frames(frames.validity)

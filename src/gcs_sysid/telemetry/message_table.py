@@ -47,14 +47,12 @@ def used_outputs(messages: Array, outputs: Array) -> Array:
     count = np.where(active <= most, active, np.minimum(bit_length, most)).astype(int)
     count[count == 0] = most
     there = np.isfinite(outputs) & (np.arange(most) < count[:, None])
-    used: Array = np.maximum(_to_last(there), np.minimum(count, 4))
-    return used
+    return np.maximum(_to_last(there), np.minimum(count, 4))
 
 
 def used_servos(_messages: Array, servos: Array) -> Array:
     """(n,) how many servos n messages SERVO_OUTPUT_RAW report, at least four; 0: not there."""
-    used: Array = np.maximum(_to_last(servos != 0.0), 4)
-    return used
+    return np.maximum(_to_last(servos != 0.0), 4)
 
 
 def _to_last(there: Mask) -> Array:
@@ -149,8 +147,7 @@ def _from_euler(angles: Array) -> Array:
 def _sum_of_cells(volts: Array) -> Array:
     """(n, 1) of (n, cells), 0 where none is reported."""
     # UINT16_MAX: there is no such cell, or its voltage is not known.
-    total: Array = np.where(volts >= 65535.0, 0.0, volts).sum(axis=1, keepdims=True)
-    return total
+    return np.where(volts >= 65535.0, 0.0, volts).sum(axis=1, keepdims=True)
 
 
 _AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
@@ -296,7 +293,6 @@ class OnboardMessage:
     def values(self, columns: Array) -> Array:
         """(n, width) in SI units of (n, fields) numbers."""
         if self.is_equal_to is not None:
-            state: Array = columns == self.is_equal_to
-            return state
+            return columns == self.is_equal_to
         values = columns if self.convert is None else self.convert(columns)
         return values if self.scale == 1.0 else values * self.scale

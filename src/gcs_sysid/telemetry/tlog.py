@@ -203,8 +203,7 @@ class Scanner:
 
 
 def _is_magic(data: Array) -> Mask:
-    is_magic: Mask = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
-    return is_magic
+    return data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
 
 
 def _headers(data: Array, at: Array) -> dict[str, Array]:
@@ -331,8 +330,7 @@ class _RecordChain:
             )
         ]
         head = _headers(self.data, at)
-        good: Array = at[(head["validity"] == OK) & (at + head["size"] <= len(self._content))]
-        return good
+        return at[(head["validity"] == OK) & (at + head["size"] <= len(self._content))]
 
     def _detour(self, chain: Array, record: int) -> tuple[list[int], int]:
         """Frames from a hunt on until they meet the chain again, and where in it they do."""
@@ -360,8 +358,7 @@ class _RecordChain:
         owner = np.searchsorted(begin, at) - 1
         inside = (owner >= 0) & (at < (begin + head["size"][bad])[owner])
         good = self._are_good(at[inside])
-        holding: Array = bad[np.unique(np.searchsorted(begin, good) - 1)]
-        return holding
+        return bad[np.unique(np.searchsorted(begin, good) - 1)]
 
 
 def _is_cut_short(rest: bytes) -> bool:

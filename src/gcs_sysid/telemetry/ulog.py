@@ -269,5 +269,4 @@ def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
     where = {motor: i for i, motor in enumerate(motors) if motor >= 0}
     if where and sorted(where) == list(range(len(where))):
         rpm = rpm[:, [where[motor] for motor in range(len(where))]]
-    speeds: Array = np.abs(rpm.astype(float)) * RPM
-    return speeds
+    return np.abs(rpm.astype(float)) * RPM

@@ -61,8 +61,7 @@ class MeasuredFlight:
     def flown(self, since: float = 0.0) -> Array:
         """(k,) times at which all is there."""
         there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
-        times: Array = self.t[there & (self.t >= since)]
-        return times
+        return self.t[there & (self.t >= since)]
 
     def one_step(self, model: FlightModel, part: slice) -> tuple[Array, Array, Array]:
         """What one step of the model leaves, summed up: (n, 3) each of a gapless part.

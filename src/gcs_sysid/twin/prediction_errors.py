@@ -89,8 +89,7 @@ class Carried:
         """(k, steps, 3) rad/s^2 of every step after k instants, at which (k, 3) is known."""
         middle = dt * (np.arange(steps) + 0.5)
         fading = np.where(self.memory > 0.0, self.fading, 1.0)
-        out: Array = now[:, None, :] * np.exp(-middle[:, None] / fading)
-        return out
+        return now[:, None, :] * np.exp(-middle[:, None] / fading)
 
 
 NOTHING_CARRIED = Carried(np.zeros(3), np.zeros(3), np.zeros(3))
@@ -474,8 +473,7 @@ def _r_squared(error: Array, measured: Array) -> float:
 
 
 def _rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Array:
-    root: Array = np.sqrt(np.nanmean(values**2, axis=axis))
-    return root
+    return np.sqrt(np.nanmean(values**2, axis=axis))
 
 
 def _difference(flown: Trajectory, measured: dict[str, Array]) -> dict[str, Array]:

@@ -440,8 +440,7 @@ class _StepTrial:
         return mask
 
     def _mass(self, since: Mask) -> Array:
-        column: Array = (self._thrust * since)[:, None]
-        return column
+        return (self._thrust * since)[:, None]
 
     def _balance(self, since: Mask) -> dict[int, Array]:
         """A CG moved forward, to the right: the first columns of Q are those of J^-1."""
@@ -539,8 +538,7 @@ class _StepFit:
     @property
     def std(self) -> Array:
         """(p,) standard deviations."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
+        return np.sqrt(np.diag(self.covariance))
 
 
 Columns = Callable[[Mask], dict[int, Array]]

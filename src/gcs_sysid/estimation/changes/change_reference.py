@@ -79,12 +79,10 @@ class Actuator:
             return share
         linear = 1.0 - self.curve
         whole = np.sqrt(np.maximum(linear * linear + 4.0 * self.curve * share, 0.0))
-        command: Array = 2.0 * share / np.maximum(linear + whole, 1e-6)
-        return command
+        return 2.0 * share / np.maximum(linear + whole, 1e-6)
 
     def _share(self, u: Array) -> Array:
-        share: Array = np.maximum((1.0 - self.curve) * u + self.curve * u * u, 0.0)
-        return share
+        return np.maximum((1.0 - self.curve) * u + self.curve * u * u, 0.0)
 
 
 class Rotors:
@@ -201,8 +199,7 @@ def body_velocity(samples: Samples) -> Array:
     velocity = samples.velocity
     if not np.isfinite(velocity).any():
         return velocity
-    along: Array = (velocity[:, None, :] @ attitude.matrices(samples.attitude))[:, 0]
-    return along
+    return (velocity[:, None, :] @ attitude.matrices(samples.attitude))[:, 0]
 
 
 def form_rows(

@@ -233,8 +233,7 @@ def _by_curve(window: AlarmWindow, reference: Reference, c: float) -> Array:
     usual = slice(0, max(window.at, 1))
     total = share.sum(axis=1)
     even = slope - total * (slope[usual].mean() / max(total[usual].mean(), 1e-9))
-    changed: Array = reference.kappa * even
-    return changed
+    return reference.kappa * even
 
 
 def covariance(window: AlarmWindow, c: int, strength: Array, floor: float) -> Array:
@@ -254,8 +253,7 @@ def covariance(window: AlarmWindow, c: int, strength: Array, floor: float) -> Ar
     added = np.where(np.array(TUNING.ou_times) == TUNING.floor_time, least**2, 0.0)
     for tau, variance in zip(TUNING.ou_times, strength[2:] + added, strict=True):
         noise = noise + variance * _ou(lags, h, tau)
-    covered: Array = noise
-    return covered
+    return noise
 
 
 @dataclass(frozen=True)
@@ -344,8 +342,7 @@ def strengths(window: AlarmWindow, history: ResidualHistory, c: int) -> Array:
 def _scales(values: Array, index: Array, step: float, sizes: tuple[int, ...]) -> Array:
     """(k, 3) scales in s, variances of differences of means over them, and how many are apart."""
     found = [(m * step, *_haar(values, index, m)) for m in sizes]
-    rows: Array = np.array([row for row in found if row[2] >= 3 and row[1] > 0.0]).reshape(-1, 3)
-    return rows
+    return np.array([row for row in found if row[2] >= 3 and row[1] > 0.0]).reshape(-1, 3)
 
 
 def _made(scale: Array) -> Array:
@@ -409,21 +406,18 @@ def _median(history: Array) -> Array:
 def _means(parts: Array) -> Array:
     """(n, w) of (n, size, w), over what is there."""
     there = np.isfinite(parts)
-    means: Array = np.where(there, parts, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
-    return means
+    return np.where(there, parts, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
 
 
 def _rate(values: Array, window: AlarmWindow) -> Array:
-    rate: Array = np.gradient(values, window.index * window.step)
-    return rate
+    return np.gradient(values, window.index * window.step)
 
 
 def _command_of(share: Array, c: float) -> Array:
     """Command of a share of full thrust: (1 - c) w + c w^2 = share."""
     linear = 1.0 - c
     root = np.sqrt(np.maximum(linear * linear + 4.0 * c * share, 0.0))
-    command: Array = 2.0 * share / np.maximum(linear + root, 1e-6)
-    return command
+    return 2.0 * share / np.maximum(linear + root, 1e-6)
 
 
 def _velocity(samples: Samples, dt: float) -> Array:

@@ -125,8 +125,7 @@ class Level:
 
     def std(self, floor: Array) -> Array:
         """(channels,) noise level, at least the floor."""
-        std: Array = np.maximum(np.sqrt(self.variance), floor)
-        return std
+        return np.maximum(np.sqrt(self.variance), floor)
 
 
 class RecentMean:

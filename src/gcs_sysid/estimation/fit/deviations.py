@@ -90,13 +90,11 @@ class Deviations:
     @cached_property
     def information(self) -> Array:
         """(m,) of the prior."""
-        information: Array = self.std**-2.0
-        return information
+        return self.std**-2.0
 
     def torque(self, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
-        torque: Array = np.tensordot(phi, self.torques, 1)
-        return torque
+        return np.tensordot(phi, self.torques, 1)
 
     def like(self, other: "Deviations") -> bool:
         """Whether they are the same, of the same size, and torques differ by next to nothing."""
@@ -182,8 +180,7 @@ class DeviationChoice:
     def shares(self, unknowns: Array) -> Array:
         """(rotors,) of thrust at hover, where it acts at the CG of a (N_UNKNOWNS,) fit."""
         trim = np.array([-unknowns[rb.CG_Y], unknowns[rb.CG_X], 1.0, 0.0])
-        shares: Array = trim @ self._signal
-        return shares
+        return trim @ self._signal
 
     def choose(
         self, every: Deviations, unknowns: Array, score: Array, information: Array
@@ -272,8 +269,7 @@ def turned(R: Array) -> Array:
 def rotation_of(turns: Array) -> Array:
     """(3, 3) of (3,) rad about roll, pitch and yaw, by Cayley's transform."""
     K = np.tensordot(turns, _CROSS, 1)
-    R: Array = np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
-    return R
+    return np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
 
 
 # The map is of second order in R, so that this difference is its derivative.
@@ -286,5 +282,4 @@ def missed_by(L: Array, Q: Array) -> Array:
 
     x = (1 + L) x_true, w' = (1 + E) w'_true, E the part of L for w':  D = E Q - Q L
     """
-    missed: Array = L[..., N_X:, N_X:] @ Q - Q @ L[..., :N_X, :N_X]
-    return missed
+    return L[..., N_X:, N_X:] @ Q - Q @ L[..., :N_X, :N_X]

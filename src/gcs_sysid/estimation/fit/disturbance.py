@@ -69,8 +69,7 @@ class BankTrial:
         """
         calm = [i for i, whitener in enumerate(self.whiteners) if not whitener.disturbed]
         best, best_calm = self.variance.min(axis=0), self.variance[calm].min(axis=0)
-        nats: Array = 0.5 * np.log(best_calm / best) / self.time
-        return nats
+        return 0.5 * np.log(best_calm / best) / self.time
 
     def systematic(self, fit: RotationFit, hover: float) -> Array:
         """(k, N_THETA) errors that scatter does not show, each of a cause of its own.
@@ -90,8 +89,7 @@ class BankTrial:
         if not errors:
             return np.zeros((0, rb.N_THETA))
         found = np.stack(errors)
-        present: Array = found[found.any(axis=1)]
-        return present
+        return found[found.any(axis=1)]
 
     def _contrast(self, fit: RotationFit) -> Array:
         """(N_THETA,) how far whiteners of faster disturbances lead away, beyond chance.
@@ -114,8 +112,7 @@ class BankTrial:
         weights = std**-2.0 / (std**-2.0).sum(axis=0)
         apart = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
         chance = std.min(axis=0)
-        contrast: Array = np.sign(apart) * np.sqrt(np.maximum(apart**2 - chance**2, 0.0))
-        return contrast
+        return np.sign(apart) * np.sqrt(np.maximum(apart**2 - chance**2, 0.0))
 
     def _trim(self, fit: RotationFit, axis: int, hover: float) -> Array:
         """(N_THETA,) offset of the CG that the moment would hold if it were constant.
@@ -160,8 +157,7 @@ def _stds(information: Array) -> Array:
     """(p,) standard deviations of (p, p) information; huge where there is none."""
     d = scales(information)
     values, vectors = np.linalg.eigh(information / np.outer(d, d))
-    stds: Array = np.sqrt((vectors**2 / np.maximum(values, _NONE)).sum(axis=1)) / d
-    return stds
+    return np.sqrt((vectors**2 / np.maximum(values, _NONE)).sum(axis=1)) / d
 
 
 _NONE = 1e-14

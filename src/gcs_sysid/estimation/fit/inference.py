@@ -134,16 +134,14 @@ class Outcome:
     def spread_of(self, pull: Array) -> Array:
         """(K, p, p) what a (K, p) gradient that is uncertain by itself adds to the inflation."""
         moved = _times(self.roots[1], pull / self._scale)
-        spread: Array = moved[:, :, None] * moved[:, None, :]
-        return spread
+        return moved[:, :, None] * moved[:, None, :]
 
     @property
     def left(self) -> Array:
         """(K,) twice by how much the likelihood could still rise: standard deviations, squared."""
         gradient, hessian = self._problem.with_prior(self._point)
         inverse_roots = symmetric_roots(hessian / self._scales)[1]
-        left: Array = (_times(inverse_roots, gradient / self._scale) ** 2).sum(axis=1)
-        return left
+        return (_times(inverse_roots, gradient / self._scale) ** 2).sum(axis=1)
 
     @property
     def pull(self) -> Array:
@@ -183,8 +181,7 @@ class Outcome:
         scores = by_parts(some, batches)
         # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
-        scaled: Array = scores / self._scale[i]
-        return scaled
+        return scores / self._scale[i]
 
     def shares(self, i: int, batches: Array) -> Array:
         """(k, p) what each batch is expected to add to the variance of each unknown.
@@ -323,8 +320,7 @@ class Outcome:
         moments = problem.moments
         of_axis = _AXES if moments.shape[1] > 1 else 0
         all_ = moments[:, of_axis, _AXES - 3, _AXES - 3] / problem.rows[:, None]
-        share: Array = 1.0 - self._point.variance / np.maximum(all_, 1e-300)
-        return share
+        return 1.0 - self._point.variance / np.maximum(all_, 1e-300)
 
     def _moved(self, step: Array) -> Array:
         """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""
@@ -340,17 +336,14 @@ class Outcome:
 
 def _deviations(variances: Array) -> Array:
     """Square roots; without limit where less noise than there is left negative information."""
-    root: Array = np.sqrt(np.where(variances >= 0.0, variances, np.inf))
-    return root
+    return np.sqrt(np.where(variances >= 0.0, variances, np.inf))
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
     """(K, a) products of (K, a, b) and (K, b)."""
-    products: Array = (matrices @ vectors[..., None])[..., 0]
-    return products
+    return (matrices @ vectors[..., None])[..., 0]
 
 
 def _each_axis(rows: Array, batches: Array) -> Array:
     """(k, 3, width) of (3, width) rows times (k, 1 or 3, width, width) batches of each axis."""
-    each: Array = (rows[:, None] @ batches)[:, :, 0]
-    return each
+    return (rows[:, None] @ batches)[:, :, 0]

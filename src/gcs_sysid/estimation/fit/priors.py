@@ -50,13 +50,11 @@ class Prior:
 
     def pull(self, unknowns: Array) -> Array:
         """(..., N_UNKNOWNS) downhill gradient of half the cost at (..., N_UNKNOWNS) unknowns."""
-        pull: Array = (self.mean - unknowns) @ self.information
-        return pull
+        return (self.mean - unknowns) @ self.information
 
     def cost(self, unknowns: Array) -> Array:
         """(...) squared distance from the mean, in standard deviations."""
-        cost: Array = np.sum((self.mean - unknowns) * self.pull(unknowns), axis=-1)
-        return cost
+        return np.sum((self.mean - unknowns) * self.pull(unknowns), axis=-1)
 
     @property
     def thrust_curve(self) -> tuple[float, float]:
@@ -73,8 +71,7 @@ class Prior:
     @property
     def known(self) -> Mask:
         """(N_UNKNOWNS,) which unknowns it covers."""
-        known: Mask = np.diag(self.information) > 0.0
-        return known
+        return np.diag(self.information) > 0.0
 
 
 def prior_of(known: Mapping[int, tuple[float, float]]) -> Prior:

@@ -79,8 +79,7 @@ class Evaluation(Iterate):
     @property
     def variance(self) -> Array:
         """(K, 3) power of one row's residual."""
-        variance: Array = np.diagonal(self.residual, axis1=1, axis2=2)
-        return variance
+        return np.diagonal(self.residual, axis1=1, axis2=2)
 
 
 class Problem(ABC):
@@ -170,8 +169,7 @@ class Problem(ABC):
     def weak_cost(self, unknowns: Array) -> Array:
         """(...) of leaving the ordinary, see COORDINATE_STD."""
         away = unknowns[..., self.free_coordinates] - self._mean
-        cost: Array = (away * away) @ self._information
-        return cost
+        return (away * away) @ self._information
 
     def extended(self, unknowns: Array) -> Array:
         """(..., N_UNKNOWNS + m) of (..., N_UNKNOWNS or more): deviations, if missing, zero."""
@@ -203,8 +201,7 @@ class Problem(ABC):
         share = 0.9 * room / np.maximum(np.abs(way), 1e-300)
         # At the edge itself a coordinate is just held.
         share = np.where(room > 1e-3 * (high - low), share, 1.0)
-        smallest: Array = np.minimum(share.min(axis=-1), 1.0)
-        return smallest
+        return np.minimum(share.min(axis=-1), 1.0)
 
     def are_allowed(self, unknowns: Array) -> Mask:
         """(...) whether a rigid body can have such inertia."""
@@ -368,8 +365,7 @@ class AxisProblem(Problem):
         At the point that this leads to in the end the gradient without the known noise vanishes.
         """
         was, now = ((at.power / before.variance).sum(axis=1) + at.weak for at in (before, after))
-        fall: Array = was - now
-        return fall
+        return was - now
 
 
 def residual_maker(Q: Array) -> Array:

@@ -114,8 +114,7 @@ class RotationFit:
         own = self.deviations_covariance
         d = np.sqrt(np.diag(own))
         inverse = np.linalg.pinv(own / np.outer(d, d), hermitian=True)
-        explained: Array = (across / d) @ inverse @ (across / d).T
-        return explained
+        return (across / d) @ inverse @ (across / d).T
 
     def widened(self, doubt: Array) -> Self:
         """The same with an error that the scatter of the data does not show.
@@ -143,8 +142,7 @@ class RotationFit:
     @property
     def coordinates_std(self) -> Array:
         """(N_COORDINATES,) standard deviations; zero where one was not estimated."""
-        std: Array = np.sqrt(np.diag(self.full_covariance))[COORDINATES]
-        return std
+        return np.sqrt(np.diag(self.full_covariance))[COORDINATES]
 
     @property
     def delay(self) -> float:
@@ -159,8 +157,7 @@ class RotationFit:
 
 def standard_deviations(variances: Array) -> Array:
     """Square roots; without limit where less noise than there is left negative information."""
-    root: Array = np.sqrt(np.where(variances >= 0.0, variances, np.inf))
-    return root
+    return np.sqrt(np.where(variances >= 0.0, variances, np.inf))
 
 
 def along(covariance: Array, place: int, off: float) -> Array:
@@ -174,5 +171,4 @@ def along(covariance: Array, place: int, off: float) -> Array:
     own = covariance[place, place]
     if not own > 0.0:
         return np.zeros(len(covariance))
-    errors: Array = covariance[:, place] / own * off
-    return errors
+    return covariance[:, place] / own * off

@@ -172,8 +172,7 @@ def _tilt_shares(balance: "_Balance") -> Array:
     estimate = balance.estimate.copy()
     estimate[:, 2], estimate[:, 3:] = estimate[:, 0], 0.0
     sideways = balance.mean_squares(estimate)[:, :2].sum(axis=1) / GRAVITY**2
-    shares: Array = np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
-    return shares
+    return np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
 
 
 def accelerometer_gain(
@@ -305,8 +304,7 @@ class _Balance:
         """(K, axes) of the residuals that (K, unknowns) leave."""
         fitted = (self._normals @ estimate[:, None, :, None])[..., 0]
         explained = ((2.0 * self._rights - fitted) * estimate[:, None]).sum(axis=2)
-        squares: Array = (self._powers - explained) / self._rows
-        return squares
+        return (self._powers - explained) / self._rows
 
     def converge(self) -> None:
         """Step until the weights are those of the residuals."""
@@ -335,8 +333,7 @@ class _Balance:
         """(K, unknowns, unknowns), given that inflation."""
         d, inverse_root = self._inverse_root()
         scaled = inverse_root @ inflated @ inverse_root
-        covariance: Array = scaled / (d[:, :, None] * d[:, None, :])
-        return covariance
+        return scaled / (d[:, :, None] * d[:, None, :])
 
     def _inverse_root(self) -> tuple[Array, Array]:
         """(K, unknowns) scales, and the root of the inverse of the scaled information."""
@@ -346,5 +343,4 @@ class _Balance:
 
 
 def _scales(normal: Array) -> Array:
-    scales: Array = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
-    return scales
+    return np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))

@@ -64,8 +64,7 @@ _STRETCHES, _STEPS = 3, 10
 
 def innovation_maker(Q: Array, basis: ActuatorDynamics, coordinates: Array) -> Array:
     """(3, width) what makes innovations of rows of elements, at a fit's Q and coordinates."""
-    TP: Array = residual_maker(Q) @ basis.map_at(coordinates)
-    return TP
+    return residual_maker(Q) @ basis.map_at(coordinates)
 
 
 def find_shocks(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Mask:
@@ -87,8 +86,7 @@ def find_shocks(TP: Array, variance: Array, batches: Array, counts: NDArray[np.i
 def _relative(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Array:
     """(k,) power of innovations over their variance, mean of the axes."""
     power = by_parts(lambda some: axis_power(TP, some), batches)
-    relative: Array = (power / counts[:, None] / variance).mean(axis=1)
-    return relative
+    return (power / counts[:, None] / variance).mean(axis=1)
 
 
 @dataclass(frozen=True)
@@ -416,8 +414,7 @@ def unlike_delays(problem: AxisProblem, point: Evaluation, older: Array, excess:
     chance = excess * float(chdtri(int(seen.sum()), FALSE_ALARM_RATE))
     delays = vectors[:, seen] @ (along_seen / values[seen])
     beyond = 1.0 - chance / likelier if likelier > chance else 0.0
-    error: Array = answer @ (-beyond * delays)
-    return error
+    return answer @ (-beyond * delays)
 
 
 def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:
@@ -444,5 +441,4 @@ def _explained(solved: AxisFit, total: Array, judges: tuple[int, ...]) -> Array:
     point = solved.point
     moments = solved.problem.basis.moments_at(total[list(judges)], point.unknowns[0, COORDINATES])
     left = axis_power(residual_maker(point.Q[0]), moments)
-    share: Array = 1.0 - left / np.maximum(moments[_AXES, _AXES - 3, _AXES - 3], 1e-300)
-    return share
+    return 1.0 - left / np.maximum(moments[_AXES, _AXES - 3, _AXES - 3], 1e-300)

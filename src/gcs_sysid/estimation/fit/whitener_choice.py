@@ -184,10 +184,9 @@ class BankProblem:
         m = known[N_UNKNOWNS:]
         torque = self.deviations.torque(m) if len(m) else 0.0
         of_noise = axis_power(residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque)), noise)
-        alike: Array = np.maximum(
+        return np.maximum(
             point.power / self.rows + NOISE_SHARE * of_noise, LEAST_POWER * point.variance
         )
-        return alike
 
     def choose_deviations(self, fit: AxisFit, choice: DeviationChoice) -> Deviations:
         """The deviations for which there is evidence, from one look at all of them."""
@@ -232,5 +231,4 @@ def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None
         return None
     places = list(trial.pick)
     power = problem.total[places, _AXES - 3, _AXES - 3] / problem.rows
-    share: Array = 1.0 - trial.variance[places, _AXES] / np.maximum(power, 1e-300)
-    return share
+    return 1.0 - trial.variance[places, _AXES] / np.maximum(power, 1e-300)

@@ -259,12 +259,10 @@ def axis_damping_doubt(
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     P = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T * np.outer(sigma, sigma)
     phi = P @ g / f
-    doubt: Array = S @ (P + np.outer(phi, phi)) @ S.T
-    return doubt
+    return S @ (P + np.outer(phi, phi)) @ S.T
 
 
 def _inverse(information: Array) -> Array:
     d = scales(information)
     root = symmetric_roots(information / np.outer(d, d))[1]
-    inverse: Array = root @ root / np.outer(d, d)
-    return inverse
+    return root @ root / np.outer(d, d)

@@ -18,8 +18,7 @@ def sandwich(bread: Array, scores: Array) -> Array:
         (p, p); in no direction below `bread`, which white residuals would give.
     """
     root = symmetric_roots(bread, 0.0)[0]
-    covariance: Array = root @ inflation(root, meat(scores)) @ root
-    return covariance
+    return root @ inflation(root, meat(scores)) @ root
 
 
 def meat(scores: Array, reach: int | None = None) -> Array:
@@ -49,8 +48,7 @@ def bartlett(k: int, reach: int | None = None) -> Array:
     """Weights of lags 1, 2, ... between k batches, as far as they reach; None: as of `meat`."""
     most = round(k ** (1.0 / 3.0)) if k > 2 else 0
     reach = most if reach is None else min(most, reach)
-    weights: Array = 1.0 - np.arange(1, reach + 1) / (reach + 1.0)
-    return weights
+    return 1.0 - np.arange(1, reach + 1) / (reach + 1.0)
 
 
 def inflation(inverse_root: Array, scatter: Array) -> Array:
@@ -64,8 +62,7 @@ def inflation(inverse_root: Array, scatter: Array) -> Array:
         (p, p) A, to which inverse_root A inverse_root is the covariance of the estimate.
     """
     values, vectors = np.linalg.eigh(inverse_root @ scatter @ inverse_root)
-    spread: Array = (vectors * np.maximum(values, 1.0)) @ vectors.T
-    return spread
+    return (vectors * np.maximum(values, 1.0)) @ vectors.T
 
 
 def shrunk_inflation(
@@ -161,8 +158,7 @@ def student_factor(
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
     freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, 1e-3) ** 2
-    factor: Array = stdtrit(freedom, 0.975) / Z95
-    return factor
+    return stdtrit(freedom, 0.975) / Z95
 
 
 def watched_factor(seconds: float) -> float:

@@ -103,8 +103,7 @@ class Whitener:
         late = np.exp(-1j * omega)
         own = (1.0 + self.c1 * late + self.c2 * late**2) * (1.0 + self.b * late)
         passed = (1.0 - self.a * late) / own
-        power: Array = np.abs(passed) ** 2
-        return power
+        return np.abs(passed) ** 2
 
 
 def spectral_factor(a: float, rho_d: float, rho_u: float) -> tuple[float, float]:
@@ -372,8 +371,7 @@ class WhitenedMoments:
         whiteners and axes.
         """
         power = np.concatenate([np.einsum("kbii->kbi", part)[..., -3:] for part in self.parts])
-        share: Array = (power / np.maximum(power.sum(axis=0), 1e-300)).mean(axis=(1, 2))
-        return share
+        return (power / np.maximum(power.sum(axis=0), 1e-300)).mean(axis=(1, 2))
 
     def total(self, kept: Mask) -> Array:
         """(bank, width, width) sum over the batches kept."""

@@ -306,8 +306,7 @@ def at_delay(delay: float) -> Array:
 def _means(values: Array, h: int) -> Array:
     """(n // h, ...) of h samples each."""
     n = len(values) // h * h
-    means: Array = values[:n].reshape(-1, h, values.shape[1]).mean(axis=1)
-    return means
+    return values[:n].reshape(-1, h, values.shape[1]).mean(axis=1)
 
 
 def _nodes(steps: int) -> Array:

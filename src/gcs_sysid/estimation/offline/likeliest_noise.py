@@ -154,8 +154,7 @@ class FittedWhitener(Whitener):
         """See `Whitener`."""
         z = np.exp(-1j * omega)
         passed = np.polyval(self.above[::-1], z) / np.polyval(self.under[::-1], z)
-        power: Array = np.abs(passed) ** 2
-        return power
+        return np.abs(passed) ** 2
 
 
 def _filter_of(whitener: Whitener) -> tuple[Array, Array]:
@@ -191,8 +190,7 @@ def innovations(run: Array, whitener: Whitener) -> Array:
     start[: min(n, order)] = np.eye(min(n, order), order)
     basis = np.linalg.qr(lfilter([1.0], under, start)[0])[0]
     flat = out.reshape(n, -1)
-    left: Array = (flat - basis @ (basis.T @ flat)).reshape(out.shape)
-    return left
+    return (flat - basis @ (basis.T @ flat)).reshape(out.shape)
 
 
 class Periodogram:

@@ -211,8 +211,7 @@ def _projected(signal: Array, Z: Array) -> Array:
     """What (n, k) columns explain of (n,) or (n, m) signals."""
     gram = Z.T @ Z
     ridge = 1e-9 * np.trace(gram) / len(gram) * np.eye(len(gram))
-    explained: Array = Z @ np.linalg.solve(gram + ridge, Z.T @ signal)
-    return explained
+    return Z @ np.linalg.solve(gram + ridge, Z.T @ signal)
 
 
 def _f(signal: Array, explained: Array) -> float:

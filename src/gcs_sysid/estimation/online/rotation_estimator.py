@@ -182,8 +182,7 @@ class RotationEstimator:
         noise = self._basis.noise_at(record.noise(fit.leak), fit.coordinates)
         rotors = np.diag(Q @ noise[:n, :n] @ Q.T)
         left = np.maximum(own - rotors, LEAST_OWN * own)
-        density: Array = np.diag(left) * (record.dt / record.noise_gains()[fit.leak])
-        return density
+        return np.diag(left) * (record.dt / record.noise_gains()[fit.leak])
 
     def _fitted(self, start: RotationFit | None, prior: Prior | None) -> RotationFit | None:
         record = self._record

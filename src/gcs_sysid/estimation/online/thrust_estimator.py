@@ -169,5 +169,4 @@ def _mixed(weights: Array, moments: Array) -> Array:
     mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
     mixer[0, :-3] = weights
     mixer[1:, -3:] = np.eye(3)
-    mixed: Array = mixer @ moments @ mixer.T
-    return mixed
+    return mixer @ moments @ mixer.T

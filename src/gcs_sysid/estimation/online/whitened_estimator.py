@@ -178,8 +178,7 @@ class WhitenedEstimator:
         left = np.maximum(own - rotors, LEAST_OWN * own)
         # Without a whitener the gyro's part is unknown: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
-        density: Array = np.diag(left * shares) * T**3
-        return density
+        return np.diag(left * shares) * T**3
 
     @property
     def _data(self) -> WhitenedMoments:

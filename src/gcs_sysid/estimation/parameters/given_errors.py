@@ -316,8 +316,7 @@ class _Normal:
 def _not_negative(information: Array) -> Array:
     """(p, p) with negative eigenvalues removed: inputs there hardly exceed the noise removed."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return positive
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _errors(airframe: Airframe) -> list[Array]:
@@ -347,8 +346,7 @@ def _errors(airframe: Airframe) -> list[Array]:
 def _undoing(errors: Sequence[Array], eps: Array, turn: float) -> Array:
     """(WIDTH, WIDTH) that makes rows without errors of rows with them."""
     rotors = sum((e * L for e, L in zip(eps[:-_AXES], errors, strict=False)), np.eye(WIDTH))
-    undone: Array = turned(rotation_of(turn * eps[-_AXES:])) @ np.linalg.inv(rotors)
-    return undone
+    return turned(rotation_of(turn * eps[-_AXES:])) @ np.linalg.inv(rotors)
 
 
 def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:

@@ -114,8 +114,7 @@ class InputNoise(ABC):
     @property
     def std(self) -> Array:
         """(rotors,) of one input, rad/s or 1."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
+        return np.sqrt(np.diag(self.covariance))
 
     def update(self, inputs: Array, apart: Array | None = None) -> None:
         """Take (n, rotors) inputs; NaN where missing.
@@ -347,8 +346,7 @@ class CommandNoise(InputNoise):
             return np.zeros_like(self._products)
         missed, seen = self._places @ self._folding
         scale = missed / seen / (self._differences * THIRD_DIFFERENCE)
-        covariance: Array = scale * self._products
-        return covariance
+        return scale * self._products
 
     @property
     def level(self) -> tuple[float, float]:
@@ -360,8 +358,7 @@ class CommandNoise(InputNoise):
     @property
     def torques(self) -> Array:
         """See `InputNoise.torques`; near half throttle thrust follows commands one to one."""
-        torques: Array = self._mixer.T @ self.covariance @ self._mixer
-        return torques
+        return self._mixer.T @ self.covariance @ self._mixer
 
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
         """(width, width) of rows of elements, see `InputNoise.row_moments`."""
@@ -391,5 +388,4 @@ def _overlaps(basis: ActuatorDynamics, smoother: Smoother, dt: float, memory: fl
         driven[: taps.shape[1]] = taps[element.delay]
         response[:] = lfilter([b0, b1], [1.0, -a], driven)[0]
     summed = leaky(responses, smoother.step, dt, memory)
-    overlaps: Array = summed @ summed.T
-    return overlaps
+    return summed @ summed.T

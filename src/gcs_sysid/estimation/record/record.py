@@ -440,8 +440,7 @@ _Places = Array | None
 def _between(rows: Array, places: _Places, start: int, stop: int) -> Array:
     if places is not None:
         start, stop = int(places[start]), int(places[stop])
-    part: Array = rows[..., start:stop, :]
-    return part
+    return rows[..., start:stop, :]
 
 
 def _kept(rows: Array) -> tuple[Array, _Places]:

@@ -185,8 +185,7 @@ class RowMaker:
         basis = self._basis
         if basis.coupled_lags:
             sets = range(basis.sets)
-            forms: Array = H[[lag * basis.sets + i for lag in basis.coupled_lags for i in sets]]
-            return forms
+            return H[[lag * basis.sets + i for lag in basis.coupled_lags for i in sets]]
         before, n, most = self._past, H.shape[1], basis.coupled_shifts[-1]
         joined = np.concatenate([before, H[0]])
         self._past = joined[-most:]

@@ -189,5 +189,4 @@ def butterworth(cutoff: float) -> tuple[Array, Array]:
 def steady_state(b: Array, a: Array, first: Array) -> Array:
     """(2, ...) state of the filter as if the first value had always been."""
     gain = b.sum() / a.sum()
-    state: Array = np.stack([(gain - b[0]) * first, (b[2] - a[2] * gain) * first])
-    return state
+    return np.stack([(gain - b[0]) * first, (b[2] - a[2] * gain) * first])
