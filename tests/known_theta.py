@@ -1,7 +1,8 @@
-"""Theta by name, and that of a made-up vehicle near the article's, for tests that fly none."""
+"""Theta by name, that of a made-up vehicle near the article's, priors: for tests that fly none."""
 
 import numpy as np
 
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.model import rigid_body as rb
 
 NAMES = (
@@ -24,3 +25,16 @@ def sizes(*values):
 
 
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
+
+
+def prior_of(known):
+    """Independent knowledge about single unknowns.
+
+    Args:
+        known: index among the unknowns -> mean and standard deviation.
+    """
+    mean, information = np.zeros(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    for index, (value, std) in known.items():
+        mean[index] = value
+        information[index, index] = std**-2.0
+    return Prior(mean, information)

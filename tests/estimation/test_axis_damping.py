@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.priors import prior_of
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.solver import minimize
 from gcs_sysid.estimation.fit.window_fit import axis_damping_doubt
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import theta_from
+from tests.known_theta import prior_of, theta_from
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 100.0, 0.0)

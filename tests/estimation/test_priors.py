@@ -5,13 +5,13 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.fit import window_fit
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown, prior_of
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import THETA
+from tests.known_theta import THETA, prior_of
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO
 ROWS, PER_BATCH = 4000, 40  # a hundred batches: their scatter is known well

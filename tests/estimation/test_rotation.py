@@ -8,13 +8,13 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.fit import window_fit
 from gcs_sysid.estimation.fit.inference import follow_rotation
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import sizes, theta_from
+from tests.known_theta import prior_of, sizes, theta_from
 
 ROWS = 4000
 VALUES = (80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)

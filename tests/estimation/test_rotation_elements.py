@@ -5,7 +5,7 @@ import pytest
 
 from gcs_sysid.estimation.fit import window_fit
 from gcs_sysid.estimation.fit.inference import Outcome
-from gcs_sysid.estimation.fit.priors import Unknown, prior_of
+from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.search import MAX_ITERATIONS
 from gcs_sysid.estimation.fit.solver import minimize
@@ -13,7 +13,7 @@ from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import theta_from
+from tests.known_theta import prior_of, theta_from
 
 ROWS = 4000
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)

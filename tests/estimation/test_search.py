@@ -9,7 +9,6 @@ from gcs_sysid.estimation.fit.priors import (
     COORDINATES,
     N_UNKNOWNS,
     Unknown,
-    prior_of,
 )
 from gcs_sysid.estimation.fit.problem import JointProblem
 from gcs_sysid.estimation.fit.search import (
@@ -26,7 +25,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import (
     ActuatorDynamics,
 )
 from gcs_sysid.model import rigid_body as rb
-from tests.known_theta import sizes, theta_from
+from tests.known_theta import prior_of, sizes, theta_from
 
 VALUES = (80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 THETA, SIZE = theta_from(*VALUES), np.abs(sizes(*VALUES))

@@ -224,20 +224,6 @@ def rate_signals(rates: Array) -> Array:
     return np.concatenate(signals, axis=-1)
 
 
-def rate_slopes(rates: Array) -> Array:
-    """(..., 3, len(RATE_SIGNALS)) derivatives of `rate_signals` by p, q and r."""
-    slopes = np.zeros((*rates.shape, len(RATE_SIGNALS)))
-    for k, (i, j) in enumerate(zip(_LEFT, _RIGHT, strict=True)):
-        slopes[..., i, k] += rates[..., j]
-        slopes[..., j, k] += rates[..., i]
-    n = len(_PRODUCTS)
-    slopes[..., n : n + 3] = np.eye(3)
-    for k, (i, j) in enumerate(zip(_SIGNED, _SIZED, strict=True), n + 3):
-        slopes[..., i, k] += np.abs(rates[..., j])
-        slopes[..., j, k] += rates[..., i] * np.sign(rates[..., j])
-    return slopes
-
-
 def direct_rows(rates: Array, accelerations: Array, rotors: Array) -> tuple[Array, Array]:
     """The article's regression, corrected: phi theta = y, three rows a sample.
 

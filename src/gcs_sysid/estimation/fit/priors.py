@@ -4,7 +4,6 @@ A prior is Gaussian and may cover some parameters, or combinations of them, and 
 open. It is kept as information, the inverse of a covariance, so that nothing known is zero.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -72,16 +71,3 @@ class Prior:
     def known(self) -> Mask:
         """(N_UNKNOWNS,) which unknowns it covers."""
         return np.diag(self.information) > 0.0
-
-
-def prior_of(known: Mapping[int, tuple[float, float]]) -> Prior:
-    """Independent knowledge about single unknowns.
-
-    Args:
-        known: index among the unknowns -> mean and standard deviation.
-    """
-    mean, information = np.zeros(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    for index, (value, std) in known.items():
-        mean[index] = value
-        information[index, index] = std**-2.0
-    return Prior(mean, information)

@@ -105,17 +105,6 @@ class RotationFit:
         """(m, m) of the deviations."""
         return self.extended_covariance[N_UNKNOWNS:, N_UNKNOWNS:]
 
-    @property
-    def open_covariance(self) -> Array:
-        """(N_THETA, N_THETA) what of theta's covariance would vanish were the deviations known."""
-        across = self.extended_covariance[: rb.N_THETA, N_UNKNOWNS:]
-        if not across.shape[1]:
-            return np.zeros((rb.N_THETA, rb.N_THETA))
-        own = self.deviations_covariance
-        d = np.sqrt(np.diag(own))
-        inverse = np.linalg.pinv(own / np.outer(d, d), hermitian=True)
-        return (across / d) @ inverse @ (across / d).T
-
     def widened(self, doubt: Array) -> Self:
         """The same with an error that the scatter of the data does not show.
 
