@@ -19,9 +19,8 @@ SELDOM = ChainOptions(history_interval=1.0)
 
 
 @pytest.fixture(scope="module")
-def records(paper_records):
-    """The first 40 s of the article's flight."""
-    return [r for r in paper_records if r.t - paper_records[0].t < 40.0]
+def records(flight):
+    return flight.records()
 
 
 @pytest.fixture

@@ -230,10 +230,10 @@ def assert_same(first, second):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough  # UDP: test_receiver_process, TCP: test_live_session, serial: below
 @pytest.mark.parametrize(
     "wire",
-    # UDP: test_receiver_process, TCP: test_live_session.
-    [*(pytest.param(link, marks=pytest.mark.thorough) for link in (udp, tcp)), serial],
+    [udp, tcp, serial],
     indirect=True,
 )
 def test_a_recording_played_over_any_link_gives_the_same_numbers(

@@ -19,7 +19,6 @@ from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import ReceivedFrames
@@ -85,28 +84,8 @@ def is_running(pid):
 
 
 @pytest.mark.slow
-def test_a_session_gives_the_numbers_of_its_recording(
-    receiver, paper_flight, paper_result, tmp_path
-):
-    airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
-    source, sent = receiver(record_to=path, listen_only=True), threading.Event()
-    session = LiveSession(source, airframe, LISTEN, path, sender_gone=sent.is_set)
-    session.start()
-    send(source, raws_of(paper_flight.tlog))
-    sent.set()
-    assert session.join(LONGEST)
-    assert session.problem is None
-    assert raws_of(path) == raws_of(paper_flight.tlog)
-    assert_same_numbers(session.final, paper_result)
-    assert session.latest().link.state is LinkState.ENDED
-    assert session.recordings() == [f"recorded to {path}"]
-    told = session.final.telemetry["receiver"]
-    assert (told["kernel_drops"], told["not_learnt"]) == (0, 0)
-
-
-@pytest.mark.slow
 def test_a_busy_session_loses_nothing_says_so_and_catches_up(
-    receiver, paper_flight, paper_result, tmp_path, monkeypatch
+    receiver, flight, analyzed, tmp_path, monkeypatch
 ):
     """It learns when it can: the result is that of the recording, whatever was put off."""
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
@@ -117,7 +96,7 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     take = chain.take
     monkeypatch.setattr(chain, "take", lambda block: go_on.wait() and take(block))
     session.start()
-    raws = raws_of(paper_flight.tlog)
+    raws = raws_of(flight.tlog)
     half = len(raws) // 2
     send(source, raws[:half])
     until(lambda: source._newest)
@@ -130,20 +109,18 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     assert any(text.startswith("the computer is too slow: ") for text in told)
     sent.set()
     assert session.join(LONGEST)
-    assert raws_of(path) == raws_of(paper_flight.tlog)
-    assert_same_numbers(session.final, paper_result)
+    assert raws_of(path) == raws_of(flight.tlog)
+    assert_same_numbers(session.final, analyzed)
     receiver_told = session.final.telemetry["receiver"]
     assert receiver_told["longest_wait"] > 1.0
     assert receiver_told["too_slow_seconds"] > 0.0
     assert receiver_told["not_learnt"] == 0
 
 
-def test_what_is_ordered_is_done_at_one_place_of_stream_and_recording(
-    receiver, paper_flight, tmp_path
-):
+def test_what_is_ordered_is_done_at_one_place_of_stream_and_recording(receiver, flight, tmp_path):
     first, second = tmp_path / "a.tlog", tmp_path / "b.tlog"
     source = receiver(record_to=first)
-    raws = raws_of(paper_flight.tlog)[:50]
+    raws = raws_of(flight.tlog)[:50]
     send(source, raws[:5])
     got = items(source, lambda got: len(frames_in(got)) == 5)
     source.mark_reset()
@@ -182,12 +159,12 @@ def test_what_cannot_be_opened_gives_its_line(receiver, tmp_path):
 
 @pytest.mark.slow
 @needs_posix
-def test_a_receiver_that_is_killed_ends_the_session_with_a_line(receiver, paper_flight, tmp_path):
+def test_a_receiver_that_is_killed_ends_the_session_with_a_line(receiver, flight, tmp_path):
     path = tmp_path / "live.tlog"
     source = receiver(record_to=path)
     session = LiveSession(source, load_airframe("paper"), LISTEN, path)
     session.start()
-    raws = raws_of(paper_flight.tlog)
+    raws = raws_of(flight.tlog)
     send(source, raws)
     until(lambda: session.latest().link.received == len(raws))
     session.flushed_recording()
@@ -223,7 +200,7 @@ _SESSION = textwrap.dedent(
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize("how", ["SIGKILL", pytest.param("SIGSTOP", marks=pytest.mark.thorough)])
 def test_a_session_that_dies_leaves_a_whole_recording_and_the_vehicle_as_it_was(
-    how, paper_flight, tmp_path
+    how, flight, tmp_path
 ):
     """Its receiver takes what has come, gives the rates back, and does not outlive it."""
     path = tmp_path / "live.tlog"
@@ -231,7 +208,7 @@ def test_a_session_that_dies_leaves_a_whole_recording_and_the_vehicle_as_it_was(
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             port, pid = map(int, process.stdout.readline().split())
-            raws = raws_of(paper_flight.tlog)
+            raws = raws_of(flight.tlog)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
                 vehicle.bind(("127.0.0.1", 0))
                 vehicle.settimeout(LONGEST)

@@ -307,7 +307,7 @@ def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
     flight = fly(
-        *("--mission", "all-axes", "--rate", "50", "--duration", "12", "--seed", "5"),
+        *("--mission", "all-axes", "--rate", "20", "--duration", "12", "--seed", "5"),
         *("--autopilot", "ardupilot"),
     )
     frames = list(read_tlog(flight.tlog))

@@ -119,12 +119,12 @@ def ended(vehicle):
 @pytest.mark.parametrize(
     ("how", "kind"),
     [
-        ("SIGINT", "px4"),
         ("SIGTERM", "ardupilot"),
         ("SIGKILL", "px4"),
-        pytest.param("SIGINT", "ardupilot", marks=pytest.mark.thorough),
-        pytest.param("SIGTERM", "px4", marks=pytest.mark.thorough),
-        pytest.param("SIGKILL", "ardupilot", marks=pytest.mark.thorough),
+        *(
+            pytest.param(how, kind, marks=pytest.mark.thorough)
+            for how, kind in (("SIGINT", "px4"), ("SIGINT", "ardupilot"), ("SIGTERM", "px4"))
+        ),
     ],
 )
 def test_a_signal_ends_the_session_and_the_rates_are_what_they_were(how, kind, tmp_path):

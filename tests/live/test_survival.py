@@ -191,9 +191,9 @@ def flood(session, link, make, count, rng):
     [
         *(
             pytest.param(make, marks=pytest.mark.thorough)
-            for make in (senders, types, crowded, landings, garbage, stamps)
+            for make in (senders, types, crowded, landings, garbage, stamps, texts, scraps)
         ),
-        *(parameters, texts, rotors, scraps),
+        *(parameters, rotors),
     ],
     ids=lambda make: make.__name__,
 )
