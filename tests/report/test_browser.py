@@ -92,17 +92,6 @@ def test_mouse_zooms_a_group_and_double_click_shows_all_again(visit):
 
 
 @pytest.mark.slow
-def test_button_shows_all_again(visit):
-    page = visit()
-    roll = plot(page, "rate-roll")
-    before = x_ticks(roll)
-    drag(page, roll, 0.2, 0.3)
-    assert x_ticks(roll) != before
-    frame(plot(page, "rate-yaw")).get_by_role("button", name="Reset zoom").click()
-    assert x_ticks(roll) == before
-
-
-@pytest.mark.slow
 def test_keys_do_all_that_the_mouse_does(visit):
     page = visit()
     figure = plot(page, "rate-pitch")
@@ -130,18 +119,6 @@ def test_keys_do_all_that_the_mouse_does(visit):
     x_ticks(figure)
     page.keyboard.press("Escape")
     assert x_ticks(figure) == before
-
-
-@pytest.mark.slow
-def test_every_figure_is_reached_by_tab(visit):
-    page = visit()
-    count = page.locator("[data-figure]").count()
-    reached = set()
-    for _ in range(4 * count):
-        page.keyboard.press("Tab")
-        name = page.evaluate("document.activeElement.dataset.figure ?? ''")
-        reached.add(name)
-    assert len(reached - {""}) == count
 
 
 @pytest.mark.slow

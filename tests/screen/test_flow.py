@@ -36,15 +36,6 @@ async def test_before_the_first_snapshot(run_screen):
         assert "identified" in s.text()
 
 
-async def test_nobody_has_spoken(run_screen):
-    async with run_screen(fake.waiting()) as s:
-        text = " ".join(s.text().split())
-        assert (
-            "Listening on udpin:0.0.0.0:14550: no vehicle yet. "
-            "Is the vehicle on, or telemetry forwarding enabled?"
-        ) in text
-
-
 async def test_a_lost_link_counts_the_silence(run_screen):
     async with run_screen(fake.snapshot()) as s:
         s.clock.now += 7.0
@@ -56,24 +47,6 @@ async def test_a_lost_link_counts_the_silence(run_screen):
         assert "no data for 1 min 7 s" in s.text()
         await s.serve(replace(fake.snapshot(), link=fake.link(received=20_000)))
         assert "silent" not in s.text()
-
-
-async def test_the_end_of_the_stream(run_screen):
-    async with run_screen(replace(fake.snapshot(), link=fake.link(LinkState.ENDED))) as s:
-        assert "Stream ended, numbers are final. q: quit" in s.text()
-
-
-@pytest.mark.slow
-async def test_a_vehicle_of_which_nothing_is_known_yet(run_screen):
-    async with run_screen(fake.bare(), size=(200, 50)) as s:
-        assert "no attitude yet" in s.text()
-        assert "no estimate yet" in s.text()
-
-
-async def test_without_truth_there_are_no_columns_for_it(run_screen):
-    async with run_screen(fake.snapshot(), truth=None) as s:
-        assert "truth" not in s.text()
-        assert "error" not in s.text()
 
 
 async def test_the_same_snapshot_is_not_drawn_again(run_screen, monkeypatch):

@@ -38,12 +38,6 @@ async def test_select_moves_through_the_parameters_and_around(run_screen, down, 
         assert s.app.selected == "rotor_delay"
 
 
-async def test_select_with_nothing_to_select(run_screen):
-    async with run_screen(fake.waiting()) as s:
-        await s.press("j")
-        assert "No parameters yet" in s.answer()
-
-
 @pytest.mark.slow
 async def test_reset(run_screen):
     async with run_screen(fake.snapshot()) as s:
@@ -144,23 +138,6 @@ async def test_tab_goes_through_the_pages_and_back(run_screen):
 
 
 @pytest.mark.slow
-async def test_numbers_choose_a_page(run_screen):
-    shown = {
-        "2": "95 % band",
-        "3": "• predicted",
-        "4": "rotor 3",
-        "5": "took off",
-        "6": "thrust drift",
-        "1": "moment_ratio",
-    }
-    async with run_screen(fake.snapshot()) as s:
-        for key, text in shown.items():
-            await s.press(key)
-            assert [text in s.text() for text in shown.values()].count(True) == 1
-            assert text in s.text()
-
-
-@pytest.mark.slow
 async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
     async with run_screen(fake.snapshot(), size=(120, 40)) as s:
         assert "95 % band" in s.text()
@@ -174,20 +151,6 @@ async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
         assert "95 % band" in s.text()
         await s.press("4")
         assert s.answer() == "Vehicle: is on the screen."
-
-
-@pytest.mark.slow
-async def test_where_all_has_room_health_takes_the_plots_place(run_screen):
-    async with run_screen(fake.snapshot(), size=(200, 50)) as s:
-        assert "95 % band" in s.text()
-        assert "• predicted" in s.text()
-        await s.press("tab")
-        assert "thrust drift" in s.text()
-        assert "95 % band" not in s.text()
-        await s.press("shift+tab")
-        assert "95 % band" in s.text()
-        await s.press("3")
-        assert s.answer() == "Motion: is on the screen."
 
 
 async def test_page_keys_scroll_the_events(run_screen):
@@ -295,18 +258,6 @@ async def test_report_is_made_beside_and_said_at_its_end(run_screen):
         assert s.answer() == "written: flight.html"
 
 
-async def test_what_fails_beside_is_said_too(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        s.source.broken = True
-        await s.press("h")
-        await s.worked()
-        assert s.answer() == "Not done: the disk is full"
-        s.source.broken = False
-        await s.press("h")
-        await s.worked()
-        assert s.source.calls == ["report"]
-
-
 @pytest.mark.slow
 async def test_scale_asks_which_fact_then_its_value(run_screen):
     async with run_screen(fake.snapshot()) as s:
@@ -375,19 +326,6 @@ async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, m
         assert any(line.startswith(" Iyy") and line.endswith("= +0.0 %") for line in s.lines())
         await s.press("b", *["backspace"] * 6, "enter")
         assert s.answer() == "Baseline removed."
-        assert "against" not in s.text()
-
-
-@pytest.mark.slow
-async def test_a_baseline_that_is_none_is_refused_in_a_line(run_screen, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "b.json").write_text("[]", encoding="utf-8")
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("b", *"b.json", "enter")
-        assert s.answer().startswith("Not done: b.json")
-        await s.press("b", *"c.json", "enter")
-        assert s.answer().startswith("Not done: ")
-        assert "c.json" in s.answer()
         assert "against" not in s.text()
 
 

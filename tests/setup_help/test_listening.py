@@ -85,13 +85,6 @@ def test_nobody_and_nobody_that_flies():
     assert "no vehicle, but: ground station 255:1" in finding.text
 
 
-def test_frames_that_are_damaged_are_nobody():
-    damaged = bytearray(heartbeat())
-    damaged[-1] ^= 0xFF
-    (finding,) = findings_after(Told(bytes(damaged)))
-    assert finding.sign is Sign.WARNING
-
-
 def test_a_vehicle_of_no_usual_kind_needs_a_file():
     tri = MavlinkSystem(1, 1, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_AUTOPILOT_PX4)
     assert "--airframe FILE.toml --mass KG" in start_command(tri, "COM3")

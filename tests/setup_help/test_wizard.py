@@ -118,14 +118,6 @@ def test_own_positions():
         assert word in " ".join(seen.split()), word
 
 
-def test_own_positions_that_cannot_fly_are_asked_again():
-    line = ("0.1 0 ccw", "0.2 0 cw", "-0.1 0 ccw", "-0.2 0 cw", "")
-    good = ("0.2 0.2 ccw", "-0.2 -0.2 ccw", "0.2 -0.2 cw", "-0.2 0.2 cw", "")
-    found, seen = asked("own", *line, *good, "", "4", "", "", "")
-    assert len(found.rotors) == 4
-    assert "Again, from the first motor" in seen
-
-
 def test_what_options_have_told_is_not_asked():
     given = GivenAnswers(
         layout="px4-hexa-x", arm=0.4, spin="usual", scale=("k_T", 1e-5), name="six"

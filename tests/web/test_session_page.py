@@ -50,17 +50,6 @@ def test_a_snapshot_in_words():
     json.dumps(view, allow_nan=False)
 
 
-def test_sign_and_color_of_the_headline_are_those_of_the_screen():
-    identified = replace(fake.snapshot(), result=replace(fake.result(), verdict="identified"))
-    for snapshot, expected in (
-        (identified, ("~", "ABOVE TARGET", "partial")),
-        (fake.bare(), ("○", "WAITING", "waiting")),
-        (replace(fake.bare(), used_seconds=20.0), ("✗", "NOT YET", "refused")),
-    ):
-        verdict = session_view(snapshot, {}, None)["verdict"]
-        assert (verdict["sign"], verdict["headline"], verdict["level"]) == expected
-
-
 def test_after_the_end_no_hint_says_what_to_fly():
     assert row(session_view(fake.snapshot(), {}, None), "Izz")["hint"].endswith("of its motion")
     ended = replace(fake.snapshot(), link=fake.link(LinkState.ENDED))
