@@ -179,16 +179,6 @@ def test_restart_forgets_the_attitude_and_keeps_the_bias():
     assert np.abs(filter_.bias - bias).max() < 1e-15
 
 
-def test_grouping_of_samples_does_not_matter_with_bias():
-    rates, q = fly(gentle, 0.02, 20.0)
-    whole, parts = ComplementaryFilter(0.02), ComplementaryFilter(0.02)
-    out = whole.update(rates + 0.03, q)
-    joined = [parts.update(rates[k : k + 7] + 0.03, q[k : k + 7]) for k in range(0, len(q), 7)]
-    assert np.abs(whole.bias).max() > 0.01
-    np.testing.assert_allclose(parts.bias, whole.bias, rtol=1e-12)
-    np.testing.assert_allclose(np.concatenate(joined), out, rtol=0.0, atol=1e-13)
-
-
 def test_fast_turns_are_followed_by_a_parabola():
     """At 20 Hz the mean rate between samples is exact for rates of second degree."""
     dt, n = 0.05, 40

@@ -68,16 +68,6 @@ def test_what_falls_climbs_or_turns_stands_on_nothing(force, rate):
     assert not stood(steps, force + 0.0 * T, rate).any()
 
 
-@pytest.mark.parametrize("block", [1, 7, 100])
-def test_size_of_blocks_does_not_matter(block):
-    effort = 4e5 * np.where(T < 10.0, 0.3 + 0.05 * T, maneuvers())
-    force = np.where(T < 10.0, G, G * maneuvers())
-    whole = stood(effort, force)
-    assert whole.any()
-    assert not whole.all()
-    np.testing.assert_array_equal(stood(effort, force, block=block), whole)
-
-
 def test_missing_streams_say_nothing():
     empty = np.full(len(T), np.nan)
     test = GroundTest()

@@ -86,13 +86,6 @@ def test_gaps_are_no_turns():
     np.testing.assert_allclose(np.diag(checked(RATES, q).gain), 1.0, atol=0.02)
 
 
-@pytest.mark.parametrize("block", [1, 7, 333])
-def test_size_of_blocks_does_not_matter(block):
-    whole, parts = checked(RATES, noise=0.0), checked(RATES, noise=0.0, block=block)
-    np.testing.assert_allclose(parts.gain, whole.gain, atol=1e-9)
-    assert parts.seconds == pytest.approx(whole.seconds)
-
-
 def test_too_little_flight_is_no_finding():
     check = GyroCheck()
     check.update(T[:200], RATES[:200], Q[:200])

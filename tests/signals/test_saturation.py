@@ -89,8 +89,3 @@ def test_reversals_and_glitches_do_not_wrap(period):
     samples[:, 1] += np.where(n % 700 == 0, 35.0, np.where(n % 900 == 0, -35.0, 0.0))
     samples[:, 2] = 4.0 * np.sign(np.sin(0.03 * n)) + 0.5 * samples[:, 3]
     assert not any(one.wraps for one in found(samples))
-
-
-def test_blocks_of_any_size_count_the_same():
-    samples = np.clip(motion(2), -4.0, 4.0)
-    assert found(samples, 7) == found(samples, 5000)

@@ -46,19 +46,6 @@ def rows_of(kind, v, cuts=()):
     )
 
 
-@KINDS
-@settings(max_examples=40, deadline=None)
-@given(
-    cuts=st.lists(st.integers(0, N), max_size=10),
-    missing=st.lists(st.tuples(st.integers(0, N - 1), st.integers(0, 2)), max_size=4),
-)
-def test_grouping_of_samples_does_not_matter(kind, cuts, missing):
-    v = signals(missing)
-    for whole, parts in zip(rows_of(kind, v), rows_of(kind, v, cuts), strict=True):
-        # Sums of the same terms, perhaps in another order.
-        np.testing.assert_allclose(parts, whole, rtol=0.0, atol=1e-11 * np.nanmax(np.abs(v)))
-
-
 def test_window_rows_are_the_window_at_every_step():
     v = signals()
     window, step = cosine_window(HALF, DT), max(1, HALF // 4)

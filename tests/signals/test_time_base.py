@@ -442,13 +442,3 @@ def test_nothing_comes_out_without_an_imu_and_memory_stays_bounded():
     base = TimeBase()
     assert not list(grid_of(base, stream(Stream.ATTITUDE, 1000.0, end=7.0)))
     assert len(base._buffers[ATTITUDE]) < 5000
-
-
-@pytest.mark.slow
-def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
-    base = TimeBase()
-    assert list(grid_of(base, usual(end=4.0), finish=False))
-    assert max(len(b) for b in base._buffers.values()) < 200
-    silent = stream(Stream.ATTITUDE, 1000.0, start=4.0, end=11.0)
-    assert not list(grid_of(base, silent, finish=False))
-    assert max(len(b) for b in base._buffers.values()) < 5000

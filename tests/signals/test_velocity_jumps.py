@@ -30,15 +30,3 @@ def test_hard_flight_and_gaps_are_no_jump():
     velocity, force = flight((0.0, 0.0, 0.0))
     velocity[700:760] = np.nan
     assert not VelocityJumps().update(DT, velocity, force, fresh=True).any()
-
-
-@pytest.mark.parametrize("block", [1, 7, 400])
-def test_size_of_blocks_does_not_matter(block):
-    velocity, force = flight((0.0, 0.0, 2.0))
-    jumps, found = VelocityJumps(), []
-    for first in range(0, len(velocity), block):
-        rows = slice(first, first + block)
-        found.append(jumps.update(DT, velocity[rows], force[rows], fresh=first == 0))
-    assert np.array_equal(
-        np.concatenate(found), VelocityJumps().update(DT, velocity, force, fresh=True)
-    )
