@@ -94,9 +94,10 @@ def _sources() -> list[Path]:
 
 def _parameters() -> list[Any]:
     """The pages; in `make test-all` alone are the one that flies and analyzes most, and those
-    whose commands are run by the README or by test_replay too."""
-    long = {name: [pytest.mark.thorough] for name in ("tutorial-emulator", "report", "replay")}
-    return [pytest.param(p, id=p.stem, marks=long.get(p.stem, [])) for p in _sources()]
+    whose commands other tests and other pages run too."""
+    long = {"tutorial-emulator", "emulator", "report", "replay", "twin", "batch"}
+    marks = pytest.mark.thorough
+    return [pytest.param(p, id=p.stem, marks=[marks] * (p.stem in long)) for p in _sources()]
 
 
 @pytest.mark.parametrize("page", _parameters())

@@ -61,7 +61,8 @@ def test_hover_does_not_tell_izz_and_k_m(fly, airframe):
 @pytest.mark.slow
 def test_mems_noise_at_250_hz(fly, airframe):
     flight = fly(
-        "--mission", "paper", "--noise", "mems", "--rate", "250", "--duration", "40", "--seed", "1"
+        *("--mission", "all-axes", "--noise", "mems", "--rate", "250"),
+        *("--duration", "20", "--seed", "1"),
     )
     result = analyze_log(flight.tlog, airframe)
     wrong = errors(result, flight.truth)

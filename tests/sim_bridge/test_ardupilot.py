@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,10 @@ from gcs_sysid.telemetry.requests import StreamRequests
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.ardupilot_instruments import LowPass2p
-from sim_bridge.cli import main
 from sim_bridge.missions import MISSIONS
 from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
-
-Read = Callable[[Path], Any]
 
 SET = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 GET = mavlink.MAV_CMD_GET_MESSAGE_INTERVAL
@@ -260,25 +256,3 @@ def test_more_rotors_come_in_groups_of_four(make_desk: Any, airframe: str, group
     speeds = np.array(desk.simulation.state.speeds) * 30.0 / np.pi
     np.testing.assert_allclose(rpm[: len(speeds)], speeds, atol=15.0)
     assert not any(rpm[len(speeds) :])
-
-
-def test_the_filter_is_set_by_its_parameter(tmp_path: Path, read_tlog: Read) -> None:
-    rates = {}
-    for hz in (20, 80):
-        path = tmp_path / f"{hz}.tlog"
-        options = ["--autopilot", "ardupilot", "--noise", "white", "--mission", "hover"]
-        options += [
-            "--turbulence",
-            "0",
-            "--duration",
-            "4",
-            "--param",
-            f"INS_GYRO_FILTER={hz}",
-            "--tlog",
-            str(path),
-        ]
-        assert main(options) == 0
-        gyro = [m.xgyro for _, m in read_tlog(path) if m.get_type() == "HIGHRES_IMU"]
-        rates[hz] = np.std(gyro)
-    # White noise through four times the bandwidth: twice the standard deviation.
-    assert rates[80] / rates[20] == pytest.approx(2.0, rel=0.15)
