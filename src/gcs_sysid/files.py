@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import hashlib
 import io
 import os
 import select
@@ -58,6 +59,36 @@ def split_session(path: Path) -> tuple[Path, int | None]:
 MAPPING_FILE = "columns.toml"
 """Says what the columns of the tables in its folder are."""
 TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".parquet"})
+BAG_SUFFIXES = (".mcap", ".db3")
+"""Of recordings of ROS 2, which may have a mapping too."""
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is what `ros2 bag record` makes."""
+    return path.is_dir() and (path / "metadata.yaml").is_file()
+
+
+def files_of(log: Path) -> list[Path]:
+    """The file of a log, or those of the folder that it is in."""
+    if not log.is_dir():
+        return [log]
+    return sorted(file for file in log.iterdir() if file.suffix in BAG_SUFFIXES)
+
+
+def digest_of(log: Path, more: bytes = b"") -> tuple[str, int]:
+    """SHA-256 of a log and what else its reading depends on; and the log's bytes.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    digest, size = hashlib.sha256(), 0
+    for path in files_of(log):
+        with open(path, "rb") as file:
+            while piece := file.read(2**20):
+                digest.update(piece)
+                size += len(piece)
+    digest.update(more)
+    return digest.hexdigest(), size
 
 
 def split_mapping(path: Path) -> tuple[Path, Path | None]:
@@ -77,7 +108,8 @@ def split_mapping(path: Path) -> tuple[Path, Path | None]:
 
 def with_mapping(path: Path, mapping: Path) -> Path:
     """A table's name with that of its mapping; what is no table stays as it is."""
-    if path.suffix.lower() not in TABLE_SUFFIXES:
+    suffix = path.suffix.lower()
+    if not (suffix in TABLE_SUFFIXES or suffix in BAG_SUFFIXES or is_bag_folder(path)):
         return path
     near = mapping.absolute().parent == path.absolute().parent
     return Path(f"{path}#{mapping.name if near else mapping.absolute()}")

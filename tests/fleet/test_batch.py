@@ -182,7 +182,7 @@ def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     status, err = batch(tmp_path / "empty", "-o", tmp_path / "out", *PAPER)
     assert (status, err.count("\n")) == (2, 1)
-    assert "contains no .tlog, .ulg, .bin or .bbl file" in err
+    assert "contains no .tlog, .ulg, .bin, .bbl or .mcap file" in err
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     status, err = batch(logs, "-o", tmp_path / "out", *PAPER)

@@ -19,6 +19,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import (
     TABLE_SUFFIXES,
     check_regular,
+    is_bag_folder,
     log_file,
     read_text,
     split_mapping,
@@ -447,6 +448,9 @@ def _in_folder(folder: Path, mapping: Path | None) -> Iterable[Path]:
 
     for parent, folders, files in os.walk(folder, onerror=refuse):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
+        if is_bag_folder(Path(parent)):
+            yield Path(parent)
+            files = []
         for name in sorted(files):
             path = Path(parent, name)
             if not name.startswith(".") and path.is_file() and _is_log(path, mapping):

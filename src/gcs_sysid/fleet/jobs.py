@@ -37,7 +37,7 @@ from typing import Any, Protocol
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import split_mapping, split_session
+from gcs_sysid.files import digest_of, split_mapping, split_session
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.whole_analysis import analyze_whole
@@ -133,14 +133,9 @@ def make_task(job: Job) -> Task:
     """
     table, mapping = split_mapping(job.log)
     path, session = (table, None) if mapping is not None else split_session(job.log)
-    with open(path, "rb") as file:
-        made = hashlib.file_digest(file, "sha256")
-        size = file.tell()
-    if mapping is not None:
-        made.update(mapping.read_bytes())
-    if session is not None:
-        made.update(f"#{session}".encode())
-    digest = made.hexdigest()
+    more = b"" if mapping is None else mapping.read_bytes()
+    more += b"" if session is None else f"#{session}".encode()
+    digest, size = digest_of(path, more)
     return Task(job, str(job.log.absolute()), digest, size)
 
 

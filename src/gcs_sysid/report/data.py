@@ -9,7 +9,6 @@ angular acceleration by its window, measured, predicted by the final fit, and th
 an empty field in CSV, where a signal is missing.
 """
 
-import hashlib
 import io
 import json
 import platform
@@ -28,7 +27,7 @@ from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
-from gcs_sysid.files import log_file
+from gcs_sysid.files import digest_of, log_file
 from gcs_sysid.live.acceleration_prediction import (
     Model,
     Predictor,
@@ -259,16 +258,14 @@ class Provenance:
 
 def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
     """What reproduces a report of this log."""
-    log = log_file(log)
-    with log.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    digest, size = digest_of(log_file(log))
     versions = {
         "gcs-sysid": __version__,
         "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
         "NumPy": np.__version__,
         "SciPy": scipy.__version__,
     }
-    return Provenance(command, versions, log.stat().st_size, digest)
+    return Provenance(command, versions, size, digest)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import MAPPING_FILE, MOST_BYTES_OF_LOG, TABLE_SUFFIXES, check_regular
+from gcs_sysid.files import (
+    BAG_SUFFIXES,
+    MAPPING_FILE,
+    MOST_BYTES_OF_LOG,
+    TABLE_SUFFIXES,
+    check_regular,
+)
 
 HEAD = 2**12
 """Bytes in which a format shows itself; there may be the end of another log before it."""
@@ -79,6 +85,8 @@ def _is_tlog(head: bytes) -> bool:
 
 
 FORMATS = (
+    LogFormat("rosbag", "recording of ROS 2 (.mcap, .db3)", BAG_SUFFIXES,
+              partial(_holds, rb"\A(\x89MCAP0\r\n|SQLite format 3\0)"), "rosbag:read_rosbag"),
     LogFormat(
         "blackbox",
         "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
@@ -119,11 +127,9 @@ def usual_endings(last: str = ", ") -> str:
     return f"{', '.join(most)}{last}{final}"
 
 
-_EXPORT = "export its topics to .csv (PlotJuggler does) and say with --csv what the columns are"
 _OTHERS = (
-    (rb"\x89MCAP0\r\n", "an MCAP file", _EXPORT),
-    (rb"#ROSBAG V", "a ROS bag", _EXPORT),
-    (rb"SQLite format 3\0", "a database, as of a ROS 2 bag", _EXPORT),
+    (rb"#ROSBAG V", "a bag of ROS 1",
+     "convert it: pip install rosbags; rosbags-convert --src FILE.bag --dst FILE.mcap"),
     (rb"ULogEnc", "an encrypted PX4 log",
      "decrypt it with PX4's Tools/decrypt_ulog.py and your key, and give the .ulg"),
     (rb"BZh|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc\xaf|Rar!|.{257}ustar", "an archive",

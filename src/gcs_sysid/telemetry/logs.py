@@ -20,7 +20,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import (
+    BAG_SUFFIXES,
     check_regular,
+    is_bag_folder,
     split_mapping,
     split_session,
     unreadable,
@@ -228,14 +230,18 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     file_path, session = (table, None) if mapping is not None else split_session(path)
     with ExitStack() as until:
         try:
-            if path.is_dir():
+            if file_path.is_dir() and not is_bag_folder(file_path):
                 raise InputError(
                     f"{path} is a folder: give a {usual_endings(' or ')} file in it, or all of "
                     f"them: gcs-sysid batch {path} --airframe NAME -o DIR"
                 )
-            check_regular(file_path)
-            form = BY_NAME["table"] if mapping is not None else format_of(file_path)
-            whole = file_path if mapping is not None else unpack(file_path, until)
+            if is_bag_folder(file_path):
+                form, whole = BY_NAME["rosbag"], file_path
+            elif mapping is not None and file_path.suffix.lower() not in BAG_SUFFIXES:
+                check_regular(file_path)
+                form, whole = BY_NAME["table"], file_path
+            else:
+                form, whole = format_of(file_path), unpack(file_path, until)
         except OSError as error:
             raise InputError(f"cannot read {path}: {unreadable(file_path, error)}") from error
         if session is not None and not form.in_sessions:

@@ -9,7 +9,7 @@ import contextlib
 import csv
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import MOST_BYTES_OF_TEXT, parse_toml, read_text
-from gcs_sysid.model.attitude import conjugate, multiply
+from gcs_sysid.model.attitude import align_signs, conjugate, multiply, rotate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -55,6 +55,7 @@ _UNITS: dict[str, dict[str, float]] = {
     "voltage": {"V": 1.0, "mV": 1e-3},
 }
 """Signal -> unit -> what it is in SI; the first is the default."""
+SIGNALS = tuple(_UNITS)
 _WIDTHS = {"gyro": (3,), "force": (3,), "attitude": (3, 4), "velocity": (3,), "position": (3,),
            "in_air": (1,), "armed": (1,), "voltage": (1,)}  # fmt: skip
 _KEYS = {"columns", "unit", "frame", "world", "order", "inverse", "time", "min", "max"}
@@ -121,7 +122,18 @@ def read_mapping(path: Path) -> TableMapping:
         InputError: it cannot be read, or is inconsistent.
     """
     text = read_text(path, "the mapping file")
-    table = parse_toml(text, str(path), "a mapping file")
+    mapping = mapping_of(path, parse_toml(text, str(path), "a mapping file"))
+    if not _rotor_signals(mapping):
+        raise InputError(f"{path}: neither [speeds] nor [commands] of the rotors is mapped")
+    return mapping
+
+
+def mapping_of(path: Path, table: Mapping[str, Any]) -> TableMapping:
+    """The content of a mapping file, which is named where there is something wrong.
+
+    Raises:
+        InputError: it is inconsistent.
+    """
     _check_keys(path, "", table, _TOP)
     common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
     delimiter = _text(path, "delimiter", table.get("delimiter", ","), ",")
@@ -133,8 +145,8 @@ def read_mapping(path: Path) -> TableMapping:
             signals[name] = _signal(path, name, table[name], common)
     if "gyro" not in signals:
         raise InputError(f'{path}: gyro is missing: [gyro] with columns = ["p", "q", "r"]')
-    if "speeds" not in signals and "commands" not in signals:
-        raise InputError(f"{path}: neither [speeds] nor [commands] of the rotors is mapped")
+    if "velocity" in signals and signals["velocity"].world == "body" and "attitude" not in signals:
+        raise InputError(f"{path}: [velocity] in axes of the body needs [attitude] too")
     if "position" in signals and "velocity" not in signals:
         raise InputError(f"{path}: [position] needs [velocity] too")
     return TableMapping(
@@ -180,7 +192,12 @@ def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> Sig
         _choice(path, f"{label}unit", table.get("unit", next(iter(units))), units),
         time,
         _name(path, f"{label}frame", table.get("frame", common["frame"] or "FRD"), _BODIES),
-        _name(path, f"{label}world", table.get("world", common["world"] or "NED"), _WORLDS),
+        _name(
+            path,
+            f"{label}world",
+            table.get("world", common["world"] or "NED"),
+            (*_WORLDS, "body") if name == "velocity" else _WORLDS,
+        ),
         _name(path, f"{label}order", table.get("order", "wxyz"), _ORDERS),
         inverse,
         low,
@@ -202,7 +219,7 @@ def _text(path: Path, key: str, value: Any, default: str) -> str:
     return value or default
 
 
-def _name(path: Path, key: str, value: Any, known: Mapping[str, Any]) -> str:
+def _name(path: Path, key: str, value: Any, known: Collection[str]) -> str:
     if not isinstance(value, str) or value not in known:
         names = ", ".join(name for name in known if name)
         raise InputError(f"{path}: {key} must be one of {names}, not {value!r}")
@@ -243,7 +260,18 @@ def read_table(path: Path, mapping_path: Path) -> Recording:
         columns = read(path, mapping, mapping_path)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    rotors = max(len(mapping.signals[n].columns) for n in _rotor_signals(mapping))
+    return recording_of(path, mapping, columns, mapping_path)
+
+
+def recording_of(
+    path: Path, mapping: TableMapping, columns: Mapping[str, Array], mapping_path: Path
+) -> Recording:
+    """Columns as a mapping says what they are; those of a signal are of one length.
+
+    Raises:
+        InputError: their times are none, or there is no sample of the gyro.
+    """
+    rotors = max((len(mapping.signals[n].columns) for n in _rotor_signals(mapping)), default=0)
     recording = Recording(
         tracks=[],
         system=1,
@@ -322,7 +350,13 @@ def _add_tracks(
     if "velocity" in values:
         t, v = values["velocity"]
         motion = np.full((len(t), 6), np.nan)
-        motion[:, :3] = _in_ned(v, mapping.signals["velocity"].world)
+        signal = mapping.signals["velocity"]
+        if signal.world == "body":
+            at, q = values["attitude"]
+            turns = interpolated(t, at, align_signs(_attitude(mapping.signals["attitude"], q)))
+            turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+            v = rotate(turns, v * _BODIES[signal.frame])
+        motion[:, :3] = _in_ned(v, signal.world)
         if "position" in values:
             at, places = values["position"]
             motion[:, 3:] = interpolated(t, at, _in_ned(places, mapping.signals["position"].world))
@@ -342,7 +376,11 @@ def _add_tracks(
             recording.add(stream, t[whole], found[whole], source=name)
     for name, stream in (("in_air", Stream.IN_AIR), ("armed", Stream.ARMED)):
         if name in values:
-            recording.add(stream, values[name][0], values[name][1] != 0.0)
+            # What is less than that of no is not known.
+            t, state = values[name]
+            no = mapping.signals[name].low
+            known = state[:, 0] >= no
+            recording.add(stream, t[known], state[known] > no)
     if "voltage" in values:
         recording.add_voltage(*values["voltage"])
 

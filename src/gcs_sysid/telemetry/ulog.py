@@ -10,6 +10,7 @@ Which topic is which message was measured on a flight recorded both ways:
 """
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,24 @@ _ESC_FIELDS = {"esc_count", "esc_rpm", "actuator_function"}
 _NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
 
 
-def _is_read(topic: str, column: str) -> bool:
+@dataclasses.dataclass
+class TopicLog:
+    """PX4's topics from elsewhere; as of `UlogFile`."""
+
+    topics: dict[tuple[str, int], Topic] = dataclasses.field(default_factory=dict)
+    start: float = 0.0
+    initial: dict[str, float] = dataclasses.field(default_factory=dict)
+    changed: list[tuple[float, str, float]] = dataclasses.field(default_factory=list)
+    dropouts: list[tuple[float, float]] = dataclasses.field(default_factory=list)
+    garbage_bytes: int = 0
+    damaged: bool = False
+    faults: dict[str, str] = dataclasses.field(default_factory=dict)
+
+
+def is_read(topic: str, column: str) -> bool:
+    """Whether a column of one of the topics in `READ` is needed."""
+    if column == "timestamp":
+        return True
     if topic == _ESCS:
         return column.rpartition(".")[2] in _ESC_FIELDS
     return column.partition("[")[0] in _FIELDS[topic]
@@ -94,12 +112,17 @@ def read_ulog(path: Path) -> Recording:
     Raises:
         InputError: it cannot be read, is no ULog, or holds no data.
     """
-    log = UlogFile(path, READ, _is_read)
+    log = UlogFile(path, READ, is_read)
     with np.errstate(invalid="ignore", over="ignore"):  # damaged numbers may be anything
-        return _recording(path, log)
+        return recording_of(path, log)
 
 
-def _recording(path: Path, log: UlogFile) -> Recording:
+def recording_of(path: Path, log: UlogFile | TopicLog) -> Recording:
+    """What PX4's topics say; those of a `TopicLog` are used up.
+
+    Raises:
+        InputError: there are none.
+    """
     topics = log.topics
     if not topics:
         fault = next((f"{name}: {why}" for name, why in log.faults.items()), "")
