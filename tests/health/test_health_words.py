@@ -11,9 +11,9 @@ from gcs_sysid.health.assessment import beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
-from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.health.vehicle_health import Health, RotorHealth
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.screen.panels import health_lines
@@ -30,6 +30,57 @@ def test_advice_on_the_cg_is_written_like_every_other_number():
     assert any(
         text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advised(HEALTH).advice
     )
+
+
+def loaded(*shares, gain=None):
+    """Rotors that carry these shares."""
+    own = None if gain is None else Estimate(gain, 0.002, "1")
+    alike = Estimate(1.0, 0.03, "1")
+    return tuple(
+        RotorHealth(Estimate(share, 0.001, "1"), alike, own, None, None, None) for share in shares
+    )
+
+
+@pytest.mark.parametrize(
+    ("shares", "rotors"),
+    [
+        ((0.2, 0.3, 0.2, 0.3), "rotors 2 and 4"),
+        ((0.26, 0.27, 0.2, 0.27), "rotor 3"),
+        ((0.24, 0.23, 0.3, 0.23), "rotor 3"),
+    ],
+)
+def test_loads_that_unlike_rotors_explain_as_well_as_a_cg_name_both(shares, rotors):
+    """Four loads have no more to say than a CG, the yaw trim and their sum."""
+    found = advised(replace(HEALTH, rotors=loaded(*shares))).findings[0]
+    assert found.what == f"100.0 mm aft of the center, or {rotors} unlike the others"
+    assert "if it tips that way, shift the CG 100.0 ± 6.7 mm forward; if not, look at " in found.do
+    assert f"look at {rotors}: propeller and pole count" in found.do
+
+
+def test_speeds_beside_commands_or_moments_decide_between_cg_and_rotors():
+    alike = replace(HEALTH, rotors=loaded(0.2, 0.3, 0.2, 0.3, gain=1.0))
+    by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))
+    hovered = replace(HEALTH, cg=by_hover, rotors=loaded(0.2, 0.3, 0.2, 0.3))
+    better = {"cg_x": AFT, "cg_y": CENTERED}
+    result = Result("identified", (), "", {}, None, "speed", better)
+    for health in (advised(alike), beside_analysis(hovered, result)):
+        assert health.findings[0].do.startswith("shift the CG 100.0 ± 6.7 mm forward. ")
+
+
+def test_where_rotors_are_unlike_neither_cg_nor_yaw_is_anything_to_act_on():
+    trimmed = replace(HEALTH, yaw_imbalance=Estimate(-0.1, 0.002, "1"))
+    loss = Estimate(0.2, 0.004, "1")
+    weak = Condition("rotor", 1, loss, 20.0, (0.0, 0.0), None, ())
+    differ = Objection("rotors differ, rotor 3 by +23 %", how="check it", by="readings")
+    better = {"cg_x": AFT, "cg_y": CENTERED}
+    result = replace(Result("partial", (), "", {}, None, "speed", better), objections=(differ,))
+    for health in (
+        beside_analysis(trimmed, result),
+        advised(replace(trimmed, condition=weak)),
+        advised(replace(trimmed, misread={"ESC_STATUS": "rotor 3 reads 0.5: check the ESC"})),
+    ):
+        assert {found.at for found in health.findings} <= {"the rotors", "rotor 2"}
+        assert not any("shift" in text or "heading" in text for text in health.advice)
 
 
 def test_battery_travel_is_computed_with_both_masses():

@@ -4,35 +4,46 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
-from gcs_sysid.results.health_view import OF_THE_DATA, WAYS, cg_length
+from gcs_sysid.results.health_view import OF_THE_DATA, READINGS, WAYS, cg_length
 from gcs_sysid.results.words import PLAIN, decimals_for
 
 _BY_BATTERY = (
     "Battery travel = shift × vehicle mass / battery mass (computed with --mass and --battery-mass)"
 )
+_PARTS = ("propeller and pole count of the ESC", "propeller, motor and ESC")
+"""What makes a rotor unlike the others, by its speed and by its command."""
 
 
 def advised(health: Health) -> Health:
     """The health with what is found in it and all that is worth doing, the most important first."""
-    unlike, at_full = _unlike_motors(health), _at_full_command(health)
+    at_full = _at_full_command(health)
+    rotors = [*_weak(health), *_unlike_motors(health)]
+    # Where rotors differ, their loads show neither the CG nor what holds the heading.
+    unlike = (
+        bool(health.misread)
+        or any(found.spoils for found in rotors)
+        or any(doubt.by == READINGS for doubt in health.doubts)
+    )
     findings = (
         *(
             Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how, spoils=True)
             for doubt in health.doubts
         ),
         *_misread(health),
-        *_weak(health),
-        *(unlike or [*_cg(health), *_yaw(health)]),
+        *rotors,
+        *(() if unlike else (*_cg(health), *_yaw(health))),
         *_margins(health),
         *_pinned(health, at_full),
         *_shaking(health),
     )
     advice = [
         *(found.do for found in findings),
-        *_to_know_more(health, unlike=bool(unlike)),
+        *_to_know_more(health, unlike=unlike),
         *(f"{name} was {what}" for name, what in at_full.items()),
     ]
     return replace(health, findings=findings, advice=tuple(dict.fromkeys(advice)))
@@ -86,6 +97,32 @@ def _weak(health: Health) -> Iterator[Finding]:
             )  # fmt: skip
 
 
+def _perhaps_unlike(health: Health) -> str:
+    """The rotors that would carry what they carry wherever the CG is, if they were unlike.
+
+    The balance of a hover has four equations: every load is that of some CG and yaw trim, and of
+    one rotor, or those of one side, that lift another amount for their speed or command. Moments
+    in flight decide (an analysis), speeds beside commands, and flights before.
+
+    Returns:
+        Their names; empty where that is decided, or nothing is known of them.
+    """
+    gains = all(rotor.motor_gain is not None for rotor in health.rotors)
+    moved = health.condition is not None and health.condition.verdict == "cg"
+    shares = [rotor.thrust_share.value for rotor in health.rotors]
+    if gains or moved or health.cg_of_hover is not None or None in shares:
+        return ""
+    apart = np.array(shares, dtype=float)
+    apart -= np.median(apart)
+    large = np.abs(apart) >= 0.5 * np.abs(apart).max()
+    # Of two sides that differ, the weaker one is what is usually wrong.
+    named = np.flatnonzero(large & (apart > 0.0) if (large & (apart > 0.0)).any() else large)
+    first, *others = (str(i + 1) for i in named)
+    if not others:
+        return f"rotor {first}"
+    return f"rotors {', '.join([first, *others[:-1]])} and {others[-1]}"
+
+
 def _cg(health: Health) -> Iterator[Finding]:
     if health.cg is None or health.airframe is None:
         return
@@ -105,10 +142,18 @@ def _cg(health: Health) -> Iterator[Finding]:
         moves.append(f"{PLAIN.measure(scale * abs(value), scale * half, unit)} {back}")
     if not moves:
         return
-    do = f"shift the CG {' and '.join(moves)}. " + _BY_BATTERY
+    what, do = f"{' and '.join(off)} of the center", f"shift the CG {' and '.join(moves)}"
     if battery is not None and mass is not None:
         do = f"move the battery {' and '.join(moves)}"
-    yield Finding("the CG", f"{' and '.join(off)} of the center", do)
+    if rotors := _perhaps_unlike(health):
+        what += f", or {rotors} unlike the others"
+        do = (
+            f"hold it at its center: if it tips that way, {do}; if not, look at {rotors}: "
+            f"{_PARTS[health.through_motors]}"
+        )
+    if battery is None or mass is None:
+        do += f". {_BY_BATTERY}"
+    yield Finding("the CG", what, do)
 
 
 def _yaw(health: Health) -> Iterator[Finding]:
@@ -122,11 +167,13 @@ def _yaw(health: Health) -> Iterator[Finding]:
     if share.value < 0.0:
         more, less = less, more
     percent = 100.0 * abs(share.value)
+    rotors = _perhaps_unlike(health)
+    or_rotors = f", or for what is wrong with {rotors}" if rotors else ""
     yield Finding(
         "the motors' angles",
         f"{more} rotors carry {percent:.0f} % of the load more",
-        f"to hold the heading the {more} rotors carry {percent:.0f} % of the load "
-        f"more than the {less} ones: look for a motor that leans or an arm that is twisted",
+        f"to hold the heading the {more} rotors carry {percent:.0f} % of the load more than the "
+        f"{less} ones: look for a motor that leans or an arm that is twisted{or_rotors}",
     )
 
 

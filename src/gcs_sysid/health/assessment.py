@@ -35,7 +35,7 @@ from gcs_sysid.judgement.received import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.health_view import HOVER
+from gcs_sysid.results.health_view import HOVER, READINGS
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
@@ -345,17 +345,18 @@ def beside_analysis(health: Health, result: Result) -> Health:
 
 
 def _as_identified(health: Health, result: Result) -> Health:
-    """The health with the CG and the scale of the analysis, where that knows them better."""
+    """With what the analysis knows better: the CG, the scale, and rotors that are unlike."""
     if health.cg is None or result.verdict == "refused":
         return health
     x, y = _better(result, "cg_x", health.cg[0]), _better(result, "cg_y", health.cg[1])
     if x is not None and y is not None:
-        health = advised(replace(health, cg=(x, y), cg_of_hover=health.cg))
+        health = replace(health, cg=(x, y), cg_of_hover=health.cg)
     if health.scale is not None:
         name, of_hover = health.scale
         scale = _better(result, name, of_hover)
         health = health if scale is None else replace(health, scale=(name, scale))
-    return health
+    unlike = tuple(objection for objection in result.objections if objection.by == READINGS)
+    return advised(replace(health, doubts=(*health.doubts, *unlike)))
 
 
 def _better(result: Result, name: str, of_hover: Estimate) -> Estimate | None:

@@ -194,11 +194,14 @@ def cg_facts(
 
 
 _ROTORS = "the motor order"
+READINGS = "readings"
+"""Producer of objections that rotors differ by more than propellers do."""
 OF_THE_DATA = {
     "gyro": "the gyro",
     "saturation": "the IMU",
     "clock": "the clock",
     "units": "the unit of the rotor speeds",
+    READINGS: "the rotors",
     "priors": "what was given",
     "sizes": "what was given",
 }
