@@ -11,7 +11,7 @@ from .pages import ROOT
 NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough  # what is shown there is shown in python.md
 def test_its_cells_run_and_hold_no_outputs(monkeypatch):
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}

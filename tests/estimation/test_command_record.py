@@ -89,6 +89,7 @@ def commands(estimator):
     return estimator._record.commands
 
 
+@pytest.mark.thorough
 def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeypatch):
     found, std = usual.outcome
     few = [number for number in usual.makings if number is not None]
@@ -147,6 +148,7 @@ def test_quick_samples_are_averaged(truth, samples):
     np.testing.assert_allclose(totals[1], totals[0], rtol=1e-9, atol=1e-9 * totals[0].max())
 
 
+@pytest.mark.thorough
 def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, monkeypatch):
     found, std = usual.outcome
     monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)

@@ -232,6 +232,7 @@ def test_it_goes_back_from_a_state_it_kept(recorded):
     assert playback.log_segments.position == playback.chain.t == 0.0
 
 
+@pytest.mark.thorough
 def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
     stage = Stage(recorded)
     stage.session.toggle_pause()
@@ -304,6 +305,7 @@ def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analyzed):
     session.stop()
 
 
+@pytest.mark.thorough
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
     """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
     flight = fly(

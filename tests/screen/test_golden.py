@@ -146,7 +146,7 @@ def pale(lines):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("state", ["flying", "all", "enough", "waiting"])
+@pytest.mark.parametrize("state", ["all", "waiting"])
 async def test_all_text_stands_out_from_its_ground(run_screen, state):
     """Words have the contrast that WCAG asks of text (4.5 to 1)."""
     make, truth, baseline = STATES[state]

@@ -254,7 +254,7 @@ def seeds(first, count):
 @seeds(4, 20)
 def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
-    path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 1800))
+    path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 900))
     compare(path, cuts(seed), [None, (2, None), None, (9, 1)][seed % 4])
 
 
@@ -263,7 +263,7 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
 def test_blocks_go_over_from_a_stray_heartbeat_to_the_vehicle_alike(tmp_path, make_sender, seed):
     path = tmp_path / "stray.tlog"
     stray = struct.pack(">Q", START - 4000) + make_sender(66, 1).heartbeat().raw
-    path.write_bytes(stray + log_of(make_sender, seed, [0.0, 0.01][seed % 2], 900))
+    path.write_bytes(stray + log_of(make_sender, seed, [0.0, 0.01][seed % 2], 600))
     made = compare(path, cuts(seed))
     told = [event.text for block in made for _, event in block.events if event.kind == "vehicles"]
     assert sum("the first received, sends heartbeats only" in text for text in told) == 1
@@ -287,13 +287,10 @@ def test_sequence_numbers_are_counted_alike(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name",
-    [
-        "public/real-quad-mavlink1.tlog",
-        pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough),
-        pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
-    ],
+    ["public/real-quad-mavlink1.tlog", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"],
 )
 def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, tmp_path, name):
     """A part of each, which ends within a frame."""

@@ -149,12 +149,11 @@ def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough),
-        pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough),
-        pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
+        *("px4-esc-cg.tlog", "px4-sih-default.tlog", "ardupilot-sitl.tlog"),
         "public/real-quad-mavlink1.tlog",
     ],
 )
