@@ -61,11 +61,28 @@ def test_a_wrong_scale_is_named(scale, words):
     assert words in gyro_fault(checked(RATES * scale))[0]
 
 
-def test_a_turned_board_is_named():
-    turned = RATES[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
-    reason, how = gyro_fault(checked(turned))
-    assert "the board is turned" in reason
-    assert how.startswith("check its orientation")
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw", "named"),
+    [
+        (0, 0, 90, "YAW_90"),
+        (0, 0, 45, "YAW_45"),
+        (0, 0, 180, "YAW_180"),
+        (180, 0, 270, "ROLL_180_YAW_270"),
+        (0, 90, 0, "PITCH_90"),
+        (0, 0, 47, "YAW_45"),
+    ],
+)
+def test_a_board_whose_rotation_is_not_applied_is_named_with_it(roll, pitch, yaw, named):
+    euler = attitude.from_euler(*np.radians([roll, pitch, yaw]))
+    of_vehicle = attitude.matrices(np.array(euler)[None])[0]
+    reason, how = gyro_fault(checked(RATES @ of_vehicle))
+    assert f"is turned by {named.lower().replace('_', ' ')} deg against" in reason
+    assert f"AHRS_ORIENTATION: {named};" in how
+
+
+def test_axes_that_no_mounting_makes_are_read_wrong():
+    """Two exchanged, which is a mirror."""
+    assert "reads nothing" in gyro_fault(checked(RATES[:, [1, 0, 2]]))[0]
 
 
 def test_noise_of_the_attitude_is_no_scale():

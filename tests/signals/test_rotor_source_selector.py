@@ -324,7 +324,7 @@ def test_stopped_outputs_are_no_input():
     t, u, _v = signals()
     rotor_selector = judged(commands(0.0 * u - 0.1, t))
     assert rotor_selector.choice is None
-    assert "stopped" in rotor_selector.refused["ACTUATOR_OUTPUT_STATUS"]
+    assert "stopped or idling" in rotor_selector.refused["ACTUATOR_OUTPUT_STATUS"]
 
 
 USUAL = CommandRange()

@@ -8,6 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import reference_values
+from gcs_sysid.model import attitude
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES, GRAVITY, REGISTRY
 from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
@@ -51,6 +52,14 @@ def gyro_fault(check: GyroAgainstAttitude) -> tuple[str, str] | None:
     gain = check.gain
     scale = np.diag(gain)
     mean = float(scale[wrong].mean())
+    if (check.turned > _MOVED).all() and (angles := _turned_by(gain)):
+        words = " ".join(f"{axis} {angle}" for axis, angle in angles.items())
+        return (
+            f"the gyro is turned by {words} deg against the attitude's axes: the IMU is logged in "
+            "those of its board",
+            "log it in the vehicle's axes, or turn it by that "
+            f"(SENS_BOARD_ROT, AHRS_ORIENTATION: {'_'.join(words.upper().split())}; align_board)",
+        )
     if _alike(scale[wrong]) and abs(math.radians(mean) - 1.0) < _ALIKE:
         return (
             f"the gyro reads {mean:.1f} times what the attitude turns: it is in deg/s, not rad/s",
@@ -62,18 +71,36 @@ def gyro_fault(check: GyroAgainstAttitude) -> tuple[str, str] | None:
             "as much",
             "check its scale and range",
         )
-    turned = [(AXES[row], AXES[int(np.abs(gain[row]).argmax())]) for row in np.flatnonzero(wrong)]
-    if all(a != b for a, b in turned) and np.abs(gain @ gain.T - np.eye(3)).max() < 3.0 * _ALIKE:
-        words = " and ".join(f"{a} what turns in {b}" for a, b in turned)
-        return (
-            f"the gyro reads in {words}: the board is turned against the attitude's axes",
-            "check its orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)",
-        )
     words = " and ".join(
         f"{AXES[i]} axis reads {'nothing' if abs(scale[i]) < _DEAD else f'{scale[i]:.2f}'}"
         for i in np.flatnonzero(wrong)
     )
     return f"the gyro's {words} of what the attitude turns", "check the IMU"
+
+
+def _turned_by(gain: Array) -> dict[str, int]:
+    """How a board is mounted whose gyro is logged in its own axes, in steps of 45 deg.
+
+    Roll, pitch and yaw in that order turn its axes to the vehicle's (MAV_SENSOR_ORIENTATION).
+
+    Args:
+        gain: (3, 3) what the gyro reads over what the attitude turns.
+
+    Returns:
+        Those that are not zero; empty where it is no such rotation.
+    """
+    turn = gain.T
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 3.0 * _ALIKE or np.linalg.det(turn) < 0.0:
+        return {}
+    pitch = math.asin(min(max(-turn[2, 0], -1.0), 1.0))
+    roll, yaw = math.atan2(turn[2, 1], turn[2, 2]), math.atan2(turn[1, 0], turn[0, 0])
+    if math.cos(pitch) < _ALIKE:  # roll and yaw turn about one axis
+        roll, yaw = 0.0, math.atan2(-turn[0, 1], turn[1, 1])
+    steps = [round(angle / (0.25 * math.pi)) for angle in (roll, pitch, yaw)]
+    mounted = attitude.from_euler(*(0.25 * math.pi * step for step in steps))
+    if np.abs(attitude.matrices(np.array([mounted]))[0] - turn).max() > 2.0 * _ALIKE:
+        return {}
+    return {axis: 45 * step % 360 for axis, step in zip(AXES, steps, strict=True) if step % 8}
 
 
 def misread_gyro(evidence: Evidence) -> Iterator[Objection]:

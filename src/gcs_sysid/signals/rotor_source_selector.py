@@ -401,7 +401,7 @@ class RotorSourceSelector:
                 refused[name] = range_
                 continue
             if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
-                refused[name] = "shows stopped rotors in flight"
+                refused[name] = "shows rotors stopped or idling all the time"
                 continue
             asked = wanted is not None
             why = "commands, as requested" if asked else "commands: no usable measured speeds"
