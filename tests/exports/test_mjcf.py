@@ -110,15 +110,6 @@ def test_it_hovers_in_place_because_the_numbers_are_right(vehicle):
 
 
 @pytest.mark.slow
-def test_it_flies_a_step(vehicle):
-    goal = np.array([0.5, -0.3, 0.4])
-    place, furthest, upright = fly(*hovering(*load(vehicle)), goal, 12.0)
-    assert place == pytest.approx(goal, abs=1e-3)
-    assert furthest < 1.2 * np.linalg.norm(goal)
-    assert upright == pytest.approx(1.0, abs=1e-5)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), [("cg_x", -1.0), ("cg_y", -1.0), ("mass", 1.1)])
 def test_it_would_not_with_wrong_numbers(result, name, factor):
     """What the hover above proves: the pilot does not put errors right by itself."""

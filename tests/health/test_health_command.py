@@ -181,16 +181,6 @@ def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_swapped_rotors_are_refused(flight):
-    airframe = load_airframe("paper")
-    first, second, *rest = airframe.rotors
-    swapped = replace(airframe, rotors=(second, rest[0], first, *rest[1:]))
-    health = health_of_log(flight.tlog, HealthOptions(swapped))
-    assert not health.available
-    assert "motor order" in health.reasons[0]
-
-
-@pytest.mark.slow
 def test_a_span_of_the_log_is_kept_to(flight):
     airframe = load_airframe("paper")
     whole = health_of_log(flight.tlog, HealthOptions(airframe))

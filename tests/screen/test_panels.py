@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History, known_history, settled_range
 from gcs_sysid.results.snapshot import Advice, Gain, LinkState
 from gcs_sysid.screen import formatting
@@ -32,7 +31,6 @@ from gcs_sysid.screen.snapshot_view import (
     headline,
     level_of,
     named,
-    shares,
     standing_of,
 )
 from gcs_sysid.screen.view import View
@@ -144,15 +142,6 @@ def test_standing_counts_what_a_complete_identification_consists_of():
     assert standing.reached == 5
     wide = standing_of(replace(fake.snapshot(), target=0.5))
     assert wide.reached == len(wide.known)
-
-
-def test_what_may_be_zero_is_measured_against_what_it_matters_to():
-    result = fake.result()
-    result.parameters["Ixy"] = Estimate(0.0, 1e-5, "kg m^2", "identified")
-    product = 0.05 * math.sqrt(result.parameters["Ixx"].value * result.parameters["Iyy"].value)
-    assert shares(result)["Ixy"] == pytest.approx(1.96e-5 / product, rel=1e-3)
-    result.parameters["Izz"] = Estimate(None, None, "kg m^2", "unobservable")
-    assert shares(result)["Izz"] is None
 
 
 def test_the_verdict_in_a_word():

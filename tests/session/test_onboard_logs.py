@@ -99,16 +99,6 @@ def test_an_onboard_log_gives_what_the_tlog_gives(
     assert shares[-1] == 1.0
 
 
-def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_path):
-    ulog_file.topic("vehicle_attitude", ["float[4] q"])
-    ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
-    path = tmp_path / "flight.ulg"
-    path.write_bytes(ulog_file.bytes())
-    result = analyze_log(path, airframe, wanted=(7, None))
-    assert result.verdict == "refused"
-    assert "found: PX4 vehicle 1:1" in result.reasons[0]
-
-
 def test_parameters_are_no_samples():
     airframe = load_airframe("paper")
     chain = Chain(airframe)

@@ -3,7 +3,6 @@
 import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog_writer import RESET_TEXT, is_reset_mark, reset_mark
 
 
@@ -26,12 +25,3 @@ def test_a_mark_is_known_by_its_address_and_text(text, sender):
     assert not is_reset_mark(text(RESET_TEXT, component=1))
     assert not is_reset_mark(text(RESET_TEXT + "s"))
     assert not is_reset_mark(sender.heartbeat())
-
-
-def test_it_is_an_event_and_no_message_of_the_link(sender):
-    intake = Intake()
-    intake.frames([sender.heartbeat()])
-    assert intake.frames([reset_mark()]) == []
-    assert [event.kind for event in intake.take_events()] == ["vehicle", "reset"]
-    assert intake.as_dict()["received"] == 1
-    assert len(intake.systems) == 1

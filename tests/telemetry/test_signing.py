@@ -92,13 +92,6 @@ def test_a_frame_changed_on_the_way_is_not_believed(signing, check, at):
     assert check.accepted == 0
 
 
-def test_another_key_is_refused_and_counted(signing, check):
-    attacker = signing(OTHER)
-    for _ in range(5):
-        assert check.refusal_of(attacker.heartbeat()) is Refusal.WRONG_KEY
-    assert check.refused == {Refusal.WRONG_KEY: 5}
-
-
 def test_what_is_repeated_is_refused(signing, check):
     vehicle = signing()
     frames = [vehicle.imu(1.0 + 0.004 * i) for i in range(10)]
