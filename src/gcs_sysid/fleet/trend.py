@@ -519,11 +519,17 @@ def hover_figure(vehicle: FleetVehicle, series: Series) -> Markup:
     span = min(point.low for point in points), max(point.high for point in points)
     count = len(vehicle.flights)
     chart = FlightsChart("", PAGE.unit(series.unit), count, span, WIDTH, HEIGHT)
+    return _figure(vehicle, series.name, None, *chart.axes(), *chart.points(points))
+
+
+def _figure(vehicle: FleetVehicle, name: str, meaning: str | None, *parts: Child) -> Markup:
+    """A chart's parts under its name."""
     drawing = element(
-        "svg", *chart.axes(), *chart.points(points), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img",
-        aria_label=f"{series.name} over the flights of {vehicle.name}",
+        "svg", *parts, viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img",
+        aria_label=f"{name} over the flights of {vehicle.name}",
     )  # fmt: skip
-    caption = element("figcaption", element("span", series.name, class_="title"))
+    more = None if meaning is None else element("span", meaning, class_="more")
+    caption = element("figcaption", element("span", name, class_="title"), more)
     return element("figure", caption, element("div", drawing, class_="plot trend"), class_="drawn")
 
 
@@ -557,9 +563,7 @@ def _span(change: FlightChange) -> str:
 
 def value_text(name: str, estimate: Estimate | None) -> str:
     """An estimate with its interval, in the unit that people read it in."""
-    if estimate is None:
-        return PAGE.nothing
-    if estimate.value is None or estimate.std is None:
+    if estimate is None or estimate.value is None or estimate.std is None:
         return PAGE.nothing
     exponent = REGISTRY[name].exponent
     half = Z95 * estimate.std
@@ -643,22 +647,15 @@ def trend_figure(vehicle: FleetVehicle, name: str) -> Markup:
     ends = [end for e in sure for end in e.ci95 or ()]
     unit = PAGE.unit(PARAMETERS[name].unit)
     chart = FlightsChart("", unit, len(vehicle.flights), (min(ends), max(ends)), WIDTH, HEIGHT)
-    drawing = element(
-        "svg",
+    return _figure(
+        vehicle,
+        name,
+        PARAMETERS[name].meaning,
         *chart.axes(),
         *(_mean_line(era, name, vehicle.scatter.get(name, 0.0), chart) for era in vehicle.eras),
         *(chart.cut(flight.number) for flight in vehicle.changed),
         *chart.points(_point(flight, estimate, name) for flight, estimate in known),
-        viewBox=f"0 0 {WIDTH} {HEIGHT}",
-        role="img",
-        aria_label=f"{name} over the flights of {vehicle.name}",
     )
-    caption = element(
-        "figcaption",
-        element("span", name, class_="title"),
-        element("span", PARAMETERS[name].meaning, class_="more"),
-    )
-    return element("figure", caption, element("div", drawing, class_="plot trend"), class_="drawn")
 
 
 def _mean_line(

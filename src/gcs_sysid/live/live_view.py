@@ -180,18 +180,13 @@ def link_status(
         intake: that counts.
         too_slow: whether the session cannot keep up.
     """
-    health, monitor = intake.health(), intake.monitor
+    monitor = intake.monitor
     chosen = None if intake.vehicle is None else intake.vehicle.address
     return LinkStatus(
         state=state,
         url=str(source.url),
         vehicle=str(intake.vehicle or ""),
-        rates=health.rates,
         asked=dict(station.asked),
-        received=health.received,
-        rejected=health.rejected,
-        unknown=health.unknown,
-        lost_percent=health.lost_percent,
         lost=monitor.lost,
         gaps=monitor.gap_count,
         last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
@@ -200,10 +195,10 @@ def link_status(
             FoundVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
         ),
         recording=source.recording_report.path,
-        bytes_per_second=health.bytes_per_second,
         waiting=source.waiting,
         too_slow=too_slow,
         dropped=source.link_report.dropped,
+        **vars(intake.health()),
     )
 
 

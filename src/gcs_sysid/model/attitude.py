@@ -51,6 +51,13 @@ def from_rotation_vector(v: Array) -> Array:
     return q
 
 
+def from_angles(angles: Array) -> Array:
+    """Unit quaternions (n, 4) of (n, 3) roll, pitch, yaw in rad."""
+    turns = angles[:, :, None] * np.eye(3)  # (n, axis, 3)
+    roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
+    return multiply(multiply(yaw, pitch), roll)
+
+
 def to_rotation_vector(q: Array) -> Array:
     """Rotation vectors (..., 3) in rad of unit quaternions, angles up to pi."""
     real, vector = q[..., :1], q[..., 1:]

@@ -27,11 +27,9 @@ class SnapshotSource(Protocol):
 
         Returns at once. None until there is a first one.
         """
-        ...
 
     def stop(self) -> None:
         """End the session. Called when the user quits; calling it again does nothing."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,12 @@ class Observer(Protocol):
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
-        ...
 
     def take(self, block: SampleBlock) -> None:
         """The next block of samples."""
-        ...
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
-        ...
 
 
 class RecordKeeper(Protocol):
@@ -38,11 +35,9 @@ class RecordKeeper(Protocol):
 
     def begin(self, log: Log) -> None:
         """A reading of the log begins; one before it does not count."""
-        ...
 
     def add_records(self, block: RecordBlock) -> None:
         """The next block of records."""
-        ...
 
 
 def analyze_log(

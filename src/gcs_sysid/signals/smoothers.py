@@ -283,25 +283,20 @@ class Smoother(Protocol):
     @property
     def late_taps(self) -> Array:
         """(delays, length) response of the late signals' averages to a single sample."""
-        ...
 
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative (1/s^2) over that of white noise on the
         samples, when rows are then summed with a leak of `memory` s (0: not at all).
         """
-        ...
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
-        ...
 
     def count_after(self, samples: int) -> int:
         """How many rows so many more samples will complete."""
-        ...
 
     def update(self, signals: Array, late: int) -> Smoothed:
         """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
-        ...
 
 
 class WindowSmoother:

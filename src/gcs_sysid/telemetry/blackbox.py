@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import reading_log
-from gcs_sysid.model.attitude import from_rotation_vector, multiply
+from gcs_sysid.model.attitude import from_angles
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.motor_order import MIXER
 from gcs_sysid.signals.records import Stream
@@ -268,9 +268,8 @@ class _SessionReader:
             return
         angles = self._first_of("attitude")
         if angles is not None:  # INAV: tenths of degrees, nose down, clockwise from north
-            turns = np.radians(angles * (0.1, -0.1, 0.1))[:, :, None] * np.eye(3)
-            roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
-            recording.add(Stream.ATTITUDE, self._t, multiply(multiply(yaw, pitch), roll))
+            q = from_angles(np.radians(angles * (0.1, -0.1, 0.1)))
+            recording.add(Stream.ATTITUDE, self._t, q)
 
     def _add_velocity(self, recording: Recording) -> None:
         for source in _POSITIONS:

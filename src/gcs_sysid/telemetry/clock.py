@@ -34,12 +34,25 @@ def may_wrap(now: Any) -> Any:
     return now > WRAP_US - JUMP_AHEAD
 
 
-class StampKind(IntEnum):
-    """The stamps that drive the clock."""
+class Stamp(IntEnum):
+    """Kind of time stamp of a message."""
 
     US64 = auto()
+    """`time_usec`, since boot or 1970."""
     MS32 = auto()
+    """`time_boot_ms`, which wraps after 49.7 days."""
     US64_OR_32 = auto()
+    """`time_usec`, of which ArduPilot before 4.0 fills 32 bits."""
+    US32 = auto()
+    """`time_usec` in 32 bits: wraps too often to drive the vehicle's clock, and follows it."""
+    NONE = auto()
+    """Nothing: it is of the time of its neighbors, all that is due in one step being sent with
+    the same time. ArduPilot sends SERVO_OUTPUT_RAW just before ESC_TELEMETRY and HIGHRES_IMU
+    after it: the IMU's last stamp is a step old, that of a `US32` message is not."""
+
+
+DRIVING = (Stamp.US64, Stamp.MS32, Stamp.US64_OR_32)
+"""The stamps that drive the clock."""
 
 
 class VehicleClock:
@@ -115,7 +128,7 @@ class VehicleClock:
         """Follow stamps in the order in which they came, up to one that sets the clock back.
 
         Args:
-            kind: (n,) of `StampKind`.
+            kind: (n,) of `DRIVING`.
             raw: (n,) whole numbers, the stamps.
             may_go_back: whether such a one is taken where it is the first; then it is taken alone.
 
@@ -145,9 +158,9 @@ class VehicleClock:
         return t, now
 
     def _stamp(self, kind: int, raw: int) -> float | None:
-        if kind == StampKind.MS32:
+        if kind == Stamp.MS32:
             return self.stamp_ms32(raw)
-        return self.stamp_us64(raw) if kind == StampKind.US64 else self.stamp_us64_or_32(raw)
+        return self.stamp_us64(raw) if kind == Stamp.US64 else self.stamp_us64_or_32(raw)
 
     def _run_on(self, kind: Array, raw: Array, t: Array, now: Array) -> int:
         """Follow stamps as far as the clock simply runs on; (n,) as of `take`, `t` and `now` s.
@@ -157,7 +170,7 @@ class VehicleClock:
         """
         if self.now is None or not len(raw):
             return 0
-        ms = kind == StampKind.MS32
+        ms = kind == Stamp.MS32
         times = raw * np.where(ms, 1e-3, 1e-6)
         unwrapped = times + WRAP_MS * np.maximum(np.rint((self.now - times) / WRAP_MS), 0.0)
         behind = np.nan if self._unix_minus_boot is None else self._unix_minus_boot
@@ -168,7 +181,7 @@ class VehicleClock:
         running = np.maximum.accumulate(np.concatenate([[self.now], some]))
         before = running[:-1]
         odd = (some < before - JUMP_BACK) | (some > before + JUMP_AHEAD)
-        odd |= (kind[rows] == StampKind.US64_OR_32) & may_wrap(before) & (raw[rows] < 2**32)
+        odd |= (kind[rows] == Stamp.US64_OR_32) & may_wrap(before) & (raw[rows] < 2**32)
         if odd.any():
             first = int(np.argmax(odd))
             end, rows, running = int(rows[first]), rows[:first], running[: first + 1]

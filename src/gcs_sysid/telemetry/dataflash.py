@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.attitude import from_rotation_vector, multiply
+from gcs_sysid.model.attitude import from_angles
 from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import EVERY, DataflashLog
@@ -43,10 +43,7 @@ _CHANNEL = re.compile(r"(?:C|Ch|Chan)(\d+)")
 
 
 def _from_degrees(angles: Array) -> Array:
-    """(n, 4) quaternions of (n, 3) roll, pitch, yaw in degrees."""
-    turns = np.radians(angles)[:, :, None] * np.eye(3)  # (n, axis, 3)
-    roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
-    return multiply(multiply(yaw, pitch), roll)
+    return from_angles(np.radians(angles))
 
 
 _Q = ("Q1", "Q2", "Q3", "Q4")
@@ -55,7 +52,12 @@ ENTRIES = (
     OnboardMessage(
         "IMU", Stream.IMU, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"), sensors="primary"
     ),
-    OnboardMessage("ATT", Stream.ATTITUDE, ("Roll", "Pitch", "Yaw"), convert=_from_degrees),
+    OnboardMessage(
+        "ATT",
+        Stream.ATTITUDE,
+        ("Roll", "Pitch", "Yaw"),
+        convert=lambda degrees: from_angles(np.radians(degrees)),
+    ),
     OnboardMessage("XKQ", Stream.ATTITUDE, _Q, rank=1, sensors="primary"),
     OnboardMessage("NKQ", Stream.ATTITUDE, _Q, rank=2, sensors="primary"),
     OnboardMessage("XKF1", Stream.VELOCITY, _NED, rank=1, sensors="primary"),

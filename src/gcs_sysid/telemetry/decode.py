@@ -21,11 +21,11 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import message_table
-from gcs_sysid.telemetry.clock import ClockTimes, StampKind, VehicleClock, following
+from gcs_sysid.telemetry.clock import DRIVING, ClockTimes, Stamp, VehicleClock, following
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.message_table import MOST_ROTORS, STAMP_FIELDS, Message, Preference, Stamp
+from gcs_sysid.telemetry.message_table import MOST_ROTORS, STAMP_FIELDS, Message, Preference
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_arrays, picker
 from gcs_sysid.telemetry.track_collector import TrackCollector
 
@@ -166,11 +166,6 @@ class VehicleStates:
         return Record(Stream.PARAMETER, now or 0.0, (value,), source=name)
 
 
-_DRIVING = {
-    Stamp.US64: StampKind.US64,
-    Stamp.MS32: StampKind.MS32,
-    Stamp.US64_OR_32: StampKind.US64_OR_32,
-}
 _SYSTEM_TIME = MESSAGE_IDS["SYSTEM_TIME"]
 _NO_TIMES = np.empty(0)
 _NO_ORDER = np.empty(0, np.int64)
@@ -342,16 +337,14 @@ class RecordDecoder:
         stamped = {
             name: rows
             for name, rows in messages.items()
-            if self._table[name].stamp in _DRIVING and len(rows)
+            if self._table[name].stamp in DRIVING and len(rows)
         }
         if not stamped:
             return {}, ClockTimes(_NO_ORDER, now), stop
         kinds = {name: self._table[name].stamp for name in stamped}
         order = np.concatenate([rows["_frame"] for rows in stamped.values()])
         raw = np.concatenate([rows[STAMP_FIELDS[kinds[name]]] for name, rows in stamped.items()])
-        kind = np.repeat(
-            [_DRIVING[kinds[name]] for name in stamped], [len(rows) for rows in stamped.values()]
-        )
+        kind = np.repeat([*kinds.values()], [len(rows) for rows in stamped.values()])
         sorting = np.argsort(order)
         sorting = sorting[: np.searchsorted(order[sorting], stop)]
         alone = len(sorting) > 0 and int(order[sorting[0]]) == first

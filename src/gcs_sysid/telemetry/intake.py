@@ -10,12 +10,12 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.motor_order import MotorOrder
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.clock import ClockDrift, Stamp
 from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, REPEATED, FrameBlock, SeenFrames, counts_of
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
+from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM

@@ -13,13 +13,13 @@ Logs that an autopilot wrote itself have rows of their own, `OnboardMessage`, in
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, auto
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.clock import Stamp
 from gcs_sysid.telemetry.dialect import mavlink
 
 RPM = 2.0 * math.pi / 60.0
@@ -59,23 +59,6 @@ def _to_last(there: Mask) -> Array:
     """(n,) how many entries of each row there are up to the last true one."""
     count = there.shape[1] - np.argmax(there[:, ::-1], axis=1)
     return np.where(there.any(axis=1), count, 0)
-
-
-class Stamp(Enum):
-    """Kind of time stamp of a message."""
-
-    US64 = auto()
-    """`time_usec`, since boot or 1970."""
-    MS32 = auto()
-    """`time_boot_ms`, which wraps after 49.7 days."""
-    US64_OR_32 = auto()
-    """`time_usec`, of which ArduPilot before 4.0 fills 32 bits."""
-    US32 = auto()
-    """`time_usec` in 32 bits: wraps too often to drive the vehicle's clock, and follows it."""
-    NONE = auto()
-    """Nothing: it is of the time of its neighbors, all that is due in one step being sent with
-    the same time. ArduPilot sends SERVO_OUTPUT_RAW just before ESC_TELEMETRY and HIGHRES_IMU
-    after it: the IMU's last stamp is a step old, that of a `US32` message is not."""
 
 
 STAMP_FIELDS = {
