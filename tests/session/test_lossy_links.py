@@ -41,7 +41,7 @@ def test_a_lossy_link_costs_little_more_than_what_it_loses(lossy):
     flight, records = lossy
     chain, result = run(records)
     assert_right(result, flight.truth)
-    assert chain.used_seconds > 0.7 * SECONDS
+    assert chain.fit.seconds > 0.7 * SECONDS
     assert result.telemetry["grid_rate"] == pytest.approx(100.0)
     assert result.telemetry["restarts"] == 0
     assert result.telemetry["rotor_outliers"] == 0

@@ -170,7 +170,7 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
     result, chain, _ = analyzed(path, "paper", windows=True)
     assert_same(result, analyzed(path, "paper", windows=False)[0])
     seconds = 1e-6 * (frames[-1][0] - frames[after][0])
-    assert 10.0 < chain.used_seconds < seconds < 20.0
+    assert 10.0 < chain.fit.seconds < seconds < 20.0
 
 
 @pytest.mark.thorough

@@ -238,7 +238,7 @@ class LivePrediction:
         if fit is None:
             return None
         geometry = chain.airframe.geometry
-        cutoff = chain.gyro_cutoff
+        cutoff = chain.cutoffs[0]
         return Model(fit.theta, fit.coordinates, geometry, chain.rotor_input, cutoff)
 
     def _drop(self, block: SampleBlock, seconds: float) -> None:

@@ -229,7 +229,7 @@ def picture(
     sampler = chain.sampler
     return Snapshot(
         t=chain.t,
-        used_seconds=chain.used_seconds,
+        used_seconds=chain.fit.seconds,
         flying=sampler.flying,
         result=result,
         history=chain.history,

@@ -379,33 +379,25 @@ _FIXED = (
 )  # fmt: skip
 
 
-class SignalRecorder:
-    """An observer of `analyze_log` that keeps the aligned signals.
-
-    Args:
-        rotors: how many the airframe has.
-    """
+class SignalRecorder(Recorder):
+    """Keeps the aligned signals too."""
 
     def __init__(self, rotors: int) -> None:
-        self._recorder = Recorder(rotors)
+        super().__init__(rotors)
         self._rotors = rotors
         self._pieces: list[Array] = []
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
-        self._recorder.begin()
+        super().begin()
         self._pieces = []
 
     def take(self, block: SampleBlock) -> None:
         """The next block of samples."""
-        self._recorder.take(block)
+        super().take(block)
         s = block.samples
         columns = [block.t, s.gyro, s.rates, s.force, s.attitude, s.velocity, block.flying]
         self._pieces.append(np.column_stack([*columns, s.speeds]))
-
-    def end(self, chain: Chain) -> None:
-        """All is read, and the estimate final."""
-        self._recorder.end(chain)
 
     def table(self, result: Result, airframe: Airframe) -> Table:
         """Column -> (n,) values.
@@ -418,8 +410,8 @@ class SignalRecorder:
         names = [*_FIXED, *(f"rotor_{what}_{i}" for i in range(1, self._rotors + 1))]
         rows = np.vstack([np.empty((0, len(names))), *self._pieces])
         table = dict(zip(names, rows.T, strict=True))
-        found = predicted(result, self._recorder, airframe)
-        self._recorder.close()
+        found = predicted(result, self, airframe)
+        self.close()
         for i, axis in enumerate(AXES):
             measured = model = np.full(len(rows), np.nan)
             if found is not None and len(found.t) > 1:

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, one_line
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
@@ -37,7 +38,7 @@ from gcs_sysid.estimation.parameters.physical_parameters import (
     timing_values,
 )
 from gcs_sysid.estimation.parameters.scale import AbsoluteScale, relative_prior, resolve_scale
-from gcs_sysid.estimation.record.tuning import tuning_for
+from gcs_sysid.estimation.record.tuning import EstimatorTuning, tuning_for
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of, low_pass_delay
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.judge import Stage, judge, judged
@@ -61,11 +62,6 @@ from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline.offline import OfflineFit
     from gcs_sysid.session.origin import Origin
-
-from dataclasses import field
-
-from gcs_sysid.estimation.changes.change_detection import ChangeTuning
-from gcs_sysid.estimation.record.tuning import EstimatorTuning
 
 
 @dataclass(frozen=True)
@@ -391,16 +387,6 @@ class Chain:
     def anchor(self) -> ScaleReference:
         """The scale in force."""
         return self.anchors[-1]
-
-    @property
-    def gyro_cutoff(self) -> float | None:
-        """Hz, low-pass of the autopilot on its gyro that the estimate allows for."""
-        return self.cutoffs[0]
-
-    @property
-    def used_seconds(self) -> float:
-        """Flight time used by the latest estimate."""
-        return self.fit.seconds
 
     @property
     def events(self) -> tuple[Event, ...]:

@@ -131,7 +131,7 @@ class FlightRecorder:
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
-        self.gyro_cutoff, self.rotor_input = chain.gyro_cutoff, chain.rotor_input
+        self.gyro_cutoff, self.rotor_input = chain.cutoffs[0], chain.rotor_input
         fit = chain.fit.rotation
         self.delay = 0.0 if fit is None else fit.delay
 

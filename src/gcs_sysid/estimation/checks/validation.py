@@ -193,7 +193,6 @@ def predict_held_out(
     basis: ActuatorDynamics,
     choice: DeviationChoice | None,
     prior: Prior | None,
-    start: RotationFit | None = None,
 ) -> Validation | None:
     """Fit parts of a flight, predict the rest; whiteness of innovations.
 
@@ -205,7 +204,6 @@ def predict_held_out(
         basis: of the elements.
         choice: of deviations from the model.
         prior: what else is known.
-        start: of the fits; None: from the data alone.
     """
     ends = np.cumsum(data.counts) * data.time
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
@@ -217,7 +215,7 @@ def predict_held_out(
     found = [
         fold
         for held_out in folds
-        if (fold := _predicted(data, basis, choice, np.isin(stretch, held_out), prior, start))
+        if (fold := _predicted(data, basis, choice, np.isin(stretch, held_out), prior))
     ]
     if not found:
         return None
@@ -258,12 +256,11 @@ def _predicted(
     choice: DeviationChoice | None,
     held_out: Mask,
     prior: Prior | None,
-    start: RotationFit | None,
 ) -> _Fold | None:
     """A part of the flight, predicted by a fit to the others."""
     if held_out.all():
         return None
-    found = fit_whitened(data, basis, start, prior, choice=choice, only=~held_out)
+    found = fit_whitened(data, basis, None, prior, choice=choice, only=~held_out)
     if found is None:
         return None
     fit = found.rotation
