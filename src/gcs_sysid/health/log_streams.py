@@ -12,12 +12,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.motor_order import MotorOrder, out_of_order
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_readings import (
-    held_reading,
-    odd_reading,
-    together,
-    unbalanced_reading,
-)
+from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together, unbalanced_reading
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 

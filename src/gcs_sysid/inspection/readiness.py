@@ -3,12 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from gcs_sysid.inspection.facts import (
-    ONBOARD,
-    Inspection,
-    Obtainable,
-    RotorMessage,
-)
+from gcs_sysid.inspection.facts import ONBOARD, Inspection, Obtainable, RotorMessage
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.prediction import is_still

@@ -10,14 +10,7 @@ from enum import IntEnum
 from math import hypot
 from typing import Any, NamedTuple, TypeVar
 
-from gcs_sysid.judgement import (
-    clock_doubt,
-    imu_faults,
-    outcome,
-    plausibility,
-    prediction,
-    received,
-)
+from gcs_sysid.judgement import clock_doubt, imu_faults, outcome, plausibility, prediction, received
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import by_interval, nothing, reference_values
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict

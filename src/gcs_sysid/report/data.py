@@ -28,12 +28,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import digest_of, log_file
-from gcs_sysid.live.acceleration_prediction import (
-    Model,
-    Predictor,
-    RotationSamples,
-    half_window,
-)
+from gcs_sysid.live.acceleration_prediction import Model, Predictor, RotationSamples, half_window
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES

@@ -13,13 +13,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import (
-    MOST_ARM,
-    Airframe,
-    Rotor,
-    is_evenly_canted,
-    load_airframe,
-)
+from gcs_sysid.model.airframe import MOST_ARM, Airframe, Rotor, is_evenly_canted, load_airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.words import WRONG_AIRFRAME
 from gcs_sysid.signals.motor_order import MIXER, motor_outputs
@@ -312,18 +306,18 @@ def _differences(ours: Sequence[Rotor], theirs: Sequence[Rotor]) -> tuple[str, .
     """What `ours` says otherwise than `theirs`, the plainest explanation first."""
     if len(ours) != len(theirs):
         return (f"it has {len(ours)} rotors, the vehicle {len(theirs)}",)
-    a, b = _bearings(ours), _bearings(theirs)
+    a, b = bearings(ours), bearings(theirs)
     near = 0.4 * _narrowest(b)
     spins = np.array([r.spin for r in ours]), np.array([r.spin for r in theirs])
-    if _apart(a, b).max() < near:
+    if turned_between(a, b).max() < near:
         return _spin_differences(ours, *spins)
     for degrees in _TURNS if len(ours) == 4 else (*_TURNS, *_TURNS_OF_SIX):
-        apart = _apart(a, b + math.radians(degrees)).max()
+        apart = turned_between(a, b + math.radians(degrees)).max()
         if apart < 0.6 * near and (spins[0] == spins[1]).all():
             way = "" if degrees == 180 else " to the right" if degrees > 0 else " to the left"
             return (f"it is turned by {abs(degrees)} degrees{way}",)
-    match = [int(np.argmin(_apart(angle, b))) for angle in a]
-    if sorted(match) == list(range(len(b))) and _apart(a, b[match]).max() < near:
+    match = [int(np.argmin(turned_between(angle, b))) for angle in a]
+    if sorted(match) == list(range(len(b))) and turned_between(a, b[match]).max() < near:
         moved = [i for i, j in enumerate(match) if i != j]
         words = "; ".join(
             f"motor {i + 1} is {place_words(ours[i])}, on the vehicle {place_words(theirs[i])}"
@@ -334,7 +328,7 @@ def _differences(ours: Sequence[Rotor], theirs: Sequence[Rotor]) -> tuple[str, .
             wrong = [i for i in range(len(ours)) if ours[i].spin != theirs[match[i]].spin]
             out.append(f"spins by place: {', '.join(place_words(ours[i]) for i in wrong)}")
         return tuple(out)
-    elsewhere = np.flatnonzero(_apart(a, b) >= near)
+    elsewhere = np.flatnonzero(turned_between(a, b) >= near)
     words = "; ".join(
         f"motor {i + 1} is {place_words(ours[i])}, on the vehicle {place_words(theirs[i])}"
         for i in elsewhere.tolist()
@@ -353,17 +347,19 @@ def _spin_differences(rotors: Sequence[Rotor], ours: Array, theirs: Array) -> tu
     return (f"motor{'s' if many else ''} {names} spin{'' if many else 's'} the other way",)
 
 
-def _bearings(rotors: Sequence[Rotor]) -> Array:
+def bearings(rotors: Sequence[Rotor]) -> Array:
+    """(rotors,) rad from the front to the right."""
     return np.array([math.atan2(r.y, r.x) for r in rotors])
 
 
-def _apart(a: Array, b: Array) -> Array:
+def turned_between(a: Array, b: Array) -> Array:
+    """Angles between bearings, 0 to pi rad."""
     return np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _narrowest(bearings: Array) -> float:
     """The least angle between two arms, rad; coaxial rotors share theirs."""
-    apart = np.abs(_apart(bearings[:, None], bearings))
+    apart = np.abs(turned_between(bearings[:, None], bearings))
     return float(min(apart[apart > 0.1].min(), math.pi / 2.0)) if (apart > 0.1).any() else 0.5
 
 

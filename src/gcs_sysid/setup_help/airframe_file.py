@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import (
     ANCHORS,
@@ -21,7 +23,7 @@ from gcs_sysid.model.airframe import (
     parse_airframe,
 )
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.session.reported_layout import on_circle
+from gcs_sysid.session.reported_layout import bearings, on_circle, turned_between
 from gcs_sysid.setup_help.checks import SetupFinding, Sign
 
 _SHAPES = {
@@ -79,38 +81,27 @@ def place_of(x: float, y: float) -> str:
     return f"{along} {across}" if abs(x) >= 0.999 * abs(y) else f"{across} {along}"
 
 
-def _bearings(rotors: tuple[Rotor, ...]) -> list[float]:
-    return [math.atan2(r.y, r.x) for r in rotors]
-
-
-def _apart(a: float, b: float) -> float:
-    return abs(math.remainder(a - b, math.tau))
-
-
 def same_order(rotors: tuple[Rotor, ...]) -> list[str]:
     """Layouts whose motors point the same ways, in the same order; spins aside."""
     found = []
     for name in LAYOUTS:
         usual = layout_rotors(name, USUAL_ARM)
-        if len(usual) == len(rotors) and all(
-            _apart(a, b) < _near(name)
-            for a, b in zip(_bearings(rotors), _bearings(usual), strict=True)
-        ):
+        if len(usual) == len(rotors) and turned_between(
+            bearings(rotors), bearings(usual)
+        ).max() < _near(name):
             found.append(name)
     return found
 
 
 def same_places(rotors: tuple[Rotor, ...]) -> list[str]:
     """Layouts with motors in the same directions, in whatever order."""
-    mine = sorted(_bearings(rotors))
+    mine = np.sort(bearings(rotors))
     found = []
     for name in LAYOUTS:
-        usual = sorted(_bearings(layout_rotors(name, USUAL_ARM)))
+        usual = np.sort(bearings(layout_rotors(name, USUAL_ARM)))
         # Directions near +-180 deg may sort to either end.
-        turns = [usual[i:] + usual[:i] for i in range(-1, 2)]
         if len(usual) == len(mine) and any(
-            all(_apart(a, b) < _near(name) for a, b in zip(mine, turn, strict=True))
-            for turn in turns
+            turned_between(mine, np.roll(usual, turn)).max() < _near(name) for turn in (-1, 0, 1)
         ):
             found.append(name)
     return found

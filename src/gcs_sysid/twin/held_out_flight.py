@@ -17,13 +17,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.estimation.checks.validation import FITTED_SHARE
-from gcs_sysid.model.airframe import (
-    ANCHORS,
-    Airframe,
-    builtin_names,
-    load_airframe,
-    parse_airframe,
-)
+from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe, parse_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions

@@ -20,12 +20,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_detection import ChangeDetector, ChangeTuning, Detection
 from gcs_sysid.estimation.changes.change_hypotheses import Classification, judge, likeliest_step
 from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
-from gcs_sysid.estimation.changes.change_window import (
-    TUNING,
-    AlarmWindow,
-    Frames,
-    ResidualHistory,
-)
+from gcs_sysid.estimation.changes.change_window import TUNING, AlarmWindow, Frames, ResidualHistory
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit

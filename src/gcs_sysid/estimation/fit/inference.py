@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
-from gcs_sysid.estimation.fit.priors import (
-    COORDINATE_STD,
-    COORDINATES,
-    N_UNKNOWNS,
-    Prior,
-    Unknown,
-)
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD, COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import (
     N_X,
     AxisProblem,

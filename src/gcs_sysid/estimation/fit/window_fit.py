@@ -34,12 +34,7 @@ from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import N_X, JointProblem, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.search import (
-    MAX_ITERATIONS,
-    first_guess,
-    scan,
-    search,
-)
+from gcs_sysid.estimation.fit.search import MAX_ITERATIONS, first_guess, scan, search
 from gcs_sysid.estimation.fit.solver import minimize, scales, vanish
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, LagPlace

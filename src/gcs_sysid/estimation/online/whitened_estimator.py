@@ -19,11 +19,7 @@ from gcs_sysid.estimation.checks.model_tests import (
     find_other_layout,
     judge_rigid_body,
 )
-from gcs_sysid.estimation.checks.validation import (
-    SHORTEST_VALIDATED,
-    Validation,
-    predict_held_out,
-)
+from gcs_sysid.estimation.checks.validation import SHORTEST_VALIDATED, Validation, predict_held_out
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker

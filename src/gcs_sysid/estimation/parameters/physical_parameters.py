@@ -19,13 +19,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordi
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import (
-    AXIS_DAMPINGS,
-    GRAVITY,
-    PARAMETERS,
-    REGISTRY,
-    TIMING,
-)
+from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
 

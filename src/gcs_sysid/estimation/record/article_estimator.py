@@ -14,12 +14,7 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.records import Samples
-from gcs_sysid.signals.smoothers import (
-    ARTICLE_A,
-    ARTICLE_B,
-    ARTICLE_R,
-    nonlinear_differentiator,
-)
+from gcs_sysid.signals.smoothers import ARTICLE_A, ARTICLE_B, ARTICLE_R, nonlinear_differentiator
 
 Method = Literal["article", "article-usual-td", "article-stepwise", "central-difference"]
 METHODS: tuple[Method, ...] = (

@@ -17,12 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.disturbance import RULES
-from gcs_sysid.estimation.fit.priors import (
-    COORDINATE_MEAN,
-    COORDINATE_STD,
-    N_UNKNOWNS,
-    Unknown,
-)
+from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
