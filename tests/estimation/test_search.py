@@ -256,6 +256,26 @@ def test_every_hypothesis_takes_the_best_of_its_own_starts():
     assert found.cost.shape == (2,)
 
 
+def test_a_search_goes_on_along_the_edge_of_physical_inertias():
+    """Steps that lead beyond it were cut short until none was left, far from the minimum there."""
+    beyond = theta_from(80.0, 81.0, 175.0, *VALUES[3:])
+    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
+    x = rows[:, : rb.N_SIGNALS]
+    noise = np.random.default_rng(2).normal(size=(N, 3))
+    rows[:, -3:] = x @ rb.forward_matrix(beyond).T + 0.5 * noise
+    problem = JointProblem((rows.T @ rows)[None], N, PLAIN, None)
+    start = np.append(0.8 * THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None]
+    point, converged = minimize(problem, start, MAX_ITERATIONS)
+    assert converged[0]
+    margin, inward = problem.margin(point.unknowns)
+    assert 0.0 < margin[0] < 1e-3 * THETA[0]
+    # All that still pulls leads outward.
+    way = np.linalg.solve(point.hessian[0], inward[0])
+    left = point.gradient[0] - inward[0] * (way @ point.gradient[0]) / (way @ inward[0])
+    assert left @ np.linalg.solve(point.hessian[0], left) < 1e-3
+    assert way @ point.gradient[0] < 0.0
+
+
 class Bent:
     """A problem whose gradient falls three times as fast as the curvature says, from 0.01."""
 

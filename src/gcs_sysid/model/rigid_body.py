@@ -154,6 +154,19 @@ def are_physical(elements: Array) -> Mask:
     return np.asarray((a > 0.0) & (minor > 0.0) & (determinant > 0.0))
 
 
+def least_second_moment(elements: Array) -> tuple[Array, Array]:
+    """(...) least principal second moment of (..., 6 or more) elements, and (..., 6) derivatives.
+
+    That is, the least eigenvalue of tr(J)/2 - J.
+    """
+    J = inertia_matrix(elements[..., :N_INERTIA])
+    values, vectors = np.linalg.eigh(J)
+    axis = vectors[..., -1]
+    trace = np.trace(INERTIA_BASIS, axis1=1, axis2=2)
+    along = np.einsum("...i,kij,...j->...k", axis, INERTIA_BASIS, axis)
+    return 0.5 * values.sum(axis=-1) - values[..., -1], 0.5 * trace - along
+
+
 def is_physical(elements: Array) -> bool:
     """Whether a rigid body can have this inertia matrix; one set of elements, see above."""
     return bool(are_physical(elements))

@@ -122,11 +122,11 @@ def take_log(
             if progress:
                 progress(done + (log.share_read - done) * number / len(windows))
             chain.take(window)
+            if chain.outdated and not whole:
+                for rest in (*windows[number + 1 :], *blocks):
+                    chain.learn_parameters(rest)
+                return False
         done = log.share_read
-        if chain.outdated and not whole:
-            for rest in blocks:
-                chain.learn_parameters(rest)
-            return False
     if progress:
         progress(1.0)
     return True

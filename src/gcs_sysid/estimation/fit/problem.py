@@ -207,6 +207,13 @@ class Problem(ABC):
         """(...) whether a rigid body can have such inertia."""
         return rb.are_physical(unknowns)
 
+    def margin(self, unknowns: Array) -> tuple[Array, Array]:
+        """(K,) least principal second moment of the mass, and its (K, p) derivatives."""
+        least, by_elements = rb.least_second_moment(unknowns)
+        slope = np.zeros((len(unknowns), self.p))
+        slope[:, rb.ELEMENTS] = by_elements
+        return least, slope
+
     def maps(self, unknowns: Array) -> Array:
         """(K, 1 + f, WIDTH, width) what makes rows [x, y] here, and its derivatives."""
         return self.basis.maps(unknowns[:, COORDINATES])

@@ -12,6 +12,8 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
+_KEPT = 0.1
+"""Share of the way to the edge of what is allowed that a step leaves."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,13 @@ class Minimized(Protocol[At]):
         """(K,) whether unknowns mean anything."""
         ...
 
+    def margin(self, unknowns: Array) -> tuple[Array, Array]:
+        """(K,) how far from the edge of what is allowed, in any unit, and its (K, p) derivatives.
+
+        Negative beyond it.
+        """
+        ...
+
     def fall(self, before: At, after: At) -> Array:
         """(K,) by how much a step lowers what is minimized."""
         ...
@@ -130,14 +139,18 @@ def _descend(
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)
         d = scales(hessian)
-        step, downhill = _step(hessian, gradient, d, damping)
+        step, downhill, H = _step(hessian, gradient, d, damping)
+        candidate = problem.moved(point.unknowns, step / d)
+        allowed = problem.are_allowed(candidate)
+        if not allowed.all():
+            step = _along_edge(problem, point.unknowns, step, d, H, ~allowed)
+            candidate = problem.moved(point.unknowns, step / d)
+            allowed = problem.are_allowed(candidate)
         # How much the cost can still fall, in units of the likelihood.
         before, gain = gain, (step * downhill).sum(axis=1)
         # Steps that do not become shorter any more are rounding.
         small = gain < stopping.enough**2
         small |= (gain < stopping.unseen**2) & (gain > 0.5 * before)
-        candidate = problem.moved(point.unknowns, step / d)
-        allowed = problem.are_allowed(candidate)
         tried = problem.evaluate(np.where(allowed[:, None], candidate, point.unknowns))
         fall = problem.fall(point, tried)
         unseen = (gain < stopping.unseen**2) & (damping <= stopping.shortened)
@@ -164,12 +177,39 @@ def _descend(
     return point, converged
 
 
-def _step(hessian: Array, gradient: Array, d: Array, damping: Array) -> tuple[Array, Array]:
-    """(K, p) damped step and (K, p) gradient, both in units of (K, p) scales."""
+def _along_edge(
+    problem: Minimized[At], unknowns: Array, step: Array, d: Array, H: Array, outside: Mask
+) -> Array:
+    """(K, p) steps, those that lead outside bent along the edge of what is allowed.
+
+    Of all steps that stay inside it is the one of least cost (active set: Nocedal and Wright 2006,
+    Numerical Optimization, 16.5). Cut short, they would get nowhere once the edge is near.
+
+    Args:
+        problem: K hypotheses.
+        unknowns: (K, u) where the steps start.
+        step: (K, p) in units of d.
+        d: (K, p) scales.
+        H: (K, p, p) damped curvature in these units.
+        outside: (K,) which steps lead outside.
+    """
+    margin, inward = problem.margin(unknowns)
+    inward = inward / d
+    way = np.linalg.solve(H, inward[..., None])[..., 0]
+    away = (inward * way).sum(axis=1)
+    for _ in range(4):  # edges are curved
+        left, _slope = problem.margin(problem.moved(unknowns, step / d))
+        short = np.where(outside, np.maximum(_KEPT * margin - left, 0.0), 0.0)
+        step = step + way * (short / away)[:, None]
+    return step
+
+
+def _step(hessian: Array, gradient: Array, d: Array, damping: Array) -> tuple[Array, Array, Array]:
+    """(K, p) damped step, (K, p) gradient and (K, p, p) damped curvature, in units of d."""
     H = hessian / (d[:, :, None] * d[:, None, :])
     H = H + (damping + _lift(H))[:, None, None] * np.eye(d.shape[1])
     downhill = gradient / d
-    return np.linalg.solve(H, downhill[..., None])[..., 0], downhill
+    return np.linalg.solve(H, downhill[..., None])[..., 0], downhill, H
 
 
 def _lift(H: Array) -> Array:
@@ -197,7 +237,7 @@ def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
 
     def to_go(at: At) -> tuple[Array, Array]:
         """Step to where the gradient vanishes, in units of d, and (K,) how far that is."""
-        step, downhill = _step(hessian, problem.with_prior(at)[0], d, damping)
+        step, downhill, _ = _step(hessian, problem.with_prior(at)[0], d, damping)
         return step, (step * downhill).sum(axis=1)
 
     found = problem.evaluate(point.unknowns)

@@ -42,8 +42,8 @@ from gcs_sysid.model import rigid_body as rb
 
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
-_NEAR, _ROUNDS = 0.1, 4
-"""Squared standard deviations that a search may be from the minimum; how often it continues."""
+_NEAR = 0.1
+"""Squared standard deviations that a search may be from the minimum."""
 _KNOWN_TO = 0.2
 """Of a moment of inertia: those known better show how much colored residuals widen intervals."""
 _OF_AXES = np.zeros((3, 3, rb.N_SIGNALS))
@@ -105,14 +105,12 @@ def fit_rotation(
         point, converged = minimize(problem, unknowns, 12)
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
-        for round_ in range(_ROUNDS + 1):
-            # A search that steps out of the physical inertias only is at no minimum.
-            stuck = Outcome(problem, point, of_speeds).left >= _NEAR
-            converged &= ~stuck
-            if converged.any() or round_ == _ROUNDS:
-                break
+        if not converged.any():
             # Curve and lag bend the valley: it takes many steps along.
             point, converged = minimize(problem, point.unknowns, MAX_ITERATIONS)
+        # At the edge of the physical inertias there is no minimum.
+        stuck = Outcome(problem, point, of_speeds).left >= _NEAR
+        converged &= ~stuck
     pull = None
     if basis.motors and noise.any():
         # Such noise is a good part of what slow commands show: unlike that of measured speeds, one

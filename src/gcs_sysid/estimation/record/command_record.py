@@ -80,6 +80,28 @@ class TunedRows:
         """Whether the motors found are so many steps of the linearization away, at most."""
         return self._is_near(self.fit.rotation, steps)
 
+    @property
+    def stayed(self) -> bool:
+        """Whether rows about the motors found would show these again.
+
+        They hardly moved by the steps of the linearization; or, where the flight knows them less
+        well than that, by their standard deviations together.
+        """
+        if self.is_within(STAYED):
+            return True
+        places = rb.N_THETA + np.array(self.basis.free)
+        off = self.fit.rotation.unknowns[places] - self.basis.at[list(self.basis.free)]
+        known = self.fit.rotation.full_covariance[np.ix_(places, places)]
+        return self.trusted and float(off @ np.linalg.solve(known, off)) < STAYED**2
+
+    @property
+    def next_at(self) -> Array:
+        """(N_COORDINATES,) motors about which rows are made next: those found, where these are not
+        too far off.
+        """
+        far = TRUSTED * self.basis.moved
+        return np.clip(self.fit.rotation.coordinates, self.basis.at - far, self.basis.at + far)
+
     def distance_doubt(self, fit: RotationFit) -> Array:
         """(N_UNKNOWNS, N_UNKNOWNS) covariance of what a later fit to the rows may be off by.
 
@@ -359,8 +381,7 @@ class CommandRecord:
         self._check = _CHECKED * seconds
         starts: list[tuple[Array, LagOf]] = []
         if self._now is not None:
-            basis = self._now.basis
-            starts.append((basis.at, basis.lag_place.of))
+            starts.append(self._start_from(self._now))
         sought = self._now is None or seconds < _SURE
         slow = window()() if sought and window is not None else None
         if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
@@ -396,7 +417,7 @@ class CommandRecord:
             if self._settled is None or self._settled[0] != self._samples:
                 start = (COORDINATE_MEAN, LAGS_OF[0])
                 if before is not None:
-                    start, hover = (before.basis.at, before.basis.lag_place.of), before.maker.hover
+                    start, hover = self._start_from(before), before.maker.hover
                 found = self._found([start], hover, LAGS_OF)
                 if before is None and found is not None and not found[0].is_believed:
                     found = None
@@ -490,9 +511,6 @@ class CommandRecord:
         """
         tuned = None
         for round_ in range(_ROUNDS):
-            if tuned is not None:
-                far = TRUSTED * tuned.basis.moved
-                at = np.clip(at, tuned.basis.at - far, tuned.basis.at + far)
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
             now = self._now
             if leading is not None:
@@ -501,23 +519,40 @@ class CommandRecord:
                 basis, maker, white = now.basis, now.maker, now.white
             else:
                 maker, white = self._made(basis, hover)
-            found = self._fitted(white, basis)
+            found = self._fitted(white, basis, None if tuned is None else tuned.fit.rotation)
             if found is None:
                 return tuned
-            at = found.rotation.coordinates
-            stayed = bool((np.abs(at - basis.at) < STAYED * basis.moved).all())
-            away = np.zeros(N_UNKNOWNS)
-            if not stayed and tuned is not None:
-                away = found.rotation.unknowns - tuned.fit.rotation.unknowns
+            before, away = tuned, np.zeros(N_UNKNOWNS)
             tuned = TunedRows(basis, maker, white, found, away, self._samples)
-            tried = round_ + 1 >= _ROUNDS_OF_OTHERS
-            if stayed or (leading is not None and leading.is_enough(tuned, tried=tried)):
+            if tuned.stayed:
                 break
+            if before is not None:
+                away = found.rotation.unknowns - before.fit.rotation.unknowns
+                tuned = replace(tuned, away=away)
+            tried = round_ + 1 >= _ROUNDS_OF_OTHERS
+            if leading is not None and leading.is_enough(tuned, tried=tried):
+                break
+            at = tuned.next_at
         return tuned
 
-    def _fitted(self, white: WhitenedRecord, basis: LocalDynamics) -> WhitenedFit | None:
-        """The motors; their standard deviations count for slow commands alone."""
-        return fit_whitened(white.moments(white.silence), basis, scatter=self._dt > _BETWEEN)
+    def _start_from(self, tuned: TunedRows) -> tuple[Array, LagOf]:
+        """Motors that rows show by now, and what lags; those of the rows, where they stayed."""
+        found, of = self._fitted(tuned.white, tuned.basis), tuned.basis.lag_place.of
+        now = tuned if found is None else replace(tuned, fit=found)
+        return (tuned.basis.at if now.stayed else now.next_at), of
+
+    def _fitted(
+        self, white: WhitenedRecord, basis: LocalDynamics, start: RotationFit | None = None
+    ) -> WhitenedFit | None:
+        """The motors; their standard deviations count for slow commands alone.
+
+        Args:
+            white: moments of rows.
+            basis: that they are made about.
+            start: what rows about other motors showed; None: from the data alone.
+        """
+        data = white.moments(white.silence)
+        return fit_whitened(data, basis, start, scatter=self._dt > _BETWEEN)
 
     def _rounded(self, at: Array) -> Array:
         rounded: Array = np.rint(at / _GRID) * _GRID

@@ -43,7 +43,7 @@ LOW = np.array([-0.03, 0.002, -0.3, -1.5, -1.5])
 HIGH = np.array([0.06, 0.2, 1.3, 1.5, 2.5])
 """Range of delay (s), lag (s), curve, asymmetry and exponent."""
 _MOVED = np.array([0.0, 0.0, 0.05, 0.05, 0.1])
-"""By how much curve, asymmetry and exponent are moved for their derivatives; lag by a twentieth."""
+"""Of curve, asymmetry and exponent, over which rows are linear, nearly; of the lag a twentieth."""
 _SPACING = 0.004
 """s between the delays that a parabola is laid through."""
 STEP = 0.012
@@ -87,7 +87,7 @@ class LocalDynamics(ActuatorDynamics):
         self.low, self.high = LOW, HIGH
         self.nodes = self.at[None]
         self.moved = _MOVED.copy()
-        """(N_COORDINATES,) by how much each is moved for its derivative."""
+        """(N_COORDINATES,) steps of the linearization, which the sets are in."""
         self.moved[Coordinate.LAG] = 0.05 * self.at[Coordinate.LAG]
         self.spacing = max(round(_SPACING / dt), 1)
         """Samples between delays."""
@@ -96,7 +96,7 @@ class LocalDynamics(ActuatorDynamics):
         """Samples of delay in the middle."""
         self._middle = self.late_by * dt
         self.varied = tuple(i for i in self.free if i != Coordinate.DELAY)
-        """Those moved."""
+        """Those with a set of their own."""
         self.sets = 3 + len(self.varied)
         self.late = self.sets * OWN
         self._slopes = np.zeros((1 + len(self.free), self.sets))
@@ -149,8 +149,8 @@ class MeanThrust:
 
     Attributes:
         basis: the motors that thrust was summed with.
-        sums: of thrust over samples: at these motors, with each of their parameters moved that
-            varies, and with one time constant.
+        sums: of thrust over samples: at these motors, what moving each of their parameters that
+            varies changes, and with one time constant.
     """
 
     basis: LocalDynamics
@@ -170,7 +170,7 @@ class MeanThrust:
             return 0.0, slope
         for place, i in enumerate(self.basis.varied, 1):
             if i in (Coordinate.ASYMMETRY, Coordinate.EXPONENT):
-                slope[i] = (self.sums[place] - self.sums[0]) / (even * self.basis.moved[i])
+                slope[i] = self.sums[place] / (even * self.basis.moved[i])
         share = (self.sums[0] - even) / even + slope @ (at - self.basis.at)
         return float(share), slope
 
@@ -188,16 +188,13 @@ class MotorRows:
     def __init__(self, geometry: Array, dt: float, basis: LocalDynamics, hover: float) -> None:
         self._dt, self._basis, self.hover = dt, basis, hover
         self._mixer, self._spin = rb.mixer(geometry), geometry[2]
-        points = np.tile(basis.at, (1 + len(basis.varied), 1))
-        for row, i in enumerate(basis.varied, 1):
-            points[row, i] += basis.moved[i]
-        # Last, motors with one time constant, for the mean thrust.
-        points = np.concatenate([points, points[:1]])
-        points[-1, [Coordinate.ASYMMETRY, Coordinate.EXPONENT]] = 0.0
-        self._thrusts = np.zeros(len(points))
-        _, self._tau, self._curve, e, self._p = (v[:, None] for v in points.T)
-        self._up, self._down = np.exp(-0.5 * e), np.exp(0.5 * e)
-        self._hover = self._drive(np.full((1, geometry.shape[1]), hover))[0]
+        _, self._tau, self._curve, self._e, self._p = basis.at.tolist()
+        # Of the state, of what each parameter that varies does to it, and, for the mean thrust, of
+        # motors with one time constant.
+        self._points = 2 + len(basis.varied)
+        self._thrusts = np.zeros(self._points)
+        at_hover, by_curve = self._drive(np.array(hover))
+        self._hover, self._hover_by_curve = float(at_hover), float(by_curve)
         self._step = step_of(dt)
         before, after = basis.late_by - basis.spacing, basis.late_by + basis.spacing
         # Rows about any motors are of the same samples, and so of the same noise: whole steps, and
@@ -233,8 +230,7 @@ class MotorRows:
         # One after the other: sums are the same however samples are grouped.
         sums = np.concatenate([self._thrusts[None], signals[whole, :, _THRUST]])
         self._thrusts = np.cumsum(sums, axis=0)[-1]
-        signals = signals[:, :-1]
-        points = signals.shape[1]
+        signals, points = signals[:, :-1], self._points - 1
         timeline = np.column_stack([signals.reshape(-1, points * SIGNALS), gyro, rates])
         if self._held is not None:
             timeline = np.concatenate([self._held, timeline])
@@ -248,7 +244,7 @@ class MotorRows:
         rotors = np.empty((count, sets, SIGNALS))
         rotors[:, 0] = late[:, 0]
         rotors[:, 1], rotors[:, 2] = before[:, 0] - late[:, 0], after[:, 0] - late[:, 0]
-        rotors[:, 3:] = late[:, 1:] - late[:, :1]
+        rotors[:, 3:] = late[:, 1:]
         gyro, rates = timeline[now, -6:-3], timeline[now, -3:]
         products = rotors[..., -1:] * rates[:, None, 1::-1]
         flat = rotors.reshape(-1, sets * SIGNALS)
@@ -279,80 +275,139 @@ class MotorRows:
 
     def _signals(self, inputs: Array) -> Array:
         """(n, points, SIGNALS) roll, pitch, thrust, yaw and H, undelayed; NaN until settled."""
-        x = np.full((len(inputs), *self._tau.shape[:1], inputs.shape[1]), np.nan)
+        out = np.full((len(inputs), self._points, SIGNALS), np.nan)
         for run, there in runs(complete_rows(inputs)):
             if not there:
                 self._state = None
                 continue
-            driven = self._drive(inputs[run])
+            driven = np.stack(self._drive(inputs[run]))
             if self._state is None:
-                self._state, self._last = driven[0], driven[0]
+                self._state = np.zeros((self._points, inputs.shape[1]))
+                self._state[[0, -1]], self._last = driven[0, 0], driven[:, 0]
+                if Coordinate.CURVE in self._basis.varied:
+                    place = 1 + self._basis.varied.index(Coordinate.CURVE)
+                    self._state[place] = driven[1, 0] * self._basis.moved[Coordinate.CURVE]
                 self._wait = self._settling
             reached = self._lagged(driven)
             skip = min(self._wait, len(reached))
             self._wait -= skip
-            x[run.start + skip : run.stop] = reached[skip:]
-        c, of = self._curve, self._basis.lag_place.of
-        share = x * x if of == "speed" else x if of == "thrust" else (1.0 - c) * x + c * x * x
-        speed = x if of == "speed" else np.sqrt(np.maximum(share, _LEAST))
-        return np.concatenate([share @ self._mixer, (speed @ self._spin)[..., None]], axis=-1)
+            share, speed = self._thrust(reached[skip:])
+            at = slice(run.start + skip, run.stop)
+            out[at, :, :-1], out[at, :, -1] = share @ self._mixer, speed @ self._spin
+        return out
 
-    def _drive(self, u: Array) -> Array:
-        """(n, points, rotors) what the state goes after, of (n, rotors) commands."""
-        u, c = u[:, None], self._curve
+    def _drive(self, u: Array) -> tuple[Array, Array]:
+        """What the state goes after, of commands, and its derivative by the curve."""
         of = self._basis.lag_place.of
-        share = (1.0 - c) * u + c * u * u
+        if of == "command":
+            return u, np.zeros_like(u)
+        share, by_curve = (1.0 - self._curve) * u + self._curve * u * u, u * u - u
+        return (share, by_curve) if of == "thrust" else _root(share, by_curve)
+
+    def _thrust(self, states: Array) -> tuple[Array, Array]:
+        """(n, points, rotors) shares of full thrust, and roots of these, of so many states."""
+        of, c = self._basis.lag_place.of, self._curve
+        x, changes = states[:, [0, -1]], states[:, 1:-1]
+        share, by_state, by_curve = x, np.ones_like(x), np.zeros_like(x)
         if of == "speed":
-            driven: Array = np.sqrt(np.maximum(share, _LEAST))
-        else:
-            driven = share if of == "thrust" else np.broadcast_to(u, share.shape)
-        return driven
+            share, by_state = x * x, 2.0 * x
+        elif of == "command":
+            share, by_state, by_curve = x + c * (x * x - x), 1.0 - c + 2.0 * c * x, x * x - x
+        slopes = by_state[:, :1] * changes
+        if Coordinate.CURVE in self._basis.varied:
+            place = self._basis.varied.index(Coordinate.CURVE)
+            slopes[:, place] += by_curve[:, 0] * self._basis.moved[Coordinate.CURVE]
+        shares = np.concatenate([share[:, :1], slopes, share[:, 1:]], axis=1)
+        if of == "speed":
+            return shares, states
+        roots, by_share = _root(share, np.ones_like(share))
+        slopes = by_share[:, :1] * slopes
+        return shares, np.concatenate([roots[:, :1], slopes, roots[:, 1:]], axis=1)
 
     def _lagged(self, driven: Array) -> Array:
-        """The states after each sample, commands halfway between two samples in force there."""
+        """(n, points, rotors) after each sample, commands halfway between two in force there.
+
+        Args:
+            driven: (2, n, rotors) as of `_drive`.
+        """
         assert self._state is not None
-        mean = 0.5 * (driven + np.concatenate([self._last[None], driven[:-1]]))
-        self._last = driven[-1]
-        # (points, rotors, n): each state's samples lie side by side.
-        v = np.ascontiguousarray(np.moveaxis(mean, 0, -1))
+        mean = 0.5 * (driven + np.concatenate([self._last[:, None], driven[:, :-1]], axis=1))
+        self._last = driven[:, -1]
+        # (rotors, n): each state's samples lie side by side.
+        v, v_by_curve = np.ascontiguousarray(np.moveaxis(mean, 1, -1))
         first = self._state[..., None]
         # A state stays among what it goes after.
-        low = np.minimum(v.min(axis=-1, keepdims=True), first)
-        high = np.maximum(v.max(axis=-1, keepdims=True), first)
-        kept = np.broadcast_to(np.exp(-self._dt / self._tau)[..., None], v.shape)
-        x = np.concatenate([first, recursion(kept, (1.0 - kept) * v, first)], axis=-1)
+        low = np.minimum(v.min(axis=-1, keepdims=True), first[0])
+        high = np.maximum(v.max(axis=-1, keepdims=True), first[0])
+        kept = np.full(v.shape, np.exp(-self._dt / self._tau))
+        states = np.empty((self._points, len(v), len(mean[0]) + 1))
+        states[..., :1] = first
+        states[-1, :, 1:] = recursion(kept, (1.0 - kept) * v, first[-1])
+        x = states[0]
+        x[:, 1:] = recursion(kept, (1.0 - kept) * v, first[0])
         # Which time constant is in force depends on the state itself. Newton's method finds all
         # states at once, in some five steps: a state is exact one step after the one before it,
         # so that it ends, and where one time constant does, its steps are quadratic.
-        for _ in range(len(mean) + 1):
-            before = x[..., :-1]
+        for _ in range(len(mean[0]) + 1):
+            before = x[:, :-1]
             away = before - v
-            share, slope = self._shares(before, away)
-            after = recursion(slope, v + away * share - slope * before, first)
+            rate, _above = self._rates(before, away)
+            share = np.exp(rate)
+            slope = self._slope(before, away, rate, share)
+            after = recursion(slope, v + away * share - slope * before, first[0])
             np.clip(after, low, high, out=after)
-            moved = float(np.abs(after - x[..., 1:]).max())
-            x[..., 1:] = after
+            moved = float(np.abs(after - x[:, 1:]).max())
+            x[:, 1:] = after
             # A smaller step, of full thrust, leaves nothing but rounding.
             if moved < 1e-9:
                 break
-        self._state = x[..., -1].copy()
-        reached: Array = np.moveaxis(x[..., 1:], -1, 0)
-        return reached
-
-    def _shares(self, x: Array, away: Array) -> tuple[Array, Array]:
-        """What a sample leaves of how far states are away, and the slope of the next state.
-
-        Args:
-            x: (points, rotors, n) states.
-            away: from what they go after.
-        """
-        least, p = _SLOWEST * self._hover[..., None], self._p[..., None]
-        above = np.maximum(x, least)
-        rate = np.where(
-            away < 0.0,
-            (-self._dt / (self._tau * self._up))[..., None],
-            (-self._dt / (self._tau * self._down))[..., None],
-        )
-        rate *= np.exp(p * np.log(above / self._hover[..., None]))
+        before = x[:, :-1]
+        away = before - v
+        rate, above = self._rates(before, away)
         share = np.exp(rate)
-        return share, share * (1.0 + np.where(x > least, p * away * rate / above, 0.0))
+        slope = self._slope(before, away, rate, share)
+        # What each parameter does to the next state by itself, and from there on.
+        bent = away * share * rate
+        added = np.empty((len(self._basis.varied), *v.shape))
+        for own, i in zip(added, self._basis.varied, strict=True):
+            if i == Coordinate.LAG:
+                own[:] = -bent / self._tau
+            elif i == Coordinate.ASYMMETRY:
+                own[:] = np.where(away < 0.0, 0.5 * bent, -0.5 * bent)
+            elif i == Coordinate.EXPONENT:
+                own[:] = bent * above
+            else:
+                faster = np.where(before > self._slowest, self._p / self._hover, 0.0)
+                own[:] = (1.0 - share) * v_by_curve - bent * faster * self._hover_by_curve
+            own *= self._basis.moved[i]
+        states[1:-1, :, 1:] = recursion(np.broadcast_to(slope, added.shape), added, first[1:-1])
+        self._state = states[..., -1].copy()
+        return np.moveaxis(states[..., 1:], -1, 0)
+
+    @property
+    def _slowest(self) -> float:
+        """State below which a lag no longer grows."""
+        return _SLOWEST * self._hover
+
+    def _rates(self, x: Array, away: Array) -> tuple[Array, Array]:
+        """-dt over the time constant of (rotors, n) states, and ln of these over hover's."""
+        above = np.log(np.maximum(x, self._slowest) / self._hover)
+        rate: Array = np.exp(self._p * above)
+        rate *= (
+            -self._dt
+            / self._tau
+            * np.where(away < 0.0, np.exp(0.5 * self._e), np.exp(-0.5 * self._e))
+        )
+        return rate, above
+
+    def _slope(self, x: Array, away: Array, rate: Array, share: Array) -> Array:
+        """Of the next state by (rotors, n) states, a share of how far these are away being left."""
+        least = self._slowest
+        faster = np.where(x > least, self._p * away * rate / np.maximum(x, least), 0.0)
+        return share * (1.0 + faster)
+
+
+def _root(share: Array, change: Array) -> tuple[Array, Array]:
+    """The root of shares of full thrust, and its change with theirs; flat where they are least."""
+    root = np.sqrt(np.maximum(share, _LEAST))
+    return root, np.where(share > _LEAST, 0.5 * change / root, 0.0)
