@@ -20,7 +20,7 @@ from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude
 
 PAPER = load_airframe("paper")
 MASS, K_T = 1.5, 2.05e-4

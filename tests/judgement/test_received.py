@@ -14,8 +14,8 @@ from gcs_sysid.judgement.received import frozen_samples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.signals.imu_checks import Saturated
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.saturation import Saturated
 from tests.known_theta import THETA
 
 ALL = Received(frozenset({Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED}), searched=True)

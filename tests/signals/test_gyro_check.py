@@ -5,7 +5,7 @@ import pytest
 
 from gcs_sysid.judgement.imu_faults import gyro_fault, misread_axes
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.gyro_check import GyroCheck
+from gcs_sysid.signals.imu_checks import GyroCheck
 
 RATE = 100.0
 T = np.arange(0.0, 40.0, 1.0 / RATE)

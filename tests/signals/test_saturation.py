@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.signals.saturation import Saturation
+from gcs_sysid.signals.imu_checks import Saturation
 
 STEP = 1e-3
 T = 0.004 * np.arange(20_000)

@@ -21,11 +21,10 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.flight_detection import FlightDetector
-from gcs_sysid.signals.gyro_check import RULES as GYRO_CHECK
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude, GyroCheck
+from gcs_sysid.signals.imu_checks import RULES as GYRO_CHECK
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, GyroCheck, Saturated, Saturation
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.recursions import lfilter
-from gcs_sysid.signals.saturation import Saturated, Saturation
 
 
 class _Integrals:

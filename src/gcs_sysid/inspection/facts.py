@@ -9,9 +9,8 @@ from gcs_sysid.judgement.status import Readiness, level_of, readiness
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.session.reported_layout import ReportedLayout
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.saturation import Saturated
 from gcs_sysid.telemetry.vehicles import RADIO, MavlinkSystem
 
 SCHEMA = "gcs-sysid-inspect/1"

@@ -14,12 +14,11 @@ from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, Rotor
 from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
 from gcs_sysid.session.chain import WINDOW
 from gcs_sysid.signals.columns import RecordBlock
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
-from gcs_sysid.signals.saturation import Saturated
 from gcs_sysid.telemetry.clock import JUMP_BACK
 from gcs_sysid.telemetry.monitor import Monitor
 

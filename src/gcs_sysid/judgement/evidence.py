@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 from gcs_sysid.model.airframe import Airframe, ScaleKind
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.saturation import Saturated
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.online.fit import Fit

@@ -11,8 +11,7 @@ from gcs_sysid.judgement.status import reference_values
 from gcs_sysid.model import attitude
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES, GRAVITY, REGISTRY
-from gcs_sysid.signals.gyro_check import GyroAgainstAttitude
-from gcs_sysid.signals.saturation import Saturated
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.significance import Z95
 
 _SYSTEMATIC = np.array([0.015, 0.015, 0.05])

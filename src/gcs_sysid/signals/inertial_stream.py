@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.saturation import Saturation
+from gcs_sysid.signals.imu_checks import Saturation
 from gcs_sysid.signals.stream_buffer import (
     FAR,
     StreamBuffer,

@@ -12,7 +12,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
-from gcs_sysid.signals.gyro_check import GyroCheck
+from gcs_sysid.signals.imu_checks import GyroCheck
 from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of

@@ -14,10 +14,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.signals.columns import Key, Track, by_key
+from gcs_sysid.signals.imu_checks import Saturation
 from gcs_sysid.signals.inertial_stream import FaultCounts, InertialBuffer
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_speed_stream import RotorBuffer
-from gcs_sysid.signals.saturation import Saturation
 from gcs_sysid.signals.stream_buffer import BREAK, StreamBuffer
 
 _IMU: Key = (Stream.IMU, "", 0)
