@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from gcs_sysid.judgement.clock_doubt import clock_doubt, is_simulated
+from gcs_sysid.judgement.received import clock_doubt, is_simulated
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions

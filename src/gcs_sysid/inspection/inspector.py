@@ -33,7 +33,7 @@ from gcs_sysid.inspection.stream_watch import (
     assumed_airframe,
     set_back,
 )
-from gcs_sysid.judgement.clock_doubt import clock_doubt
+from gcs_sysid.judgement.received import clock_doubt
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.columns import Key, RecordBlock, Track, by_key

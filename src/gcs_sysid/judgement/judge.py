@@ -10,7 +10,7 @@ from enum import IntEnum
 from math import hypot
 from typing import Any, NamedTuple, TypeVar
 
-from gcs_sysid.judgement import clock_doubt, imu_faults, outcome, plausibility, prediction, received
+from gcs_sysid.judgement import imu_faults, outcome, plausibility, prediction, received
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import by_interval, nothing, reference_values
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
@@ -52,7 +52,7 @@ class Producer(NamedTuple):
 PRODUCERS = (
     Producer("vehicle", received.vehicle, Stage.BELIEF, first=True),
     Producer("layout", received.layout, Stage.BELIEF, first=True),
-    Producer("clock", clock_doubt.wrong_clock, Stage.WIDENING),
+    Producer("clock", received.wrong_clock, Stage.WIDENING),
     Producer("estimator", received.estimator, Stage.BELIEF, first=True),
     Producer("data", received.missing_data, Stage.BELIEF, first=True),
     Producer("data", received.without_attitude, Stage.BELIEF),

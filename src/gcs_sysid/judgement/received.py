@@ -1,14 +1,21 @@
-"""Objections by the data themselves: what is missing, and what link or log say of it."""
+"""Objections by the data themselves: what is missing, and what link or log say of it.
+
+Everything depends on the vehicle's clock: angular acceleration, and with it inertia, has its
+relative error. The other clock is the receiving computer's, and where the two drift apart either
+may be wrong; or GPS time, in the autopilot's own log. Good clocks hardly drift. A simulator that
+does not keep real time does so without being wrong: its clock is that of its physics.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.judgement.evidence import Evidence, Received
+from gcs_sysid.judgement.evidence import ClockDoubt, Evidence, Received
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model.airframe import ScaleKind
 from gcs_sysid.model.estimate import Objection, Verdict
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.signals.records import Stream
 
 NAMED_LOSS = 0.1
@@ -20,6 +27,12 @@ ROTORS = "rotors"
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
 _TOO_LITTLE = "too little flight with all needed data"
+TWO_GOOD_CLOCKS = 500.0
+"""ppm. Crystals are off by less than 100; a computer's clock that is being set by the network is
+slewed by up to 500. What stays below it costs inertia 0.05 %, less than its noise usually does."""
+NO_CLOCK = 30_000.0
+"""ppm, from which on it is a matter of simulated time. A serial port whose clock is off by 2 to 3 %
+is not understood any more."""
 
 
 def vehicle(evidence: Evidence) -> Iterator[Objection]:
@@ -188,3 +201,59 @@ def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> _Reasons:
     if anchor == "T_max":
         return (*reasons, ("without commands T_max cannot set the scale", "give --mass or --k-t"))
     return reasons
+
+
+def clock_doubt(
+    bounds: tuple[float, float] | None, parameters: Mapping[str, float], *, by_gps: bool = False
+) -> ClockDoubt | None:
+    """What is to be doubted; None where nothing is.
+
+    Args:
+        bounds: ppm between which the vehicle's clock drifts against the receiving computer's;
+            None: not known.
+        parameters: of the autopilot, as far as they are known.
+        by_gps: whether the other clock is GPS time.
+    """
+    if bounds is None or (bounds[0] <= TWO_GOOD_CLOCKS and bounds[1] >= -TWO_GOOD_CLOCKS):
+        return None
+    ppm = 0.5 * sum(bounds)
+    if abs(ppm) >= NO_CLOCK or is_simulated(parameters):
+        return None
+    return ClockDoubt(1e-6 * ppm, by_gps)
+
+
+def is_simulated(parameters: Mapping[str, float]) -> bool:
+    """Whether it is a simulator, by parameters that only simulators have.
+
+    Where PX4's firmware can simulate its vehicle, it answers for SIH_MASS in real flight as well.
+    """
+    if any(name.startswith("SIM_") for name in parameters):
+        return True
+    if "SIH_MASS" not in parameters:
+        return False
+    # SYS_AUTOSTART of vehicles that PX4 simulates on a computer.
+    low, high = 10_000.0, 20_000.0
+    # SYS_HITL: PX4 simulates its own vehicle.
+    on_board = parameters.get("SYS_HITL") == 2.0
+    return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
+
+
+def wrong_clock(evidence: Evidence) -> Iterator[Objection]:
+    """Two clocks that drift apart: all that needs one is uncertain by as much."""
+    doubt = evidence.clock
+    if doubt is None:
+        return
+    widening = {}
+    for name in evidence.estimates:
+        clock = REGISTRY[name].clock
+        sized = evidence.estimates.get(clock.of or name)
+        if clock.power and sized is not None and sized.value is not None:
+            widening[name] = abs(doubt.share) * clock.power * abs(sized.value)
+    yield Objection(
+        doubt.reason,
+        frozenset(widening),
+        verdict="partial",
+        widening=widening,
+        evidence={"share": doubt.share},
+        how=doubt.how,
+    )

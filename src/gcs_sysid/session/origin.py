@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from gcs_sysid.judgement.clock_doubt import clock_doubt
 from gcs_sysid.judgement.evidence import ClockDoubt, Evidence
+from gcs_sysid.judgement.received import clock_doubt
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout

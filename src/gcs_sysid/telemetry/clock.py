@@ -3,7 +3,7 @@
 Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
 32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
 seconds since the vehicle's boot. The wall clock is not used: its drift from the vehicle's is
-reported, and rejected where implausible for a clock (`judgement.clock_doubt`).
+reported, and rejected where implausible for a clock (`judgement.received`).
 """
 
 from dataclasses import dataclass
