@@ -84,6 +84,31 @@ def _fields(letter: str, count: int) -> list[str]:
 
 _SMALL = _fields("I", 3) + _fields("P", 3)
 _ROTOR = b'[[rotor]]\nx = 0.2\ny = 0.2\nspin = "cw"\n'
+
+
+def _record(kind: int, content: bytes, times: int = 1) -> bytes:
+    return (struct.pack("<BQ", kind, len(content)) + content) * times
+
+
+def _mcap(definition: str, message: bytes, times: int = 50) -> bytes:
+    """An MCAP file of one message, again and again, of a topic of PX4's."""
+    texts = [b"px4_msgs/msg/SensorCombined", b"ros2msg", definition.encode()]
+    named = b"".join(struct.pack("<I", len(text)) + text for text in texts)
+    topic = struct.pack("<HHI", 1, 1, 24) + b"/fmu/out/sensor_combined\3\0\0\0cdr\0\0\0\0"
+    return (
+        b"\x89MCAP0\r\n" + _record(3, b"\1\0" + named) + _record(4, topic)
+        + _record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"\0\1\0\0" + message, times)
+    )  # fmt: skip
+
+
+def _mcap_bomb() -> bytes:
+    """Chunks of 16 MB of zeros in 500 bytes: a zstd frame of blocks of a repeated byte."""
+    blocks = [struct.pack("<I", (2**17 << 3) | 2 | (i == 127))[:3] + b"\0" for i in range(128)]
+    frame = b"\x28\xb5\x2f\xfd\x00\x38" + b"".join(blocks)
+    head = struct.pack("<QQQII", 0, 0, 2**24, 0, 4) + b"zstd" + struct.pack("<Q", len(frame))
+    return b"\x89MCAP0\r\n" + _record(6, head + frame, 100)
+
+
 FILES: dict[tuple[str, str], Callable[[], bytes]] = {
     **{(".ulg", name): functools.partial(_read_from, make) for name, make in ULG.items()},
     (".ulg", "00 00 5a after definitions"): lambda: (
@@ -118,6 +143,13 @@ FILES: dict[tuple[str, str], Callable[[], bytes]] = {
     (".bbl", "no motors, E in between"): lambda: (
         _bbl(*_SMALL) + (b"I\0\0\0P\0\0\0E\x0e\xff\xff\xff\xff\x0f\0") * 60_000
     ),
+    (".mcap", "a record of 2^64 - 1 bytes"): lambda: b"\x89MCAP0\r\n\x05" + b"\xff" * 10**6,
+    (".mcap", "a type in itself"): lambda: _mcap("px4_msgs/SensorCombined[9] x", bytes(100)),
+    (".mcap", "sequences of nothing"): lambda: _mcap(
+        "Empty[] x\n===\nMSG: px4_msgs/Empty\n", b"\xff" * 100_000
+    ),
+    (".mcap", "60 000 columns"): lambda: _mcap("uint8[60000] gyro_rad", bytes(60_000)),
+    (".mcap", "chunks of 16 MB in 500 bytes"): _mcap_bomb,
     (".toml", "brackets, 1 MB"): lambda: b"a = " + b"[" * 10**6,
     (".toml", "a dotted key of 20 000 parts"): lambda: ".".join("a" * 20_000).encode() + b" = 1",
     (".toml", "a mass of 10 000 digits"): lambda: b"mass = " + b"9" * 10_000 + b"\n" + _ROTOR * 4,

@@ -20,14 +20,18 @@ from gcs_sysid.results.result_data import SCHEMA
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import ASCII, airframe_text, checked
 from gcs_sysid.setup_help.wizard import GivenAnswers, Wizard
+from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.rosbag import read_rosbag
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.swings import read_plan
 from testbed.fuzz.harness import Scratch, one_line_errors
+from testbed.ros_bags import mavros_bag, px4_bag
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
 _log = Scratch("")
@@ -60,6 +64,13 @@ def check_bin(data: bytes) -> None:
         recording = read_dataflash(path)
         check_recording(recording)
         assert 0 <= recording.garbage_bytes <= len(data)
+
+
+def check_rosbag(data: bytes) -> None:
+    """A recording of ROS 2 is read or refused."""
+    path = _log.put(data)
+    with one_line_errors():
+        check_recording(read_rosbag(path))
 
 
 def check_log(data: bytes) -> None:
@@ -316,6 +327,26 @@ def bin_seeds() -> list[bytes]:
     text += b"FMT, 1, 31, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ\r\n"
     text += b"FMT, 2, 23, PARM, Nf, Name,Value\r\nPARM, FRAME, 1\r\n"
     return [*logs, text + b"IMU, 1000, 0.1, 0.2, 0.3, 0.4, 0.5, -9.8\r\n" * 3]
+
+
+def rosbag_seeds() -> list[bytes]:
+    """Both containers of a flight by PX4 and by MAVROS, of few samples."""
+    t = np.arange(6) * 0.01
+    tracks = [
+        Track(Stream.IMU, t, np.full((6, 6), -9.8)),
+        Track(Stream.ATTITUDE, t, np.tile([1.0, 0.0, 0.0, 0.0], (6, 1))),
+        Track(Stream.VELOCITY, t, np.ones((6, 6))),
+        Track(Stream.ROTOR_SPEED, t, np.full((6, 4), 400.0)),
+    ]
+    seeds = []
+    for bag in (px4_bag(_ulg.put(ulg_seeds()[0])), mavros_bag(tracks)):
+        path = _log.put(b"")
+        path.unlink()
+        bag.database(path)
+        seeds.append(path.read_bytes())
+        with contextlib.suppress(ImportError):  # of an extra
+            seeds += [bag.mcap(), bag.mcap("zstd", chunk_size=300)]
+    return seeds
 
 
 def packed_seeds() -> list[bytes]:

@@ -43,6 +43,9 @@ HARNESSES = (
     ),
     Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
     Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
+    Harness(
+        "rosbag", "recordings of ROS 2", files.check_rosbag, files.rosbag_seeds, 3.0, (), 65_536
+    ),
     Harness("log", "logs of any format", files.check_log, files.packed_seeds, 1.0, _FMT, 4096),
     Harness("bbl", "blackbox logs", blackbox.check_bbl, blackbox.bbl_seeds, 3.0, _BBL, 4096),
     Harness(

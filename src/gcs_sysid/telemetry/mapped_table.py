@@ -20,12 +20,12 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import MOST_BYTES_OF_TEXT, parse_toml, read_text
-from gcs_sysid.model.attitude import align_signs, conjugate, multiply, rotate
+from gcs_sysid.model.attitude import conjugate, multiply, rotate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM
-from gcs_sysid.telemetry.track_collector import Recording, interpolated
+from gcs_sysid.telemetry.track_collector import Recording, interpolated, upright
 from gcs_sysid.telemetry.vehicles import multirotor_type
 
 _DEGREE = math.pi / 180.0
@@ -353,7 +353,7 @@ def _add_tracks(
         signal = mapping.signals["velocity"]
         if signal.world == "body":
             at, q = values["attitude"]
-            turns = interpolated(t, at, align_signs(_attitude(mapping.signals["attitude"], q)))
+            turns = interpolated(t, at, upright(_attitude(mapping.signals["attitude"], q)))
             turns /= np.linalg.norm(turns, axis=1, keepdims=True)
             v = rotate(turns, v * _BODIES[signal.frame])
         motion[:, :3] = _in_ned(v, signal.world)

@@ -23,7 +23,7 @@ _TYPES = {
     "float64": "f8",
 }  # fmt: skip
 _TIMES = {"builtin_interfaces/Time", "builtin_interfaces/Duration"}
-_SECTION = re.compile(r"^=+[ \t]*\r?\nMSG:[ \t]*(\S+)[ \t]*$", re.MULTILINE)
+_SECTION = re.compile(r"^=+[ \t]*\r?\nMSG:[ \t]*([\w/]+)[ \t]*$", re.MULTILINE)
 _FIELD = re.compile(
     r"([A-Za-z][\w/]*)(?:<=\d+)?(?:\[(<=[0-9]*|[0-9]{0,9})\])?\s+([A-Za-z]\w*)\s*(=?)"
 )
@@ -88,6 +88,8 @@ class _Layout:
     """
 
     MOST_NESTING = 8
+    MOST_COLUMNS = 1024
+    """As of a .ulg's topic."""
 
     def __init__(
         self, types: _Types, message: bytes, is_read: Callable[[str], bool], steps: int
@@ -139,8 +141,9 @@ class _Layout:
         start = self._align(size) if count else self._at
         self._pass(size * count)
         if self._is_read(name):
+            if len(self.columns) + count > self.MOST_COLUMNS:
+                raise InputError(f"messages with more than {self.MOST_COLUMNS} fields of interest")
             for i in range(count):
-                self._step()
                 column = f"{name}[{i}]" if many else name
                 self.columns.append((column, self._order + kind, start + size * i))
 
@@ -187,7 +190,7 @@ class MessageColumns:
     """Bytes of messages that become columns together."""
     MOST_LAYOUTS = 100
     """Different ones in a piece."""
-    MOST_STEPS = 100_000
+    MOST_STEPS = 20_000
     """Of all layouts of a piece."""
 
     def __init__(self, name: str, text: str, is_read: Callable[[str], bool]) -> None:

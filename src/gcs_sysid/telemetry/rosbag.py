@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
+from functools import lru_cache
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import MOST_BYTES_OF_LOG, files_of, parse_toml, reading_log
+from gcs_sysid.files import files_of, parse_toml, reading_log
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry import ulog
 from gcs_sysid.telemetry.mapped_table import (
@@ -72,18 +73,22 @@ class RosBag:
     MAGIC = b"\x89MCAP0\r\n"
     """Begins an MCAP file; the others are databases."""
     MOST_TOPICS = 1024
-    MOST_BYTES_OF_CHUNK = 2**28
+    MOST_BYTES_OF_CHUNK = 2**27
+    SMALL, MOST_UNPACKED = 2**24, 100
+    """Bytes that any file may become when unpacked, and so many for each that it has."""
 
     def __init__(self, path: Path, wanted: Callable[[str, str], _IsRead | None]) -> None:
         self._wanted = wanted
         self._read: dict[str, _Columns] = {}
-        self._unpacked = 0
         self.kinds: dict[str, str] = {}
         self.faults: dict[str, int] = {}
         self.damaged = False
         self.garbage_bytes = 0
+        files = files_of(path)
+        self._size = sum(file.stat().st_size for file in files)
+        self._may_unpack = self.SMALL + self.MOST_UNPACKED * self._size
         try:
-            for file in files_of(path):
+            for file in files:
                 with open(file, "rb") as opened:
                     is_mcap = opened.read(len(self.MAGIC)) == self.MAGIC
                 (self._read_mcap if is_mcap else self._read_database)(file)
@@ -115,7 +120,7 @@ class RosBag:
         kind = short_type(kind)
         if name in self.kinds:
             return self._read.get(name) if self.kinds[name] == kind else None
-        if len(self.kinds) >= self.MOST_TOPICS:
+        if len(self.kinds) >= self.MOST_TOPICS or not (name + kind).isprintable():
             return None
         self.kinds[name] = kind
         is_read = self._wanted(name, kind)
@@ -135,8 +140,8 @@ class RosBag:
         return self._read.get(name)
 
     def _count_bytes(self, size: int) -> None:
-        self._unpacked += size
-        if self._unpacked > MOST_BYTES_OF_LOG:
+        self._may_unpack -= size
+        if self._may_unpack < 0:
             raise InputError("too large when unpacked")
 
     def _read_database(self, path: Path) -> None:
@@ -146,12 +151,14 @@ class RosBag:
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self.MOST_BYTES_OF_CHUNK)
                 database.execute("PRAGMA trusted_schema = OFF")
                 self._take_rows(database)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             self.damaged = True
-            self._fault(f"damaged: {error}")
+            self._fault(f"damaged: {_printable(error)}")
 
     def _take_rows(self, database: sqlite3.Connection) -> None:
-        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master")}
+        # A view may have rows without end.
+        of_kind = "SELECT name FROM sqlite_master WHERE type = 'table'"
+        tables = {name for (name,) in database.execute(of_kind)}
         if not {"topics", "messages"} <= tables:
             raise InputError("a database that is no recording of ROS 2")
         of_each = "topic_type, encoding, encoded_message_definition FROM message_definitions"
@@ -220,11 +227,16 @@ class _McapRecords:
         self._topic_of, self._count_bytes = topic_of, count_bytes
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, _Columns | None] = {}
+        self._known: dict[int, Mapping[int, Any]] = {
+            self._kinds.SCHEMA: self._schemas,
+            self._kinds.CHANNEL: self._channels,
+        }
         self.faults: dict[str, int] = {}
 
     def scan(self, content: Any, at: int, *, inside: bool = False) -> int:
         """Take the records of a file, or of a chunk; where the last whole one ends."""
-        of_message, of_end = int(self._kinds.MESSAGE), int(self._kinds.DATA_END)
+        kinds = self._kinds
+        of_message, of_chunk, of_end = map(int, (kinds.MESSAGE, kinds.CHUNK, kinds.DATA_END))
         while (start := at + _HEAD.size) <= len(content):
             kind, size = _HEAD.unpack_from(content, at)
             following = start + size
@@ -235,26 +247,34 @@ class _McapRecords:
                 topic = self._channels.get(number)
                 if topic is not None:
                     topic.add(content[start + _MESSAGE.size : following], time)
-            elif kind == of_end and not inside:
+            elif kind in self._known:
+                number = int.from_bytes(content[start : start + 2], "little")
+                if number not in self._known[kind] and len(self._known[kind]) < RosBag.MOST_TOPICS:
+                    self._take(kind, content[start:following])
+            elif inside or kind == 0:
+                break  # there are no others in a chunk
+            elif kind == of_chunk:
+                self._take(kind, content[start:following])
+            elif kind == of_end:
                 return len(content)
-            elif kind in self._types and not (inside and kind == self._kinds.CHUNK):
-                stream = self._stream(BytesIO(content[start:following]))
-                try:
-                    self._take(kind, self._types[kind].read(stream))
-                except self._damage as error:
-                    why = f"damaged {self._kinds(kind).name.lower()}: {str(error)[:80]}"
-                    self.faults[why] = self.faults.get(why, 0) + 1
             at = following
         return at
 
-    def _take(self, kind: int, record: Any) -> None:
+    def _take(self, kind: int, content: bytes) -> None:
+        try:
+            self._take_record(kind, self._types[kind].read(self._stream(BytesIO(content))))
+        except self._damage as error:
+            why = f"damaged {self._kinds(kind).name.lower()}: {_printable(error)}"
+            self.faults[why] = self.faults.get(why, 0) + 1
+
+    def _take_record(self, kind: int, record: Any) -> None:
         if kind == self._kinds.SCHEMA:
-            self._schemas.setdefault(record.id, record)
+            self._schemas[record.id] = record
         elif kind == self._kinds.CHUNK:
             content = self._unpacked(record)
             if self.scan(content, 0, inside=True) < len(content):
                 raise ValueError("its records do not end with it")
-        elif record.id not in self._channels:
+        else:
             schema = self._schemas.get(record.schema_id)
             words = ("", "", b"") if schema is None else (schema.name, schema.encoding, schema.data)
             self._channels[record.id] = self._topic_of(
@@ -277,6 +297,11 @@ class _McapRecords:
         if len(content) != size or wrong_sum:
             raise ValueError("wrong checksum or length")
         return content
+
+
+def _printable(error: Exception) -> str:
+    """What a library says of what is in a file."""
+    return "".join(letter for letter in str(error)[:80] if letter.isprintable())
 
 
 def read_rosbag(path: Path, mapping_path: Path | None = None) -> Recording:
@@ -377,7 +402,7 @@ def _of_messages(path: Path, bag: RosBag, rows: Iterable[Mapping[str, Any]]) -> 
         raise InputError(f"{path}: {_why_not(bag)}")
     if "velocity" not in chosen:
         chosen.pop("position", None)
-    recording = _recording(path, bag, mapping_of(Path("ros_columns.toml"), chosen), path)
+    recording = _recording(path, bag, mapping_of(path, chosen), path)
     for track in recording.tracks:
         down = track.values[:, -1]
         if track.stream is Stream.IMU and (down > 0.0).sum() > (down < 0.0).sum():
@@ -408,7 +433,8 @@ def _found(columns: Mapping[str, Array], names: list[str]) -> list[str]:
     """Names of columns with each `*` replaced by what there is, but for unused ones at the end."""
     if not any("*" in name for name in names):
         return names if columns.keys() >= set(names) else []
-    found = [name for name in columns if _pattern(names).fullmatch(name)]
+    pattern = _pattern(names)
+    found = [name for name in columns if pattern.fullmatch(name)]
     found.sort(key=lambda name: [int(number) for number in re.findall(r"\d+", name)])
     while found and not (columns[found[-1]] != 0.0).any():
         found.pop()
@@ -418,9 +444,13 @@ def _found(columns: Mapping[str, Array], names: list[str]) -> list[str]:
 def _is_among(names: Iterable[str]) -> _IsRead:
     """Whether a field is one of some columns; each of an array is, as are the parts of a time."""
     pattern = _pattern(_INDEX.sub("", name) for name in names)
-    return lambda field: (
-        pattern.fullmatch(re.sub(r"\.(nano)?sec$", "", _INDEX.sub("", field))) is not None
-    )
+
+    @lru_cache
+    def is_read(field: str) -> bool:
+        name = re.sub(r"\.(nano)?sec$", "", _INDEX.sub("", field))
+        return pattern.fullmatch(name) is not None
+
+    return is_read
 
 
 def _why_not(bag: RosBag) -> str:

@@ -158,7 +158,7 @@ class Recording:
     def _add(self, stream: Stream, t: Array, values: Array, offset: int, source: str) -> None:
         values = np.ascontiguousarray(values, float).reshape(len(t), -1)
         if stream is Stream.ATTITUDE:
-            values = _upright(values)
+            values = upright(values)
         believable = believable_times(t)
         whole = np.isfinite(values)
         finite = whole.all(axis=1)
@@ -229,7 +229,7 @@ class Recording:
         )
 
 
-def _upright(q: Array) -> Array:
+def upright(q: Array) -> Array:
     """(n, 4) quaternions of unit length and like signs; NaN where they are none."""
     norm = np.linalg.norm(q, axis=1, keepdims=True)
     q = np.where(np.abs(norm - 1.0) < 0.1, q / np.maximum(norm, 0.1), np.nan)
