@@ -312,9 +312,13 @@ def test_a_rotor_that_reads_otherwise_leaves_the_mean_uncertain(speed, shown):
         deviating=Deviations(one, np.array([0.1]), apart, 0.0 * apart, np.zeros((1, 3))),
         extended_covariance=np.zeros((N_UNKNOWNS + 1, N_UNKNOWNS + 1)),
     )  # fmt: skip
-    found = list(unlike_rotors(replace(evidence(), fit=Fit(rotation, None, 0.0))))
-    assert bool(found) == shown
+    spun = evidence(values() | {"rotor_inertia": Estimate(3e-5, 1e-6)})
+    found = list(unlike_rotors(replace(spun, fit=Fit(rotation, None, 0.0))))
+    assert [each.parameters for each in found] == (
+        [{"k_T", "k_M"}, {"rotor_inertia"}] if shown else []
+    )
     if shown:
+        assert found[1].cap == "weak"
         assert found[0].words.endswith("check its propeller, and the pole count of its ESC")
         assert f"rotor 3 by {100.0 * apart[0, 2]:+.0f} %" in found[0].reason
         own = found[0].widening["k_T"] / SOUND["k_T"]

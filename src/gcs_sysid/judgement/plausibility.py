@@ -133,6 +133,16 @@ def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
             evidence={"share": share},
             how="check its propeller, and the pole count of its ESC",
         )
+        # Thrust and torque of each rotor are fitted; what its own inertia does goes with the speed.
+        own = evidence.estimates.get("rotor_inertia")
+        if own is not None and own.value is not None:
+            yield Objection(
+                "rotor inertia rests on speeds that one of the rotors may read wrong",
+                frozenset({"rotor_inertia"}),
+                cap="weak",
+                verdict="identified",
+                by="spin-up",
+            )
 
 
 def unseen_spins(evidence: Evidence) -> Iterator[Objection]:
