@@ -34,31 +34,29 @@ PACKAGE = ROOT / "src" / "gcs_sysid"
 SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
 CORE = {
-    "estimation/rows": "actuator_dynamics normal_equations",
+    "estimation/rows": "actuator_dynamics regression",
     "estimation/noise": "uncertainty",
     "estimation/fit": "priors rotation search translation",
-    "estimation/checks": "rigid_body_test",
-    "estimation/record": "command_noise input_noise",
+    "estimation/checks": "model_tests",
+    "estimation/record": "input_noise",
     "estimation/changes": "flight_comparison sequential_tests",
     "estimation/parameters": "scale",
-    "signals": "complementary differentiator flight_detection inertial_stream interpolation "
-    "recursions smoothers stream_buffer",
+    "signals": "complementary flight_detection inertial_stream recursions smoothers stream_buffer",
     "telemetry": "clock decode messages",
 }
 ELSEWHERE = {
     "actuator_dynamics": ["commands", "online"],
     "clock": ["blocks", "intake"],
-    "command_noise": ["input_noise", "commands"],
     "decode": ["blocks"],
     "inertial_stream": ["outliers"],
     "input_noise": ["commands", "online"],
-    "interpolation": ["time_base"],
     "messages": ["message_arrays"],
-    "normal_equations": ["online"],
+    "model_tests": ["rigid_body_test", "layout_test"],
+    "regression": ["normal_equations", "online"],
     "rotation": ["rotation_elements", "priors", "commands", "online"],
     "scale": ["physical_parameters"],
     "search": ["rotation", "priors"],
-    "smoothers": ["windows"],
+    "smoothers": ["differentiator", "windows"],
     "stream_buffer": ["time_base"],
 }
 """Where else than in tests/<room>/test_<module>.py the tests of a module are, nearest first."""
