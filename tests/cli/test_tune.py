@@ -172,10 +172,11 @@ def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, cap
 
 
 @pytest.mark.thorough
-def test_the_measured_response_is_a_table_too(files, shared_log):
+def test_the_measured_response_is_a_table_too(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))
     table = ("--to", "frequency-response", "-o", "response.csv")
     assert run(["tune", "command.json", log, *table, *FEW]) == 0
+    assert "leave it" in capsys.readouterr().out
     head, *rows = (files / "response.csv").read_text().splitlines()
     assert head.startswith("axis,omega_rad_s,magnitude")
     assert {row.split(",")[0] for row in rows} == {"roll", "pitch", "yaw"}
