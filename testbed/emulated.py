@@ -18,7 +18,7 @@ from sim_bridge.physics import Physics
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import SensorFaults
 from sim_bridge.simulation import Simulation
-from testbed.scenarios import Scenario
+from testbed.scenarios import Scenario, known_exactly, measured, mounted
 from testbed.vehicles import Drawn, draw
 
 _SPEEDS = (mavlink.MAVLINK_MSG_ID_ESC_STATUS, mavlink.MAVLINK_MSG_ID_ESC_INFO)
@@ -37,13 +37,15 @@ class Recording:
 
     Attributes:
         log: the file.
-        airframe: as the user has it.
+        airframe: as the user has it, measured.
+        exact: the same without errors of measurement.
         truth: for the judge alone.
         vehicle: what it was, for the page.
     """
 
     log: Path
     airframe: Airframe
+    exact: Airframe
     truth: Truth
     vehicle: str
 
@@ -61,6 +63,9 @@ def record(
     """
     drawn = draw(number, scenario.layouts)
     random = np.random.default_rng([number, *scenario.name.encode()])
+    (errors,) = random.spawn(1)
+    known = scenario.known(drawn.airframe)
+    physics = mounted(scenario.physics(random), known, errors)
     mission: Mission = drawn.mission(
         scenario.mission, scenario.rate, 1.5, 2.0 if scenario.mission == "climbs" else 0.0
     )
@@ -71,7 +76,7 @@ def record(
         mission,
         np.random.SeedSequence([number, 1]),
         0.0,
-        physics=scenario.physics(random),
+        physics=physics,
     )
     rate = float(random.choice(scenario.imu))
     log = folder / f"{scenario.name}_{number}.tlog"
@@ -81,8 +86,8 @@ def record(
         truth = _sloshing(truth, simulation.physics, drawn.vehicle.rotors)
     for name in scenario.unjudged:
         truth.pop(name, None)
-    airframe = scenario.known(drawn.airframe)
-    return Recording(log, airframe, truth, describe(drawn))
+    user, exact = measured(known, errors), known_exactly(known, physics)
+    return Recording(log, user, exact, truth, describe(drawn))
 
 
 def _start_truth(simulation: Simulation) -> Truth:

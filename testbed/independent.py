@@ -20,9 +20,11 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.dynamics import CALM, State
 from sim_bridge.missions import Mission
+from sim_bridge.physics import IDEAL
 from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
 from sim_bridge.simulation import Simulation, trim
 from testbed.emulated import Recording, describe, write
+from testbed.scenarios import known_exactly, measured
 from testbed.vehicles import LAYOUTS, Drawn, draw
 
 STEP_US = 2000
@@ -266,7 +268,9 @@ def record(name: str, number: int, folder: Path, seconds: float | None = None) -
     log = folder / f"{name}_{number}.tlog"
     write(simulation, log, number, 250.0, seconds)
     truth = {key: value for key, value in vehicle.truth().items() if key in _JUDGED}
-    return Recording(log, drawn.airframe, truth, describe(drawn))
+    errors = np.random.default_rng([number, *name.encode()])
+    user, exact = measured(drawn.airframe, errors), known_exactly(drawn.airframe, IDEAL)
+    return Recording(log, user, exact, truth, describe(drawn))
 
 
 def plain(vehicle: Vehicle) -> Vehicle:

@@ -40,18 +40,43 @@ def _wind(random: Random) -> Physics:
 
 
 def as_it_is(airframe: Airframe) -> Airframe:
-    """What the user has measured is right."""
+    """What the user knows is right."""
     return airframe
 
 
-def _scaled(airframe: Airframe) -> Airframe:
-    return airframe.with_arm(1.03 * airframe.arm).with_uncertainty({"arm": "3%"}, "--arm")
-
-
-def _misweighed(airframe: Airframe) -> Airframe:
+def measured(airframe: Airframe, random: Random) -> Airframe:
+    """A vehicle as it was measured: with errors of the standard deviations that are stated."""
     assert airframe.mass is not None
-    wrong = replace(airframe, mass=1.05 * airframe.mass)
-    return wrong.with_uncertainty({"mass": "5%"}, "--mass")
+    sigma, arm, mass = airframe.uncertainty, airframe.arm, airframe.mass
+    scale = 1.0 + sigma.arm.of(arm) / arm * random.standard_normal()
+    places = random.normal(0.0, sigma.rotor_position.of(arm), (len(airframe.rotors), 2))
+    rotors = tuple(
+        replace(r, x=scale * r.x + float(x), y=scale * r.y + float(y))
+        for r, (x, y) in zip(airframe.rotors, places, strict=True)
+    )
+    return replace(airframe, rotors=rotors, mass=random.normal(mass, sigma.mass.of(mass)))
+
+
+def mounted(physics: Physics, airframe: Airframe, random: Random) -> Physics:
+    """An IMU beside the middle and not quite level, as far as the airframe says it may be."""
+    sigma = airframe.uncertainty
+    x, y, z = random.normal(0.0, sigma.imu_position.amount, 3).tolist()
+    roll, pitch, yaw = random.normal(0.0, math.radians(sigma.imu_rotation.amount), 3).tolist()
+    return replace(physics, imu_place=(x, y, z), imu_rotation=(roll, pitch, yaw))
+
+
+def known_exactly(airframe: Airframe, physics: Physics) -> Airframe:
+    """All that is given is true and stated so, but for the IMU's turn, which a flight shows."""
+    exact = dict.fromkeys(("arm", "rotor_position", "mass", "imu_position"), 0.0)
+    return replace(airframe, imu_position=physics.imu_place).with_uncertainty(exact, "exact")
+
+
+def _hardly_measured(airframe: Airframe) -> Airframe:
+    return airframe.with_uncertainty({"arm": "3%"}, "--arm")
+
+
+def _hardly_weighed(airframe: Airframe) -> Airframe:
+    return airframe.with_uncertainty({"mass": "5%"}, "--mass")
 
 
 def _swapped(airframe: Airframe) -> Airframe:
@@ -109,7 +134,7 @@ class Scenario:
         esc: Hz of the rotor speeds; 0: the IMU's.
         ground: take-off and landing are in it.
         layouts: to draw from.
-        known: the airframe as the user has it.
+        known: the airframe as the user takes it to be, before he measures it.
         unjudged: parameters without one true value.
     """
 
@@ -185,10 +210,8 @@ SCENARIOS = (
         "an unmodeled moment of 1 rad/s² rms",
         lambda _: Physics(ou_moment=(1.0, 1.0), ou_force=(0.3, 1.0)),
     ),
-    Scenario("arm", "arms given 3 % too long, with a standard deviation of 3 %", known=_scaled),
-    Scenario(
-        "mass", "mass given 5 % too large, with a standard deviation of 5 %", known=_misweighed
-    ),
+    Scenario("arm", "arms known to 3 %", known=_hardly_measured),
+    Scenario("mass", "mass known to 5 %", known=_hardly_weighed),
     Scenario("swap", "two rotors swapped in the airframe file", known=_swapped),
     Scenario("spins", "all spin directions reversed", known=_spun),
     Scenario(

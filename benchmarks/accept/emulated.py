@@ -86,8 +86,10 @@ def claim_figures(what: str, outcomes: Outcomes) -> list[Figure]:
 
 def _truth_figures(outcomes: Outcomes) -> list[Figure]:
     wrong = [o for o in outcomes if o["scenario"] in WRONG]
+    by_data = [[f["holds"] for _, f in claims(o["by_data"])] for o in outcomes]
     return [
         *claim_figures("truth", outcomes),
+        coverage("truth, all given exact: `identified` that hold, %", by_data),
         figure(
             "truth: wrong airframes `identified`", "never", wrong,
             lambda units: sum(o["verdict"] == "identified" for o in units),

@@ -63,7 +63,7 @@ def _emulate(scenario: str, number: int) -> Make:
             recording = emulated.record(_BY_NAME[scenario], number, folder)
         else:
             recording = independent.record(scenario, number, folder)
-        return recording.log, recording.airframe, recording.truth
+        return recording.log, recording.exact, recording.truth
 
     return make
 

@@ -17,7 +17,7 @@ Rows = dict[str, dict[str, Any]]
 """Scenario -> what it is (`says`) and its outcomes."""
 
 HEAD = [
-    "scenario", "flights", "verdicts", "`identified` that hold", "all that hold",
+    "scenario", "flights", "verdicts", "`identified` that hold", "by data alone", "all that hold",
     "moments claimed", "error of claimed moments: median", "largest", "largest z of any claim",
     "false changes", "held-out R²", "whiteness",
 ]  # fmt: skip
@@ -62,6 +62,7 @@ def row(name: str, outcomes: list[Outcome]) -> list[str]:
         str(len(outcomes)),
         verdicts(outcomes),
         held(claimed),
+        held(judged([o["by_data"] for o in outcomes if "by_data" in o])),
         held(judged(outcomes, all_shown=True)),
         share(len(moments), len(MOMENTS) * len(outcomes)),
         percent(moments, np.median),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, SIZES, SURE, DeviationChoice
@@ -130,6 +131,7 @@ class Fixed(DeviationChoice):
             torques=every.torques[self.of],
             std=100.0 * units,
             thrusts=every.thrusts[self.of],
+            sized=every.sized[self.of],
         )
 
 
@@ -214,10 +216,9 @@ def test_intervals_hold_where_one_rotor_is_read_later_than_the_others():
 
 def test_a_turned_imu_is_no_rotor_of_another_torque():
     """What roll and pitch do is seen in yaw then, as if rotors differed in torque."""
-    choice = DeviationChoice(QUAD)
     unknowns = unknowns_of()
-    every = choice.with_turns(choice.every(unknowns), unknowns)
-    turned = np.tensordot(np.radians([1.0, -0.8, 0.0]), every.torques[-3:], 1)
+    every = DeviationChoice(QUAD, turn=np.radians(1.0)).every(unknowns)
+    turned = np.tensordot([1.0, -0.8, 0.0], every.torques[-3:], 1)
     # Rows of all signals, each as strong as the torque that it makes is to be seen.
     rng = np.random.default_rng(3)
     rows = rng.standard_normal((4000, rb.N_SIGNALS))
@@ -228,8 +229,59 @@ def test_a_turned_imu_is_no_rotor_of_another_torque():
     A = np.einsum("kas,ns->nak", J @ every.torques, rows)
     score = np.einsum("nak,na->k", A, z) / 0.02**2
     information = np.einsum("nak,nal->kl", A, A) / 0.02**2
-    m = len(every.std) - 3
-    alone = choice.choose(choice.every(unknowns), unknowns, score[:m], information[:m, :m])
+    exact, m = DeviationChoice(QUAD), len(every.std) - 3
+    alone = exact.choose(exact.every(unknowns), unknowns, score[:m], information[:m, :m])
     assert np.abs(alone.ratios).any()
-    competing = choice.choose(choice.every(unknowns), unknowns, score, information)
+    competing = exact.choose(every, unknowns, score, information)
     assert not competing.ratios.any()
+
+
+def fit_to(samples, geometry, **given):
+    """The fit to a flight, by what is given and how well that is known."""
+    estimator = OnlineEstimator(geometry, T, EstimatorTuning(**given))
+    estimator.update(samples)
+    return estimator.fit().rotation
+
+
+@pytest.fixture(scope="module")
+def lively():
+    """16 s inside the model, at its own speeds."""
+    return fly_cell(
+        Vehicle(), EXCITATIONS["aggressive"], DISTURBANCES["none"],
+        flights=1, seconds=16.0, rate=250.0, seed=33,
+    )[0]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_flight_shows_how_the_imu_is_turned(lively):
+    turn = np.radians([1.0, -1.5, 0.8])
+    R = Rotation.from_rotvec(turn).inv().as_matrix()
+    samples = replace(lively, gyro=lively.gyro @ R.T)
+    straight = fit_to(samples, QUAD)
+    theta = Vehicle().theta
+    assert np.max(np.abs(straight.theta - theta)[:6] / straight.std[:6]) > 4.0
+    fit = fit_to(samples, QUAD, imu_turn=np.radians(1.0))
+    turns = fit.deviating.turns
+    std = np.sqrt(np.diag(turns.T @ fit.deviations_covariance @ turns))
+    assert np.all(std < np.radians(0.3))
+    assert np.all(np.abs(fit.deviations @ turns - turn) < 3.0 * std)
+    assert np.all(np.abs(fit.theta - theta)[:9] < 3.0 * fit.std[:9])
+
+
+@pytest.mark.slow
+def test_rotors_that_are_not_quite_where_they_are_given_are_in_the_interval(lively):
+    theta, off, known = Vehicle().theta, [], []
+    place = 0.01 * float(np.mean(np.hypot(*QUAD[:2])))
+    for seed in range(4):
+        errors = place * np.random.default_rng([seed, 5]).standard_normal((2, 4))
+        # A common shift and a common scale are others' affair (`given_errors`).
+        errors -= errors.mean(axis=1, keepdims=True)
+        centered = QUAD[:2] - QUAD[:2].mean(axis=1, keepdims=True)
+        errors -= centered * (errors * centered).sum() / (centered**2).sum()
+        geometry = np.vstack([QUAD[:2] + errors, QUAD[2:]])
+        for fits, tolerance in ((off, 0.0), (known, place)):
+            fit = fit_to(lively, geometry, rotor_place=tolerance)
+            fits.append(np.abs(fit.theta - theta)[:8] / fit.std[:8])
+    assert np.max(off) > 6.0
+    assert np.mean(np.array(known) < Z95) > 0.85
+    assert np.max(known) < 3.5

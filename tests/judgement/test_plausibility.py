@@ -309,7 +309,8 @@ def test_a_rotor_that_reads_otherwise_leaves_the_mean_uncertain(speed, shown):
     n = rb.N_THETA
     rotation = RotationFit(
         np.zeros(n), np.zeros((n, n)), np.eye(3), np.ones(3), 1000, True, deviations=np.ones(1),
-        deviating=Deviations(one, np.array([0.1]), apart, 0.0 * apart, np.zeros((1, 3))),
+        deviating=Deviations(one, np.array([0.1]), apart, 0.0 * apart, *np.zeros((2, 1, 3)),
+        sized=np.zeros(1, dtype=bool)),
         extended_covariance=np.zeros((N_UNKNOWNS + 1, N_UNKNOWNS + 1)),
     )  # fmt: skip
     spun = evidence(values() | {"rotor_inertia": Estimate(3e-5, 1e-6)})

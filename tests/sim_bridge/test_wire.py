@@ -113,21 +113,3 @@ def test_a_key_is_raw_or_hexadecimal(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_bytes(content)
     assert read_key(path) == KEY
-
-
-def test_a_signed_file_repeats(tmp_path: Path) -> None:
-    key = tmp_path / "key"
-    key.write_bytes(KEY)
-    files = []
-    for name in ("a.tlog", "b.tlog"):
-        path = tmp_path / name
-        options = ["--signing-key", str(key), "--duration", "1", "--tlog", str(path)]
-        assert main(options) == 0
-        files.append(path.read_bytes())
-    assert files[0] == files[1]
-    first = files[0]
-    size = 12 + first[9] + 13
-    frame = bytearray(first[8 : 8 + size])
-    reader = signing_reader(KEY)
-    reader.decode(frame)
-    assert reader.signing.goodsig_count == 1

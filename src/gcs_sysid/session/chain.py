@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,15 +19,11 @@ from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
-from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.parameters.given_errors import (
     CAUSES,
-    Alignment,
     Given,
-    aligned,
-    alignment_of,
     given_effects,
     given_stds,
 )
@@ -412,9 +407,8 @@ class Chain:
 
         The article's estimator is for study, and its validation does not count.
         """
-        aligned_fit = aligned(fit, alignment_of(fit, self.airframe))
         return Evidence(
-            self._values_of(aligned_fit, anchor, self.known_beforehand(anchor)),
+            self._values_of(fit, anchor, self.known_beforehand(anchor)),
             fit,
             self.airframe,
             self.rotor_input,
@@ -492,7 +486,14 @@ class Chain:
         self._events_reported = 0
         own, changes = self.options.tuning, self.options.changes
         self.cutoffs = gyro, loop = self._known_cutoffs()
-        tuning = replace(own, gyro_cutoff=gyro, speed_interval=rotors.interval)
+        sigma = self.airframe.uncertainty
+        tuning = replace(
+            own,
+            gyro_cutoff=gyro,
+            speed_interval=rotors.interval,
+            rotor_place=sigma.rotor_position.of(self.airframe.arm),
+            imu_turn=math.radians(sigma.imu_rotation.amount),
+        )
         if rotors.kind.motors:
             curve = self.airframe.command.thrust_curve
             usual = tuning_for(rotors.kind, dt)
@@ -500,6 +501,8 @@ class Chain:
                 usual,
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
+                rotor_place=tuning.rotor_place,
+                imu_turn=tuning.imu_turn,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=usual.curves if curve is None else (curve,),
@@ -704,26 +707,17 @@ class Findings:
         if self.chain.rotor_input.motors:
             return ()
         rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
-        each = of_rotors(rotor_values(self._aligned_rotation, self._scale, rotors, cant))
+        each = of_rotors(rotor_values(self.chain.fit.rotation, self._scale, rotors, cant))
         return tuple(map(self._in_units, each))
 
     def _in_units(self, estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
         """Estimates that say what they are per."""
         return summary.in_units(estimates, self.chain.airframe.own_units)
 
-    @property
-    def _aligned_rotation(self) -> RotationFit | None:
-        """As values are: with rotors and IMU at their identified poses."""
-        return aligned(self.chain.fit, self._alignment).rotation
-
-    @cached_property
-    def _alignment(self) -> Alignment | None:
-        return alignment_of(self.chain.fit, self.chain.airframe)
-
     def _covariance(
         self, parameters: dict[str, Estimate], timing: dict[str, Estimate]
     ) -> dict[str, Any]:
-        rotation = self._aligned_rotation
+        rotation = self.chain.fit.rotation
         if rotation is None:
             return {}
         values = {
@@ -822,12 +816,14 @@ class Findings:
         """How the IMU is turned, in degrees; None where that is given as exact or not
         identifiable.
         """
-        found = self._alignment
-        if found is None or not found.turned_std.any():
+        rotation = self.chain.fit.rotation
+        if rotation is None or not rotation.deviating.turns.any():
             return None
+        turns = rotation.deviating.turns
+        std = np.sqrt(np.maximum(np.diag(turns.T @ rotation.deviations_covariance @ turns), 0.0))
         return {
-            "value": np.degrees(found.turned).tolist(),
-            "std": np.degrees(found.turned_std).tolist(),
+            "value": np.degrees(rotation.deviations @ turns).tolist(),
+            "std": np.degrees(std).tolist(),
         }
 
     def _gyro_filter_found(self) -> float | None:

@@ -14,8 +14,6 @@ FORMS = (
 )
 DEFAULT_BAUD = 115200
 _NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
-_ALSO = {"tcpout": "tcp", "tcp-l": "tcpin", "udp-b": "udp"}
-"""What MAVSDK and MAVROS call a kind."""
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
 _RATE_BEHIND = re.compile(r"(.+[^:/]):(\d{4,})")
 """A device and its baud rate: ports of hubs, which names end in too, have fewer digits."""
@@ -80,7 +78,6 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
         raise InputError(f"cannot understand the link {text!r}: a name is one line of text")
     kind, colon, rest = text.partition(":")
     kind, slashes, rest = kind.lower(), rest.startswith("//"), rest.removeprefix("//")
-    kind = _ALSO.get(kind, kind) if slashes else kind
     if colon and kind in _NETWORK_KINDS:
         if slashes and "@" in rest:  # MAVROS: udp://[BIND]@[REMOTE]
             bind, _, remote = rest.partition("@")

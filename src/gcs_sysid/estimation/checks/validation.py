@@ -75,6 +75,7 @@ def validate(
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
+    choice: DeviationChoice | None = None,
 ) -> Validation | None:
     """Fit the first batches, predict the others.
 
@@ -86,6 +87,7 @@ def validate(
         noise: of the inputs, as of `fit_rotation`.
         gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
         prior: what else is known.
+        choice: of deviations from the model.
 
     Returns:
         None while the flight is too short to be divided.
@@ -93,7 +95,7 @@ def validate(
     cut = validation_cut(len(counts))
     if cut is None:
         return None
-    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
+    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior, choice=choice)
     if fit is None:
         return None
     rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)

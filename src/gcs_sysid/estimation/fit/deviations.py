@@ -1,4 +1,4 @@
-"""Deviations from the model: damping per axis, unequal rotors, a turned IMU.
+"""Deviations from the model: damping per axis, unequal rotors, rotors and IMU not as given.
 
     J w' + w x (J w + h) + h' = M + sum_k phi_k B_k x
 
@@ -7,12 +7,19 @@ with B_k one deviation's torque by axis and signal:
     damping     -d_a w_a on each axis a beside the damping that all share
     thrust      k_T of rotor i is (1 + e_i) of the mean: torque e_i (-y_i, x_i) O_i
     torque      k_M of rotor i is off the mean by c_i: yaw torque c_i s_i O_i
+    places      rotor i is off by (x_i, y_i): torque (-y_i, x_i) O_i
+    turn        the IMU is rotated against the body: J D, D the residual by rad (`missed_by`)
 
 e and c sum to zero, as their means are k_T and k_M themselves. An allocation of full rank drives
 the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that O_i is a
 combination of these four signals: the pseudo-inverse of the mixer (exact for four rotors).
 
-Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g
+Deviations are nuisance parameters, phi ~ N(0, sigma^2). How well places and the IMU's rotation are
+known is given with the airframe, and they are always unknowns: a degree makes Izz, Ixz and Iyz
+wrong by several percent, and a minute of doublets shows it to a few hundredths. What is common to
+all places (a shift, a scale) looks like theta and is no deviation: see `given_errors`.
+
+Of the other kinds the size is unknown. With g
 and H the score and information of phi at phi = 0, the other unknowns marginalized, the evidence
 for sigma is
 
@@ -24,18 +31,16 @@ frequency, where damping matters: there damping by axis is always an unknown, wi
 multirotors, since without it moment_ratio was up to 9 % too large with no evidence of it.
 
 An IMU turned by a degree looks much like rotors of unequal torque: roll and pitch motion then shows
-in yaw. It is no deviation of the vehicle (`given_errors` looks for it), but it competes:
-its evidence comes first.
+in yaw. As an unknown of its own it competes with them for the evidence.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH
 from gcs_sysid.model import rigid_body as rb
 
@@ -51,8 +56,6 @@ AXIS_DAMPING = 0.3
 pitch of multirotors by 0.1 to 0.5, and hardly yaw."""
 SURE = 3.0
 """Nats of evidence from which a kind of deviation is included."""
-TURN = math.radians(1.0)
-"""rad, standard deviation of the IMU's rotation, whatever is given."""
 N_X, _AXES = rb.N_SIGNALS, 3
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 _RATES = [_COLUMN[name] for name in "pqr"]
@@ -77,6 +80,9 @@ class Deviations:
         thrusts: (m, rotors) change of each rotor's thrust coefficient, relative.
         ratios: (m, rotors) change of each rotor's torque over the mean thrust coefficient, m.
         dampings: (m, 3) change of the damping of each axis.
+        turns: (m, 3) rotation of the IMU about roll, pitch and yaw, rad.
+        sized: (m,) whether std is given or, with speeds, that of most evidence; with commands the
+            others' is no more than usual.
         shown: kinds (of `SIZES`) that the flight shows; others are only allowed for.
     """
 
@@ -85,6 +91,8 @@ class Deviations:
     thrusts: Array
     ratios: Array
     dampings: Array
+    turns: Array
+    sized: Mask
     shown: frozenset[str] = frozenset(SIZES)
 
     @cached_property
@@ -110,6 +118,8 @@ NO_DEVIATIONS = Deviations(
     np.zeros((0, 0)),
     np.zeros((0, 0)),
     np.zeros((0, 3)),
+    np.zeros((0, 3)),
+    np.zeros(0, dtype=bool),
     shown=frozenset(),
 )
 
@@ -120,17 +130,25 @@ class DeviationChoice:
     Args:
         geometry: (3, rotors) of the airframe.
         commands: whether commands are the input, and damping by axis always allowed for.
+        place: m, standard deviation of each rotor's x and y by itself.
+        turn: rad, standard deviation of the IMU's rotation about each axis.
     """
 
-    def __init__(self, geometry: Array, *, commands: bool = False) -> None:
+    def __init__(
+        self, geometry: Array, *, commands: bool = False, place: float = 0.0, turn: float = 0.0
+    ) -> None:
         self._geometry = geometry
         self._least = (AXIS_DAMPING if commands else 0.0, 0.0, 0.0)
+        self._commands = np.bool_(commands)
         rotors = geometry.shape[1]
         self._signal = np.linalg.pinv(rb.mixer(geometry))
         """(4, rotors) of O in the four signals."""
         # Orthonormal contrasts, so that their standard deviation is that of a rotor.
         self._contrasts = np.linalg.svd(np.ones((1, rotors)))[2][1:]
         self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
+        ways = _misplaced(geometry, self._signal)
+        self._places = place * ways if place else ways[:0]
+        self._turn = turn
 
     @cached_property
     def older(self) -> Array:
@@ -140,8 +158,25 @@ class DeviationChoice:
         own = self._signal.T[:, None, :] * rb.mixer(self._geometry)[:, :, None]
         return np.tensordot(self._contrasts, own, 1)
 
+    def given(self, unknowns: Array) -> Deviations:
+        """Of what is given, in its standard deviations; the IMU turns the motion of a fit."""
+        theta = unknowns[: rb.N_THETA]
+        axes = np.eye(3) if self._turn else np.zeros((0, 3))
+        turns = rb.inertia_matrix(theta) @ missed_by(PER_TURN, rb.forward_matrix(theta))
+        torques = np.concatenate([self._places, self._turn * turns[: len(axes)]])
+        n, places = len(torques), len(self._places)
+        none = np.zeros((n, self._geometry.shape[1]))
+        about = np.concatenate([np.zeros((places, 3)), self._turn * axes])
+        every = np.ones(n, dtype=bool)
+        return Deviations(
+            torques, np.ones(n), none, none, np.zeros((n, 3)), about, every, frozenset()
+        )
+
     def every(self, unknowns: Array) -> Deviations:
-        """All of them, limited by the data alone; thrust acts about the CG of (N_UNKNOWNS,)."""
+        """All of them, those not given limited by the data alone.
+
+        Thrust acts about the CG of (N_UNKNOWNS,) unknowns.
+        """
         x, y, s = self._geometry
         rotors = len(s)
         torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))
@@ -154,27 +189,21 @@ class DeviationChoice:
         thrusts[self._kind == _THRUST] = self._contrasts
         ratios[self._kind == _TORQUE] = self._contrasts
         per_rotor = (torques[3 : 3 + rotors], torques[3 + rotors :])
+        given, kinds = self.given(unknowns), len(self._kind)
         return Deviations(
             np.concatenate(
-                [torques[:3], *(np.tensordot(self._contrasts, t, 1) for t in per_rotor)]
+                [
+                    torques[:3],
+                    *(np.tensordot(self._contrasts, t, 1) for t in per_rotor),
+                    given.torques,
+                ]
             ),
-            np.full(len(self._kind), np.inf),
-            thrusts,
-            ratios,
-            np.eye(len(self._kind), 3),
-        )
-
-    def with_turns(self, every: Deviations, unknowns: Array) -> Deviations:
-        """The same and, last, what an IMU turned about roll, pitch and yaw looks like, by rad."""
-        theta = unknowns[: rb.N_THETA]
-        turns = rb.inertia_matrix(theta) @ missed_by(PER_TURN, rb.forward_matrix(theta))
-        none = np.zeros((len(turns), every.thrusts.shape[1]))
-        return Deviations(
-            np.concatenate([every.torques, turns]),
-            np.concatenate([every.std, np.full(len(turns), np.inf)]),
-            np.concatenate([every.thrusts, none]),
-            np.concatenate([every.ratios, none]),
-            np.concatenate([every.dampings, np.zeros((len(turns), 3))]),
+            np.concatenate([np.full(kinds, np.inf), given.std]),
+            np.concatenate([thrusts, given.thrusts]),
+            np.concatenate([ratios, given.ratios]),
+            np.concatenate([np.eye(kinds, 3), given.dampings]),
+            np.concatenate([np.zeros((kinds, 3)), given.turns]),
+            np.concatenate([np.zeros(kinds, dtype=bool), given.sized]),
         )
 
     def shares(self, unknowns: Array) -> Array:
@@ -185,26 +214,27 @@ class DeviationChoice:
     def choose(
         self, every: Deviations, unknowns: Array, score: Array, information: Array
     ) -> Deviations:
-        """Those with evidence.
+        """Those with evidence, and those given.
 
         Args:
             every: of them.
             unknowns: (N_UNKNOWNS,) of a fit without them, or with some.
-            score: (m + k,) gradient of the log likelihood by `every` at phi = 0, the others
-                marginalized; the last k are turns of the IMU that compete.
-            information: (m + k, m + k) of the same.
+            score: (m,) gradient of the log likelihood by `every` at phi = 0, the others
+                marginalized.
+            information: (m, m) of the same.
         """
-        kinds, turns = self._kind, len(score) - len(self._kind)
+        kinds = self._kind
+        given = every.std[len(kinds) :]
         units = np.concatenate(
             [
                 np.abs(unknowns[rb.MOMENTS]),
                 np.ones((kinds == _THRUST).sum()),
                 np.full((kinds == _TORQUE).sum(), max(abs(float(unknowns[rb.MOMENT_RATIO])), 1e-6)),
-                np.full(turns, TURN),
+                given,
             ]
         )
         g, H = score * units, information * np.outer(units, units)
-        found, last = list(self._least), np.ones(turns)
+        found, last = list(self._least), np.ones(len(given))
         best = evidence_for(g, H, np.concatenate([np.array(found)[kinds], last]))
         for _ in range(3):
             before = list(found)
@@ -218,7 +248,7 @@ class DeviationChoice:
                         best, found = evidence, sizes
             if found == before:
                 break
-        std = np.array(found)[kinds] * units[: len(kinds)]
+        std = np.concatenate([np.array(found)[kinds], last]) * units
         use = std > 0.0
         if not use.any():
             return NO_DEVIATIONS
@@ -228,6 +258,8 @@ class DeviationChoice:
             every.thrusts[use],
             every.ratios[use],
             every.dampings[use],
+            every.turns[use],
+            (every.sized | ~self._commands)[use],
             frozenset(
                 name
                 for name, size, least in zip(SIZES, found, self._least, strict=True)
@@ -237,6 +269,29 @@ class DeviationChoice:
 
 
 _THRUST, _TORQUE = 1, 2
+
+
+def _misplaced(geometry: Array, signal: Array) -> Array:
+    """(m, 3, N_SIGNALS) torques of rotors that are off by a meter, in all ways that count.
+
+    A common shift and a common scale do not. Of the others the four signals show at most five
+    apart.
+
+    Args:
+        geometry: (3, rotors).
+        signal: (4, rotors) of each rotor's O in the four signals.
+    """
+    places, rotors = geometry[:2], geometry.shape[1]
+    centered = places - places.mean(axis=1, keepdims=True)
+    common = np.stack([np.repeat([1.0, 0.0], rotors), np.repeat([0.0, 1.0], rotors),
+                       centered.ravel()])  # fmt: skip
+    ways = np.linalg.svd(common)[2][len(common) :].reshape(-1, 2, rotors)  # the null space
+    x, y = np.swapaxes(ways @ signal.T, 0, 1)  # (ways, 4) each
+    _, sizes, apart = np.linalg.svd(np.concatenate([-y, x], axis=1), full_matrices=False)
+    seen = sizes > 1e-9 * sizes[0]
+    torques = np.zeros((int(seen.sum()), 3, rb.N_SIGNALS))
+    torques[:, :2, :4] = (sizes[seen, None] * apart[seen]).reshape(-1, 2, 4)
+    return torques
 
 
 def evidence_for(g: Array, H: Array, std: Array) -> float:
@@ -264,12 +319,6 @@ def turned(R: Array) -> Array:
     # r H is not among the signals; rotors' angular momentum is small.
     out[np.ix_(_MOMENTUM, _MOMENTUM)] = R[:2, :2]
     return out
-
-
-def rotation_of(turns: Array) -> Array:
-    """(3, 3) of (3,) rad about roll, pitch and yaw, by Cayley's transform."""
-    K = np.tensordot(turns, _CROSS, 1)
-    return np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
 
 
 # The map is of second order in R, so that this difference is its derivative.

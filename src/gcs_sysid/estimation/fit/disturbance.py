@@ -109,8 +109,9 @@ class BankTrial:
         # By how much scatter exceeds what white innovations would have.
         excess = np.maximum(fit.std / np.min([stds[i] for i in pick], axis=0), 1.0)
         std = excess * np.stack([stds[i] for i in faster])
-        weights = std**-2.0 / (std**-2.0).sum(axis=0)
-        apart = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
+        weights = std**-2.0  # none where such a whitener leaves no information
+        away = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
+        apart = away / np.maximum(weights.sum(axis=0), 1e-300)
         chance = std.min(axis=0)
         return np.sign(apart) * np.sqrt(np.maximum(apart**2 - chance**2, 0.0))
 

@@ -67,7 +67,9 @@ def follow_rotation(
     problem: Problem = (
         AxisProblem(totals, rows, basis, prior, noise, start.deviating)
         if whitened
-        else JointProblem(totals, rows, basis, prior, noise if basis.motors else None)
+        else JointProblem(
+            totals, rows, basis, prior, noise if basis.motors else None, start.deviating
+        )
     )
     outcome = Outcome(problem, problem.evaluate(unknowns), of_speeds)
     # A step of less than 3 standard deviations is taken unseen.
@@ -252,22 +254,23 @@ class Outcome:
         prior = problem.prior
         pull = self.pull
         wider = widening[:, :, None] * inverse_root
-        data_covariance = wider @ spread @ np.swapaxes(wider, 1, 2)
-        covariance = data_covariance
+        added, data_covariance = self._with_sizes(wider @ symmetric_roots(spread, 0.0)[0])
+        places = slice(n, problem.linear)
+        covariance, phi = data_covariance, self._unknowns[:, N_UNKNOWNS:] * d[:, places]
         if prior is None:
             step = _times(inverse_root, _times(inverse_root, pull / d))
+            step = step - _times(covariance[:, :, places], added * (step[:, places] + phi))
         else:
             pull += self._gradient
             coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
             inside = (coordinates > basis.low) & (coordinates < basis.high)
             pull[:, problem.linear :] *= inside[:, list(basis.free)]
             held = (root / widening[:, :, None]) @ np.linalg.inv(spread)
-            covariance = np.linalg.inv(
-                held @ (root / widening[:, None, :])
-                + problem.prior_information / self._scales
-                + 1e-15 * np.eye(p)
-            )
+            information = held @ (root / widening[:, None, :]) + 1e-15 * np.eye(p)
+            information[:, range(n, problem.linear), range(n, problem.linear)] += added
+            covariance = np.linalg.inv(information + problem.prior_information / self._scales)
             from_data = _times(held, _times(inverse_root, pull / (d * widening)))
+            from_data[:, places] -= added * phi
             step = _times(covariance, from_data + problem.prior_pull(self._unknowns) / d)
         unknowns = self._moved(step / d)
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
@@ -307,6 +310,28 @@ class Outcome:
             )
             for i, (done, leak) in enumerate(zip(converged, leaks, strict=True))
         ]
+
+    def _with_sizes(self, factor: Array) -> tuple[Array, Array]:
+        """What known sizes of deviations are worth beside data that scatter more than white.
+
+        They are information too; but they are no data, and scatter does not make them larger.
+
+        Args:
+            factor: (K, p, p) F of the scaled covariance C = F F' by scatter, which widens their
+                information with the data's.
+
+        Returns:
+            (K, m) scaled information S to be added, and (K, p, p) the covariance with it,
+            (C^-1 + S)^-1 = F (1 + F' S F)^-1 F'.
+        """
+        places, deviations = slice(rb.N_THETA, self._problem.linear), self._problem.deviations
+        own = factor[:, places]
+        white, scattered = (self.roots[1][:, places] ** 2).sum(axis=2), (own**2).sum(axis=2)
+        known = deviations.information * deviations.sized / self._scale[:, places] ** 2
+        added = known * np.maximum(1.0 - white / scattered, 0.0)
+        values, vectors = np.linalg.eigh(np.swapaxes(own, 1, 2) @ (added[:, :, None] * own))
+        known_too = factor @ (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))[:, None, :])
+        return added, known_too @ np.swapaxes(known_too, 1, 2)
 
     def _explained(self) -> Array:
         """(K, 3) share of each axis' angular acceleration that the model explains."""

@@ -5,7 +5,7 @@ is found by the power of the innovations, within its bounds. As a free column it
 where torque predicts the motion best, which under feedback is the inverse of the controller.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -192,8 +192,7 @@ class BankProblem:
         """The deviations for which there is evidence, from one look at all of them."""
         point = fit.point
         every = choice.every(point.unknowns[0])
-        competing = choice.with_turns(every, point.unknowns[0])
-        n, m = rb.N_THETA, len(competing.std)
+        n, m = rb.N_THETA, len(every.std)
         places = list(fit.pick)
         problem = AxisProblem(
             self.total[places][None],
@@ -201,14 +200,13 @@ class BankProblem:
             self.basis,
             self.prior,
             self.data.noise[places][None],
-            competing,
+            replace(every, std=np.full(m, np.inf)),
         )
         unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
         # The fit in terms of all deviations: the same torque.
-        flat = every.torques.reshape(len(every.std), -1)
+        flat = every.torques.reshape(m, -1)
         torque = self.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
-        phi = np.zeros(m)
-        phi[: len(flat)] = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
+        phi = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
         unknowns[:, N_UNKNOWNS:] = phi
         gradient, hessian = (part[0] for part in problem.with_prior(problem.evaluate(unknowns)))
         of = np.arange(n, n + m)

@@ -9,8 +9,7 @@ axis does to the fit. Yaw alone determines the ratio of its damping to Izz, and 
 damping. One damping for all of them ties Izz to Ixx and Iyy more closely than gyroscopic torque
 does; but inflow and flapping damp roll and pitch, and hardly yaw; and with slow samples a torque
 that seems late is taken for damping. Rows of one step have damping by axis among their unknowns
-(`deviations`). In the window's, with phi its difference from the common one and D = dQ/dphi x, as
-for what is given (`estimation.parameters.given_errors`),
+(`deviations`). In the window's, with phi its difference from the common one and D = dQ/dphi x,
 
     H = sum G' W G,  C = sum G' W D,  S = (H + L)^-1 C
     I = sum D' W D - C' S,   g = sum D' W r - S' (sum G' W r + L (mean - theta))
@@ -29,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES, evidence_for
+from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES, DeviationChoice, evidence_for
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import N_X, JointProblem, residual_maker
@@ -44,6 +43,8 @@ _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR = 0.1
 """Squared standard deviations that a search may be from the minimum."""
+_TURNED = 2
+"""Times that the IMU's turn is fitted: it turns the motion of a fit."""
 _KNOWN_TO = 0.2
 """Of a moment of inertia: those known better show how much colored residuals widen intervals."""
 _OF_AXES = np.zeros((3, 3, rb.N_SIGNALS))
@@ -61,6 +62,7 @@ def fit_rotation(
     prior: Prior | None = None,
     doubt: float = 0.0,
     hint: RotationFit | None = None,
+    choice: DeviationChoice | None = None,
 ) -> RotationFit | None:
     """Fit theta and the basis' coordinates to moments.
 
@@ -75,6 +77,7 @@ def fit_rotation(
         prior: what else is known.
         doubt: one standard deviation of the noise, relative.
         hint: an earlier fit, from which a search from the data alone starts too.
+        choice: of deviations, of which those given are unknowns; None: all is exact.
 
     Returns:
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
@@ -103,6 +106,14 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimize(problem, unknowns, 12)
+    for _ in range(0 if choice is None else _TURNED):
+        assert choice is not None
+        deviations = choice.given(point.unknowns[0])
+        if not len(deviations.std):
+            break
+        problem = JointProblem(bank, rows, basis, prior, deviations=deviations)
+        point, converged = minimize(problem, problem.extended(point.unknowns), MAX_ITERATIONS)
+    deviations = problem.deviations
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
         for more in range(4, -1, -1):
@@ -119,7 +130,7 @@ def fit_rotation(
         # step does not take it out, and it pulls delay, lag and curve as well. Each step leaves of
         # the way that share by which noise adds to the moments: a third at most, but for curve and
         # lag.
-        raw, problem = problem, JointProblem(bank, rows, basis, prior, noise)
+        raw, problem = problem, JointProblem(bank, rows, basis, prior, noise, deviations)
         # The curvature with noise is the larger: steps with it are short.
         point = vanish(problem, point, raw.with_prior(point)[1])
         pull = raw.evaluate(point.unknowns).gradient - point.gradient
@@ -139,6 +150,7 @@ def fit_rotation(
     if doubt:
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
     fits = outcome.fits(spread, widening, converged, range(len(bank)), stuck)
+    fits = [replace(fit, deviating=deviations) for fit in fits]
     return most_certain([fit for fit, no in zip(fits, stuck, strict=True) if not no] or fits)
 
 
@@ -168,6 +180,7 @@ def fit_lag_places(
     prior: Prior | None = None,
     doubt: float = 0.0,
     hint: RotationFit | None = None,
+    choice: DeviationChoice | None = None,
 ) -> RotationFit | None:
     """The fit with what lags behind the commands as a hypothesis; the others widen it.
 
@@ -186,15 +199,18 @@ def fit_lag_places(
         prior: what else is known.
         doubt: of the noise.
         hint: an earlier fit.
+        choice: of deviations.
     """
     basis.lag_place = places[0]
-    first = fit_rotation(batches, counts, basis, noise, start, prior, doubt, hint)
+    first = fit_rotation(batches, counts, basis, noise, start, prior, doubt, hint, choice)
     if first is None:
         return None
     leak = slice(first.leak, first.leak + 1)
     fits = [first]
     for basis.lag_place in places[1:]:
-        fit = fit_rotation(batches[:, leak], counts, basis, noise[leak], first, prior, doubt)
+        fit = fit_rotation(
+            batches[:, leak], counts, basis, noise[leak], first, prior, doubt, choice=choice
+        )
         fits.append(first if fit is None else replace(fit, leak=first.leak))
     cost = np.array([np.linalg.slogdet(fit.residual_covariance)[1] for fit in fits])
     weight = np.exp(-0.5 * independent * (cost - cost.min()))
@@ -219,7 +235,7 @@ def axis_damping_doubt(
     """
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
-    Q, G = rb.forward_jacobian(theta)
+    Q, G = rb.forward_jacobian(theta, fit.deviating.torque(fit.deviations))
     D = np.linalg.inv(rb.inertia_matrix(theta)) @ _OF_AXES
     inputs = rows[:N_X, :N_X]
     left = W @ (residual_maker(Q) @ rows)[:, :N_X]  # W r x'

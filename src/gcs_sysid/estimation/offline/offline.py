@@ -31,7 +31,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.checks.validation import Validation
-from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.disturbance import RULES as DISTURBANCE
 from gcs_sysid.estimation.fit.disturbance import curve_doubt
 from gcs_sysid.estimation.fit.priors import Unknown
@@ -264,7 +263,7 @@ def fit_offline(
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
     count = sum(len(part.gyro) for part in tracker.kept)
     what = f"prediction error of {count} samples"
-    choice = DeviationChoice(tracker.geometry, commands=commands)
+    choice = estimator.choice
     found: list[tuple[PredictionErrorFit, LagPlace | None]] = []
     every = _rows(tracker, before)
     for number, (rows, place) in enumerate(every):
@@ -306,7 +305,6 @@ def fit_offline(
         accelerometer=accelerometer,
         validation=validation,
         moments=best.moments(online.moments),
-        aligned_by=best.fit.rotation,
     )
     bounded = replace(fit, rotation=replace(own, covariance=np.diag(best.fit.bound**2)))
     method = "prediction error, instruments" if instrumented else "prediction error"

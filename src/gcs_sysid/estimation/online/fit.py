@@ -56,9 +56,7 @@ class Fit:
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
     moments: FitMoments | None = None
-    """Moments that determine where the IMU and the rotors are, see `given_errors`."""
-    aligned_by: RotationFit | None = None
-    """The fit that the moments are of, where `rotation` is another estimator's."""
+    """Moments that it rests on."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
 from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
@@ -75,10 +76,17 @@ class OnlineEstimator:
         """Renews the prior with each warm start and full fit, by what the flight alone shows."""
         self._alone: RotationFit | None = None
         self._record = FlightRecord(geometry, dt, tuning)
-        whitening = WhitenedEstimator(self._record, geometry)
+        self.choice = DeviationChoice(
+            geometry,
+            commands=tuning.rotor_input.motors,
+            place=tuning.rotor_place,
+            turn=tuning.imu_turn,
+        )
+        """Of deviations from the model."""
+        whitening = WhitenedEstimator(self._record, geometry, self.choice)
         self._thrust = ThrustEstimator(self._record, whitening)
         self._rotation = RotationEstimator(
-            self._record, whitening, self._thrust, geometry, tuning.speed_interval
+            self._record, whitening, self._thrust, geometry, self.choice, tuning.speed_interval
         )
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _SeriesStart] = {}

@@ -12,6 +12,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.model_tests import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
@@ -37,6 +38,7 @@ class RotationEstimator:
         whitening: of its whitened rows, where there are any.
         thrust: of the same record.
         geometry: (3, rotors) of the airframe.
+        choice: of deviations from the model.
         speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
     """
 
@@ -46,13 +48,14 @@ class RotationEstimator:
         whitening: WhitenedEstimator,
         thrust: ThrustEstimator,
         geometry: Array,
+        choice: DeviationChoice,
         speed_interval: float,
     ) -> None:
         self.left_out: LeftOut | None = None
         """Shocks that the latest fit to whitened rows left out."""
         self._record, self._basis = record, record.basis
         self._whitening, self._thrust = whitening, thrust
-        self._arms = geometry[:2]
+        self._arms, self._choice = geometry[:2], choice
         self._speed_interval = speed_interval
 
     @property
@@ -166,6 +169,7 @@ class RotationEstimator:
             self._noise(),
             record.noise_gains(),
             prior,
+            self._choice,
         )
 
     def other_layout(self, fit: RotationFit | None) -> str | None:
@@ -194,10 +198,10 @@ class RotationEstimator:
             return self._fit_lag_places(start, prior)
         data = record.rotation.batches, record.rotation.counts, self._basis, self._noise()
         if start is not None:
-            fit = fit_rotation(*data, start, prior, record.noise_doubt)
+            fit = fit_rotation(*data, start, prior, record.noise_doubt, choice=self._choice)
             if fit is not None and fit.converged:
                 return fit
-        return fit_rotation(*data, prior=prior, doubt=record.noise_doubt)
+        return fit_rotation(*data, prior=prior, doubt=record.noise_doubt, choice=self._choice)
 
     def _fitted_to_whitened(
         self, whitened: WhitenedEstimator, start: RotationFit | None, prior: Prior | None
@@ -233,10 +237,10 @@ class RotationEstimator:
         independent = record.seconds / record.half_width
         others = prior, record.noise_doubt
         if start is not None:
-            fit = fit_lag_places(*data, places, independent, start, *others)
+            fit = fit_lag_places(*data, places, independent, start, *others, choice=self._choice)
             if fit is not None and fit.converged:
                 return fit
-        return fit_lag_places(*data, places, independent, None, *others, start)
+        return fit_lag_places(*data, places, independent, None, *others, start, self._choice)
 
     def _fitted_without_products(self, prior: Prior | None) -> RotationFit | None:
         if self.whitened is not None:

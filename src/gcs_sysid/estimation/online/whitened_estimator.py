@@ -58,10 +58,11 @@ class WhitenedEstimator:
     Args:
         record: that has such rows.
         geometry: (3, rotors) of the airframe.
+        choice: of deviations from the model.
     """
 
-    def __init__(self, record: FlightRecord, geometry: Array) -> None:
-        self._choice = DeviationChoice(geometry, commands=record.commands is not None)
+    def __init__(self, record: FlightRecord, geometry: Array, choice: DeviationChoice) -> None:
+        self._choice = choice
         self._geometry = geometry
         self._record = record
 
@@ -145,7 +146,8 @@ class WhitenedEstimator:
             return thrust
         effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
         factor = 1.0 / (1.0 + float(fit.deviations @ effect))
-        spread = float(np.sqrt(effect @ fit.deviations_covariance @ effect))
+        # Rounding of what hardly is in the data may leave less than nothing.
+        spread = float(max(effect @ fit.deviations_covariance @ effect, 0.0)) ** 0.5
         kappa = factor * thrust.kappa
         return replace(
             thrust, kappa=kappa, kappa_std=math.hypot(factor * thrust.kappa_std, spread * kappa)
