@@ -142,8 +142,10 @@ def _descend(
         step, downhill, H = _step(hessian, gradient, d, damping)
         candidate = problem.moved(point.unknowns, step / d)
         allowed = problem.are_allowed(candidate)
-        if not allowed.all():
-            step = _along_edge(problem, point.unknowns, step, d, H, ~allowed)
+        # Long steps lead outside before a search is near; bent, they would end at the edge.
+        stuck = ~allowed & (damping >= 1.0)
+        if stuck.any():
+            step = _along_edge(problem, point.unknowns, step, d, H, stuck)
             candidate = problem.moved(point.unknowns, step / d)
             allowed = problem.are_allowed(candidate)
         # How much the cost can still fall, in units of the likelihood.
