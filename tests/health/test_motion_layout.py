@@ -196,8 +196,8 @@ def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
     assert document_of(withheld)["autopilot_parameters"] == {}
     # Any other refusal leaves it, and so does the same reason below a result.
     elsewhere = Objection("no attitude (ATTITUDE)", verdict="refused", by="data")
-    assert beside_analysis(found, object_to(nothing, [elsewhere])) is found
-    assert beside_analysis(found, object_to(nothing, [replace(wrong, verdict="partial")])) is found
+    assert beside_analysis(found, object_to(nothing, [elsewhere])) == found
+    assert beside_analysis(found, object_to(nothing, [replace(wrong, verdict="partial")])) == found
 
 
 def test_frames_of_ardupilot():

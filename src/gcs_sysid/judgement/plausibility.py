@@ -137,7 +137,7 @@ def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
         own = evidence.estimates.get("rotor_inertia")
         if own is not None and own.value is not None:
             yield Objection(
-                "rotor inertia rests on speeds that one of the rotors may read wrong",
+                "rotor inertia comes from speeds that one of the rotors may read wrong",
                 frozenset({"rotor_inertia"}),
                 cap="weak",
                 verdict="identified",

@@ -20,17 +20,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry import message_table
 from gcs_sysid.telemetry.clock import DRIVING, ClockTimes, Stamp, VehicleClock, following
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.message_table import (
-    MESSAGES,
-    MOST_ROTORS,
-    STAMP_FIELDS,
-    Message,
-    Preference,
-)
+from gcs_sysid.telemetry.message_table import MOST_ROTORS, STAMP_FIELDS, Message, Preference
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_arrays, picker
 from gcs_sysid.telemetry.track_collector import TrackCollector
 
@@ -172,8 +167,6 @@ class VehicleStates:
 
 
 _SYSTEM_TIME = MESSAGE_IDS["SYSTEM_TIME"]
-_TABLE = {message.name: message for message in MESSAGES}
-_IDS = {MESSAGE_IDS[name] for name in _TABLE} | STATE_IDS | {_SYSTEM_TIME}
 _NO_TIMES = np.empty(0)
 _NO_ORDER = np.empty(0, np.int64)
 
@@ -200,6 +193,8 @@ class RecordDecoder:
     def __init__(self) -> None:
         self.clock = VehicleClock()
         self.states = VehicleStates()
+        self._table = {message.name: message for message in message_table.MESSAGES}
+        self._ids = {MESSAGE_IDS[name] for name in self._table} | STATE_IDS | {_SYSTEM_TIME}
         self._dropped: Counter[str] = Counter()
         self._sensors: dict[str, int] = {}
         self._q_last = np.array([1.0, 0.0, 0.0, 0.0])
@@ -227,7 +222,7 @@ class RecordDecoder:
 
     def reads(self, message_id: int) -> bool:
         """Whether there is anything to read in messages of a type."""
-        return message_id in _IDS
+        return message_id in self._ids
 
     def decode(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
         """Read the messages of the table, up to a stamp that sets the clock back, or one frame.
@@ -240,7 +235,7 @@ class RecordDecoder:
             mine: (n,) bool, which are the vehicle's, with right checksums.
             out: takes the records.
         """
-        messages = message_arrays(frames, _TABLE, mine)
+        messages = message_arrays(frames, self._table, mine)
         self._leave_out(messages, frames, mine)
         stop = self._learn_unix_time(frames, mine)
         reboots = self.clock.reboots
@@ -279,7 +274,7 @@ class RecordDecoder:
     def _leave_out(self, messages: dict[str, Array], frames: FrameBlock, mine: Mask) -> None:
         """Leave out what the table excludes."""
         for name, rows in messages.items():
-            message, kept = _TABLE[name], np.ones(len(rows), bool)
+            message, kept = self._table[name], np.ones(len(rows), bool)
             if message.sensor:
                 first = self._sensors.setdefault(name, int(rows[message.sensor][0]))
                 kept &= rows[message.sensor] == first
@@ -339,11 +334,11 @@ class RecordDecoder:
         stamped = {
             name: rows
             for name, rows in messages.items()
-            if _TABLE[name].stamp in DRIVING and len(rows)
+            if self._table[name].stamp in DRIVING and len(rows)
         }
         if not stamped:
             return {}, ClockTimes(_NO_ORDER, now), stop
-        kinds = {name: _TABLE[name].stamp for name in stamped}
+        kinds = {name: self._table[name].stamp for name in stamped}
         order = np.concatenate([rows["_frame"] for rows in stamped.values()])
         raw = np.concatenate([rows[STAMP_FIELDS[kinds[name]]] for name, rows in stamped.items()])
         kind = np.repeat([*kinds.values()], [len(rows) for rows in stamped.values()])
@@ -368,7 +363,7 @@ class RecordDecoder:
         out: TrackCollector,
     ) -> None:
         """Make records of the messages that are left."""
-        there = [_TABLE[name] for name, rows in messages.items() if len(rows)]
+        there = [self._table[name] for name, rows in messages.items() if len(rows)]
         self._stamp_the_others(there, messages, stamps, moments)
         alike: dict[Stream, list[Message]] = {}
         for message in there:

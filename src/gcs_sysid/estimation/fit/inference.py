@@ -133,6 +133,12 @@ class Outcome:
         return moved[:, :, None] * moved[:, None, :]
 
     @property
+    def white(self) -> Array:
+        """(K, p) standard deviations, were rows independent and the model whole."""
+        white: Array = np.sqrt((self.roots[1] ** 2).sum(axis=2)) / self._scale
+        return white
+
+    @property
     def left(self) -> Array:
         """(K,) twice by how much the likelihood could still rise: standard deviations, squared."""
         gradient, hessian = self._problem.with_prior(self._point)

@@ -1,5 +1,6 @@
 """Estimates of the rotational parameters, with their uncertainty."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -11,6 +12,10 @@ from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagPlace
 from gcs_sysid.model import rigid_body as rb
+
+_IMITATED = math.radians(0.3)
+"""rad, such a turn: rotorpy's vehicles, whose IMU is not turned at all, are read as if it were by
+0.1 to 1 degree, where noise alone would leave 0.1."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,22 @@ class RotationFit:
             extended_covariance=extended,
             data_std=np.hypot(self.data_std, np.sqrt(np.diag(doubt)[:n])),
         )
+
+    def imitated_turns(self, colored: float = 1.0) -> Array:
+        """(k, N_UNKNOWNS + m) errors by what looks like a turn of the IMU and is none: air in
+        motion, and what rows of the window leave out.
+
+        Args:
+            colored: by how much a turn's standard deviation is too small: where rows scatter more
+                than noise does, more looks like a turn.
+        """
+        errors = []
+        for k, turn in enumerate(np.abs(self.deviating.turns).max(axis=1, initial=0.0)):
+            if turn:
+                own = self.extended_covariance[N_UNKNOWNS + k, N_UNKNOWNS + k]
+                off = math.sqrt(colored * (_IMITATED / turn) ** 2 + (colored**2 - 1.0) * own)
+                errors.append(along(self.extended_covariance, N_UNKNOWNS + k, off))
+        return np.array(errors).reshape(-1, len(self.extended_covariance))
 
     @property
     def unknowns(self) -> Array:

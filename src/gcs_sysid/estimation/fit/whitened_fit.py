@@ -8,7 +8,6 @@ second whose innovations are far stronger than the median, and more than the rot
 motion, are left out (`shocks_in`).
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,9 +40,6 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _OWN = 0.5
 """Share of a batch's motion that the fit does not explain, up to which it is no shock."""
-_IMITATED = math.radians(0.3)
-"""rad, a turn of the IMU that air in motion may look like: rotorpy's vehicles, whose IMU is not
-turned at all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""
 _AXES = np.arange(3)
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
@@ -328,16 +324,13 @@ def _with_scatter(
         spread = spread + outcome.spread_of(doubt * pull)
     # First from scatter, which also gives the contrasts' standard deviations.
     fit = outcome.fits(spread, widening, [solved.converged], [0])[0]
-    ways = []
+    fit, ways = replace(fit, deviating=bank.deviations), []
     for error in solved.trial.systematic(fit, hover):
         way = np.zeros(problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         ways.append(way)
-    turns = bank.deviations.turns
-    for k, turn in enumerate(np.abs(turns).max(axis=1, initial=0.0)):
-        if disturbed and turn:
-            imitated = along(fit.extended_covariance, N_UNKNOWNS + k, _IMITATED / turn)
-            ways.append(imitated[problem.free] / widening[0])
+    if disturbed:
+        ways += list(fit.imitated_turns()[:, problem.free] / widening[0])
     if disturbed and basis.motors and only is None:
         ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
     if older is not None and Unknown.DELAY in problem.free:

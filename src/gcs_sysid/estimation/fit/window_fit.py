@@ -151,6 +151,12 @@ def fit_rotation(
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
     fits = outcome.fits(spread, widening, converged, range(len(bank)), stuck)
     fits = [replace(fit, deviating=deviations) for fit in fits]
+    if deviations.turns.any():
+        for i, fit in enumerate(fits):
+            # Where inertia scatters more than white noise would, so does what looks like a turn.
+            colored = fit.data_std[: rb.CG_X] / outcome.white[i, : rb.CG_X]
+            off = fit.imitated_turns(max(float(colored.max()), 1.0))
+            fits[i] = fit.widened(off.T @ off)
     return most_certain([fit for fit, no in zip(fits, stuck, strict=True) if not no] or fits)
 
 
