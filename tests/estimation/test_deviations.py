@@ -131,6 +131,7 @@ class Fixed(DeviationChoice):
             torques=every.torques[self.of],
             std=100.0 * units,
             thrusts=every.thrusts[self.of],
+            turns=every.turns[self.of],
             sized=every.sized[self.of],
         )
 

@@ -57,12 +57,25 @@ def test_loads_that_unlike_rotors_explain_as_well_as_a_cg_name_both(shares, roto
     assert f"look at {rotors}: propeller and pole count" in found.do
 
 
+IDENTIFIED = {
+    "cg_x": replace(AFT, status="identified"), "cg_y": replace(CENTERED, status="identified")
+}  # fmt: skip
+"""By an analysis."""
+
+
+def test_a_cg_that_an_analysis_only_guesses_decides_nothing():
+    by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))
+    hovered = replace(HEALTH, cg=by_hover, rotors=loaded(0.2, 0.3, 0.2, 0.3))
+    weak = {name: replace(e, status="weak") for name, e in IDENTIFIED.items()}
+    shown = beside_analysis(hovered, Result("partial", (), "", {}, None, "speed", weak))
+    assert "or rotors 2 and 4 unlike the others" in shown.findings[0].what
+
+
 def test_speeds_beside_commands_or_moments_decide_between_cg_and_rotors():
     alike = replace(HEALTH, rotors=loaded(0.2, 0.3, 0.2, 0.3, gain=1.0))
     by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))
     hovered = replace(HEALTH, cg=by_hover, rotors=loaded(0.2, 0.3, 0.2, 0.3))
-    better = {"cg_x": AFT, "cg_y": CENTERED}
-    result = Result("identified", (), "", {}, None, "speed", better)
+    result = Result("identified", (), "", {}, None, "speed", IDENTIFIED)
     for health in (advised(alike), beside_analysis(hovered, result)):
         assert health.findings[0].do.startswith("shift the CG 100.0 ± 6.7 mm forward. ")
 
@@ -91,8 +104,7 @@ def test_battery_travel_is_computed_with_both_masses():
 def test_battery_travel_is_that_of_the_better_cg_of_an_analysis():
     by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))
     health = replace(HEALTH, cg=by_hover, battery_mass=HEALTH.known_mass / 2.0)
-    better = {"cg_x": AFT, "cg_y": CENTERED}
-    result = Result("identified", (), "", {}, None, "speed", better)
+    result = Result("identified", (), "", {}, None, "speed", IDENTIFIED)
     assert "move the battery 200 ± 13 mm forward" not in advised(health).advice
     assert "move the battery 200 ± 13 mm forward" in beside_analysis(health, result).advice
 

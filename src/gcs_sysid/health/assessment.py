@@ -362,7 +362,9 @@ def _as_identified(health: Health, result: Result) -> Health:
 def _better(result: Result, name: str, of_hover: Estimate) -> Estimate | None:
     """A parameter as identified, if its interval is the narrower one; else None."""
     found = result.parameters.get(name)
-    if found is None or found.value is None or found.std is None or of_hover.std is None:
+    if found is None or found.status not in ("identified", "zero"):
+        return None
+    if found.value is None or found.std is None or of_hover.std is None:
         return None
     if found.unit != of_hover.unit:
         return None

@@ -136,6 +136,20 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
         },
         evidence=_by_axis(test.share),
     )
+    least = STATUS_RULES.explained(whitened=bool(rotation.whiteners))[0]
+    if rotation.r_squared.min() < least and not evidence.rotor_input.motors:
+        # A gust leaves gyroscopic torque as it is; a speed read wrong spoils both, and the CG.
+        yield Objection(
+            "neither the motion on every axis nor gyroscopic torque agrees with the rotors' speeds",
+            frozenset(
+                name
+                for name in evidence.estimates
+                if REGISTRY[name].theta or REGISTRY[name].fit == "translation"
+            ),
+            cap="weak",
+            verdict="partial",
+            how="check that every ESC reads true: its pole count first",
+        )
 
 
 def swapped(evidence: Evidence) -> Iterator[Objection]:

@@ -128,19 +128,23 @@ class RotationFit:
             data_std=np.hypot(self.data_std, np.sqrt(np.diag(doubt)[:n])),
         )
 
-    def imitated_turns(self, colored: float = 1.0) -> Array:
-        """(k, N_UNKNOWNS + m) errors by what looks like a turn of the IMU and is none: air in
-        motion, and what rows of the window leave out.
+    def imitated_turns(self, colored: float = 0.0) -> Array:
+        """(k, N_UNKNOWNS + m) errors by what looks like a turn of the IMU and is none.
+
+        A turn is fitted to first order, and leaves as much as its square. Air in motion, and what
+        rows of the window leave out, look like more.
 
         Args:
             colored: by how much a turn's standard deviation is too small: where rows scatter more
-                than noise does, more looks like a turn.
+                than noise does, more looks like a turn. 0: in calm air.
         """
-        errors = []
-        for k, turn in enumerate(np.abs(self.deviating.turns).max(axis=1, initial=0.0)):
+        turns, errors = self.deviating.turns, []
+        square = float(((self.deviations @ turns) ** 2).sum())
+        for k, turn in enumerate(np.abs(turns).max(axis=1, initial=0.0)):
             if turn:
                 own = self.extended_covariance[N_UNKNOWNS + k, N_UNKNOWNS + k]
-                off = math.sqrt(colored * (_IMITATED / turn) ** 2 + (colored**2 - 1.0) * own)
+                air = colored * _IMITATED**2 + square**2
+                off = math.sqrt(air / turn**2 + max(colored**2 - 1.0, 0.0) * own)
                 errors.append(along(self.extended_covariance, N_UNKNOWNS + k, off))
         return np.array(errors).reshape(-1, len(self.extended_covariance))
 

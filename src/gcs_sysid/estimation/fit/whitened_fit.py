@@ -329,8 +329,7 @@ def _with_scatter(
         way = np.zeros(problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         ways.append(way)
-    if disturbed:
-        ways += list(fit.imitated_turns()[:, problem.free] / widening[0])
+    ways += list(fit.imitated_turns(1.0 if disturbed else 0.0)[:, problem.free] / widening[0])
     if disturbed and basis.motors and only is None:
         ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
     if older is not None and Unknown.DELAY in problem.free:
