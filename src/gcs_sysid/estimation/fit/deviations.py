@@ -54,6 +54,10 @@ torque relative to the mean over the rotors."""
 AXIS_DAMPING = 0.3
 """1/s, of an axis' damping about the mean, in moments of inertia: inflow and flapping damp roll and
 pitch of multirotors by 0.1 to 0.5, and hardly yaw."""
+OF_AXES = np.zeros((3, 3, rb.N_SIGNALS))
+"""What the damping of each axis adds to B of J w' = B x."""
+for _axis, _rate in enumerate("pqr"):
+    OF_AXES[_axis, _axis, rb.SIGNALS.index(_rate)] = -1.0
 SURE = 3.0
 """Nats of evidence from which a kind of deviation is included."""
 N_X, _AXES = rb.N_SIGNALS, 3
@@ -158,6 +162,11 @@ class DeviationChoice:
         own = self._signal.T[:, None, :] * rb.mixer(self._geometry)[:, :, None]
         return np.tensordot(self._contrasts, own, 1)
 
+    @property
+    def has_given(self) -> bool:
+        """Whether rotors or IMU may not be where they are given."""
+        return bool(self._turn) or len(self._places) > 0
+
     def given(self, unknowns: Array) -> Deviations:
         """Of what is given, in its standard deviations; the IMU turns the motion of a fit."""
         theta = unknowns[: rb.N_THETA]
@@ -180,8 +189,7 @@ class DeviationChoice:
         x, y, s = self._geometry
         rotors = len(s)
         torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))
-        for axis, rate in enumerate("pqr"):
-            torques[axis, axis, rb.SIGNALS.index(rate)] = -1.0
+        torques[:3] = OF_AXES
         torques[3 : 3 + rotors, 0, :4] = ((unknowns[rb.CG_Y] - y) * self._signal).T
         torques[3 : 3 + rotors, 1, :4] = ((x - unknowns[rb.CG_X]) * self._signal).T
         torques[3 + rotors :, 2, :4] = (s * self._signal).T

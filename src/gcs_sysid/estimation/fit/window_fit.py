@@ -28,7 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, SIZES, DeviationChoice, evidence_for
+from gcs_sysid.estimation.fit.deviations import (
+    AXIS_DAMPING,
+    OF_AXES,
+    SIZES,
+    DeviationChoice,
+    evidence_for,
+)
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import N_X, JointProblem, residual_maker
@@ -47,10 +53,6 @@ _TURNED = 2
 """Times that the IMU's turn is fitted: it turns the motion of a fit."""
 _KNOWN_TO = 0.2
 """Of a moment of inertia: those known better show how much colored residuals widen intervals."""
-_OF_AXES = np.zeros((3, 3, rb.N_SIGNALS))
-"""What the damping of each axis adds to B of J w' = B x."""
-for _axis, _rate in enumerate("pqr"):
-    _OF_AXES[_axis, _axis, rb.SIGNALS.index(_rate)] = -1.0
 
 
 def fit_rotation(
@@ -106,13 +108,11 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimize(problem, unknowns, 12)
-    for _ in range(0 if choice is None else _TURNED):
-        assert choice is not None
-        deviations = choice.given(point.unknowns[0])
-        if not len(deviations.std):
-            break
-        problem = JointProblem(bank, rows, basis, prior, deviations=deviations)
-        point, converged = minimize(problem, problem.extended(point.unknowns), MAX_ITERATIONS)
+    if choice is not None and choice.has_given:
+        for _ in range(_TURNED):
+            given = choice.given(point.unknowns[0])
+            problem = JointProblem(bank, rows, basis, prior, deviations=given)
+            point, converged = minimize(problem, problem.extended(point.unknowns), MAX_ITERATIONS)
     deviations = problem.deviations
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
@@ -242,7 +242,7 @@ def axis_damping_doubt(
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
     Q, G = rb.forward_jacobian(theta, fit.deviating.torque(fit.deviations))
-    D = np.linalg.inv(rb.inertia_matrix(theta)) @ _OF_AXES
+    D = np.linalg.inv(rb.inertia_matrix(theta)) @ OF_AXES
     inputs = rows[:N_X, :N_X]
     left = W @ (residual_maker(Q) @ rows)[:, :N_X]  # W r x'
     weighted = W @ G @ inputs
