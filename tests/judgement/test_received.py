@@ -68,9 +68,9 @@ def test_no_attitude_is_a_note():
         ({"has_rotors": False}, "no rotor speeds and no commands in flight"),
         ({"has_rotors": False, "refused": {"RPM": "jumps"}}, "RPM jumps"),
         ({"outdated": True}, "came too late"),
-        ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "too little flight"),
+        ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "never seen in the air"),
         ({"input_lost": "ESC stopped"}, "ESC stopped"),
-        ({}, "too little flight"),
+        ({"flown": 4.0}, "only 0.0 s of 4 s in the air have all needed data"),
     ],
 )
 def test_the_first_thing_that_is_missing_is_the_only_reason(received, said):

@@ -262,14 +262,14 @@ def health_of(
     c = curve.c.value if curve is not None and rotor_input.motors else None
     thrust = thrust_of(windows, c)
     if rotor_input.motors and c is None:
-        reason, how = _no_hover(windows)
+        reason, how = _no_hover(streams, windows)
         return _refused(reason, how=how, airframe=airframe)
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         # A sensor that reads otherwise than the vehicle moves is the cause of the rest.
-        reason, how = _no_hover(windows)
+        reason, how = _no_hover(streams, windows)
         unseen = _refused(reason, how=how, airframe=airframe)
         # Without an accelerometer nothing is calm.
         others = () if any(each.absent for each in saturated) else unseen.objections
@@ -410,9 +410,12 @@ def _missing(streams: Streams) -> tuple[str, ...]:
     return ()
 
 
-def _no_hover(windows: Windows) -> tuple[str, str]:
+def _no_hover(streams: Streams, windows: Windows) -> tuple[str, str]:
     """Why there is no hover to judge by, and what to do."""
     if not len(windows.t):
+        if turned := max(s.turned for s in (streams.speeds, streams.commands) if s is not None):
+            on_ground = f"the rotors turn for {turned:.0f} s, on the ground, a bench or in a hand"
+            return f"never seen in the air: {on_ground}", HOVER
         return "never seen in the air, with IMU and rotor data together", HOVER
     if windows.idle.all():
         return "the rotors only idle, at no command above their least: never in the air", HOVER

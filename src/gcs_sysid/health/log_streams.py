@@ -48,6 +48,11 @@ class RotorStream:
         first = self.samples[0][0]
         return all(t is first or np.array_equal(t, first) for t, _ in self.samples)
 
+    @cached_property
+    def turned(self) -> float:
+        """S for which the first rotor turns, or is to."""
+        return float(np.count_nonzero(self.samples[0][1] > 0.0)) / self.rate
+
 
 @dataclass(frozen=True)
 class Streams:

@@ -26,6 +26,7 @@ class Received:
         has_rotors: whether there is a rotor stream in use.
         input_lost: why it was given up; empty where it was not.
         outdated: whether the autopilot's parameters came too late to be heeded.
+        flown: s in the air.
     """
 
     seen: frozenset[Stream] = frozenset()
@@ -35,6 +36,7 @@ class Received:
     has_rotors: bool = True
     input_lost: str = ""
     outdated: bool = False
+    flown: float = 0.0
 
 
 @dataclass(frozen=True)

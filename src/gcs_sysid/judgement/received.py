@@ -26,7 +26,6 @@ ROTORS = "rotors"
 """Producer of objections that the airframe's rotors contradict the motion."""
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
-_TOO_LITTLE = "too little flight with all needed data"
 TWO_GOOD_CLOCKS = 500.0
 """ppm. Crystals are off by less than 100; a computer's clock that is being set by the network is
 slewed by up to 500. What stays below it costs inertia 0.05 %, less than its noise usually does."""
@@ -83,7 +82,7 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     for by, reasons in (
         ("data", _missing(received, evidence.anchor)),
         (ROTORS, _contradicted(fit)),
-        ("data", ((received.input_lost or _TOO_LITTLE, ""),) if fit.rotation is None else ()),
+        ("data", _too_little(received, fit)),
         ("data", _unexplained(fit, cut=bool(evidence.saturated), still=is_hover(evidence))),
     ):
         if reasons:
@@ -174,6 +173,14 @@ def _contradicted(fit: Fit) -> _Reasons:
         check = "check motor order and rotor positions in the airframe file, and fly roll and pitch"
         return (("the motion does not match these rotors", check),)
     return ()
+
+
+def _too_little(received: Received, fit: Fit) -> _Reasons:
+    """Why there is no fit at all."""
+    if fit.rotation is not None:
+        return ()
+    used = f"only {fit.seconds:.1f} s of {received.flown:.0f} s in the air have all needed data"
+    return ((received.input_lost or (used if received.flown else "never seen in the air"), ""),)
 
 
 def _unexplained(fit: Fit, *, cut: bool, still: bool) -> _Reasons:

@@ -669,6 +669,7 @@ class Findings:
                 chain.rotors is not None,
                 chain.input_lost,
                 chain.outdated,
+                sampler.time_base.flown,
             ),
             note=note,
             apart=self._apart(),
