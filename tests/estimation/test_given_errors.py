@@ -1,7 +1,6 @@
 """What wrong rotor positions, scale and IMU place do to an estimate whose truth is known."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,25 +95,3 @@ def test_exactly_given_adds_nothing():
     }
     stds = given_stds(values, fit, Given(EXACT, ScaleReference("mass", 1.5), RotorInput.SPEED, {}))
     assert not any(stds.values())
-
-
-def test_an_imu_off_the_center_matters_to_the_accelerometer_alone():
-    fit = fit_of(QUAD)
-    values = {"k_T": Estimate(2e-4, 1e-7, status="identified")}
-    given = Given(EXACT.with_uncertainty({"imu_position": 0.02}, "here"),
-                  ScaleReference("mass", 1.5), RotorInput.SPEED, {})  # fmt: skip
-    assert given_stds(values, fit, given)["k_T"] == 0.0
-    # Without angular acceleration, which has no mean in flight.
-    window = fit.moments.window.copy()
-    window[rb.N_SIGNALS :] = window[:, rb.N_SIGNALS :] = 0.0
-    felt = replace(
-        fit,
-        translation=replace(MOTION, source="accelerometer"),
-        moments=fit.moments._replace(window=window),
-    )
-    share = given_stds(values, felt, given)["k_T"] / 2e-4
-    # -z (p^2 + q^2) of 2 cm, against the mean specific force
-    p, q = (rb.SIGNALS.index(name) for name in "pq")
-    thrust = MOTION.kappa * math.sqrt(window[2, 2] / ROWS)
-    expected = 0.02 * (window[p, p] + window[q, q]) / ROWS / thrust
-    assert share == pytest.approx(expected, rel=0.1)

@@ -126,13 +126,18 @@ def test_a_fit_that_follows_is_the_fit():
     assert last.delta_std == pytest.approx(whole.delta_std, rel=0.1)
 
 
-def accelerometer_rows(seed=1, n=1600, bias=0.0, sigma=0.05, variation=0.1):
-    """(n, 4) rows [sum O, 0, 1, f_z]."""
+def accelerometer_rows(seed=1, n=1600, bias=0.0, sigma=0.05, variation=0.1, place=None):
+    """(n, 6) rows [sum O, what a place in x, y and z adds, 1, f_z]; no rotation without a place."""
     rng = np.random.default_rng(seed)
     slow = lfilter([0.3], [1.0, -0.95], rng.standard_normal(n))
     thrust = GRAVITY / KAPPA * (1.0 + variation * slow)
     force = -KAPPA * thrust + bias + sigma * rng.standard_normal(n)
-    return np.column_stack([thrust, np.zeros(n), np.ones(n), force])
+    added = np.zeros((n, 3))
+    if place is not None:
+        p, q, r = lfilter([0.3], [1.0, -0.95], rng.standard_normal((n, 3)), axis=0).T
+        added = np.column_stack([r * p, q * r, -(p**2) - q**2])
+        force += added @ place
+    return np.column_stack([thrust, added, np.ones(n), force])
 
 
 def test_the_accelerometer_tells_thrust_and_its_bias_is_in_the_interval():
@@ -165,11 +170,24 @@ def test_a_thrust_that_varies_tells_the_bias(bias):
     assert enough.kappa != enough.unbiased
 
 
+@pytest.mark.parametrize("place", [(0.22, 0.0, 0.13), (0.0, -0.1, -0.2), (0.0, 0.0, 0.0)])
+def test_rotation_shows_where_the_accelerometer_is(place):
+    batches, counts = moments(accelerometer_rows(sigma=0.02, place=place))
+    fit = fit_accelerometer(batches, counts, place=0.05)
+    assert fit.kappa == pytest.approx(KAPPA, abs=3.0 * fit.kappa_std)
+    assert fit.kappa_std < 0.006 * KAPPA
+    # Nine batches are too early.
+    early = fit_accelerometer(batches[:9], counts[:9], place=0.05)
+    exact = fit_accelerometer(batches[:9], counts[:9])
+    assert early.kappa == exact.kappa
+    assert early.kappa_std > exact.kappa_std
+
+
 def test_the_bias_is_held_to_what_is_usual():
     """The posterior of slope and bias, written out for white residuals of known size."""
     sigma, bias = 0.5, 0.4
     rows = accelerometer_rows(sigma=sigma, bias=bias, variation=0.02, n=400)
-    A, y = rows[:, [0, 2]], rows[:, 3]
+    A, y = rows[:, [0, -2]], rows[:, -1]
     slope, offset = np.linalg.lstsq(A, y, rcond=None)[0]
     residual = y - A @ [slope, offset]
     information = A.T @ A / np.mean(residual**2)

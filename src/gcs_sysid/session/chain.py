@@ -497,6 +497,7 @@ class Chain:
             gyro_cutoff=gyro,
             speed_interval=rotors.interval,
             rotor_place=sigma.rotor_position.of(self.airframe.arm),
+            imu_place=sigma.imu_position.amount,
             imu_turn=math.radians(sigma.imu_rotation.amount),
         )
         if rotors.kind.motors:
@@ -507,6 +508,7 @@ class Chain:
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
                 rotor_place=tuning.rotor_place,
+                imu_place=tuning.imu_place,
                 imu_turn=tuning.imu_turn,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,

@@ -6,8 +6,12 @@ Momentum balance in world axes, averaged with the same window on both sides:
 
 Gravity is the reference: over a flight the mean vertical acceleration is nearly nothing, so
 kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
-accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then an
-unknown, observable as far as thrust varies.
+accelerometer itself serves as second source:
+
+    f_z = -kappa sum O + x (r p - q') + y (q r + p') - z (p^2 + q^2) + bias
+
+with (x, y, z) from the CG to where it is believed to be to where it is. Both are then unknowns,
+observable as far as thrust varies otherwise than the squares of the rates do.
 """
 
 from dataclasses import dataclass
@@ -23,9 +27,12 @@ from gcs_sysid.model.parameters import GRAVITY
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
+ACCELEROMETER_WIDTH = 6
+"""Of the accelerometer [sum O, what a place in x, y and z adds, 1, output]."""
+
 ACCELEROMETER_BIAS_STD = 0.2
-"""m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
-degree or two, and a sensor 5 cm off the center of gravity with rates of 2 rad/s."""
+"""m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, and a level calibration of
+a degree or two."""
 
 CALM, _LIFT = 0.8, 0.25
 """m/s^2, and a share. Wind lifts rotors, which looks like a larger kappa: by 2 to 10 % where it
@@ -192,14 +199,18 @@ def accelerometer_gain(
 
 
 def fit_accelerometer(
-    batches: Array, counts: NDArray[np.int64], gain: AccelerometerGain | None = None
+    batches: Array,
+    counts: NDArray[np.int64],
+    gain: AccelerometerGain | None = None,
+    place: float = 0.0,
 ) -> TranslationFit | None:
     """Fit thrust over mass to the accelerometer's z axis alone.
 
     Args:
-        batches: (k, WIDTH, WIDTH) moments of rows [sum O, 0, 1, f_z].
+        batches: (k, ACCELEROMETER_WIDTH, ACCELEROMETER_WIDTH) moments of rows.
         counts: (k,) rows in each.
         gain: of this accelerometer against momentum balance, where that is known.
+        place: m, standard deviation of each coordinate of where it is; 0: as it is believed.
     """
     rows = int(counts.sum())
     if rows < (_MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS):
@@ -217,32 +228,33 @@ def fit_accelerometer(
         return TranslationFit(
             scaled, share * abs(scaled), np.nan, np.nan, "accelerometer", unbiased=kappa
         )
-    mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
-    bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
-    best = kappa, float(np.hypot(std, bias_std))
+    usual = np.array([place, place, place, ACCELEROMETER_BIAS_STD])
+    added = usual * total[0, 1:-1] / max(float(total[0, 0]), _TINY)
+    best = kappa, float(np.hypot(std, np.linalg.norm(added)))
     if len(batches) >= _MIN_BATCHES_FOR_BIAS:
-        best = _with_bias(batches, rows, total)
+        best = _with_bias(batches, rows, total, usual)
     return TranslationFit(*best, np.nan, np.nan, "accelerometer", unbiased=kappa)
 
 
-def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
-    """Kappa and its standard deviation with the bias as an unknown with a prior.
+def _with_bias(batches: Array, rows: int, total: Array, usual: Array) -> tuple[float, float]:
+    """Kappa and its standard deviation with place and bias as unknowns, of (4,) usual sizes.
 
-    The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
+    These are weighed against the information that the scatter of the scores leaves: overlapping
     rows overstate what the data know.
     """
-    balance = _Balance(total[None, None], np.array([rows]), _BIASED)
+    unknown = np.append(True, usual > 0.0)
+    balance = _Balance(total[None, None], np.array([rows]), _BIASED[..., unknown])
     balance.converge()
-    covariance = balance.covariance(balance.inflation(batches[:, None]))[0]
-    slope, bias = balance.estimate[0]
-    gain = covariance[0, 1] / (covariance[1, 1] + ACCELEROMETER_BIAS_STD**2)
-    kappa = -float(slope - gain * bias)
-    std = float(np.sqrt(covariance[0, 0] - gain * covariance[0, 1]))
+    information = balance.information(balance.inflation(batches[:, None]))[0]
+    units = np.append(1.0 / np.sqrt(information[0, 0]), usual)[unknown]
+    known = information * np.outer(units, units) + np.diag([0.0, *np.ones(len(units) - 1)])
+    value = np.linalg.solve(known, units * (information @ balance.estimate[0]))
+    kappa, std = -units[0] * float(value[0]), units[0] * np.sqrt(np.linalg.inv(known)[0, 0])
     return kappa, float(np.hypot(std, _SLOPE_ERROR_SHARE * kappa))
 
 
 def _layouts() -> tuple[Array, Array, Array]:
-    """Of momentum balance, of the accelerometer's z axis, and of that with a bias."""
+    """Of momentum balance, of the accelerometer's z axis, and of that with place and bias."""
     # Unknowns: -kappa, -delta, -kappa of the horizontal axes, wind north, wind east. Wind is a
     # nuisance (a vertical one would be taken for thrust). So is horizontal thrust: the vertical
     # axis depends on gravity, the horizontal ones on tilt alone, and the lag between velocity and
@@ -252,12 +264,9 @@ def _layouts() -> tuple[Array, Array, Array]:
     momentum[:, 1, 1] = 1.0
     momentum[:2, 0, 2] = 1.0
     momentum[0, 2, 3] = momentum[1, 2, 4] = 1.0
-    vertical = np.zeros((1, 3, 1))
-    vertical[0, 0, 0] = 1.0
-    # Unknowns: -kappa, bias.
-    biased = np.zeros((1, 3, 2))
-    biased[0, 0, 0] = biased[0, 2, 1] = 1.0
-    return momentum, vertical, biased
+    # Unknowns: -kappa; then place and bias.
+    biased = np.eye(ACCELEROMETER_WIDTH - 1)[None]
+    return momentum, biased[..., :1], biased
 
 
 _MOMENTUM, _VERTICAL, _BIASED = _layouts()
@@ -282,10 +291,10 @@ class _Balance:
         axes, inputs, unknowns = layout.shape
         turned = np.swapaxes(layout, 1, 2)
         self._normals = turned @ totals[..., :inputs, :inputs] @ layout
-        self._rights = (turned @ totals[..., :inputs, 3:])[..., 0]
-        self._powers = totals[..., 3, 3]
+        self._rights = (turned @ totals[..., :inputs, inputs:])[..., 0]
+        self._powers = totals[..., -1, -1]
         horizontal = totals[:, :2].sum(axis=1)
-        self.quickness = horizontal[:, 3, 3] / np.maximum(horizontal[:, 1, 1], _TINY)
+        self.quickness = horizontal[:, -1, -1] / np.maximum(horizontal[:, 1, 1], _TINY)
         self._floor = np.maximum(1e-12 * self._powers / self._rows, 1e-300)
         self.estimate = np.zeros((len(totals), unknowns))
         self.weights = np.ones((len(totals), axes))
@@ -326,20 +335,26 @@ class _Balance:
         residual = (batches[:, :, :inputs] @ made).reshape(len(batches), -1)
         weighted = self.weights[0, :, None, None] * self._layout
         scores = residual @ weighted.reshape(axes * inputs, unknowns)
-        d, inverse_root = self._inverse_root()
+        d, (_, inverse_root) = self._roots()
         return inflation(inverse_root[0], meat(scores / d[0]))
 
     def covariance(self, inflated: Array) -> Array:
         """(K, unknowns, unknowns), given that inflation."""
-        d, inverse_root = self._inverse_root()
+        d, (_, inverse_root) = self._roots()
         scaled = inverse_root @ inflated @ inverse_root
         return scaled / (d[:, :, None] * d[:, None, :])
 
-    def _inverse_root(self) -> tuple[Array, Array]:
-        """(K, unknowns) scales, and the root of the inverse of the scaled information."""
+    def information(self, inflated: Array) -> Array:
+        """(K, unknowns, unknowns) likewise, the inverse: zero of what has no effect."""
+        d, (root, _) = self._roots()
+        scaled = root @ np.linalg.inv(inflated) @ root
+        return scaled * (d[:, :, None] * d[:, None, :])
+
+    def _roots(self) -> tuple[Array, tuple[Array, Array]]:
+        """(K, unknowns) scales, and roots of the scaled information and of its inverse."""
         normal = (self.weights[..., None, None] * self._normals).sum(axis=1)
         d = _scales(normal)
-        return d, symmetric_roots(normal / (d[:, :, None] * d[:, None, :]))[1]
+        return d, symmetric_roots(normal / (d[:, :, None] * d[:, None, :]))
 
 
 def _scales(normal: Array) -> Array:

@@ -84,7 +84,7 @@ class OnlineEstimator:
         )
         """Of deviations from the model."""
         whitening = WhitenedEstimator(self._record, geometry, self.choice)
-        self._thrust = ThrustEstimator(self._record, whitening)
+        self._thrust = ThrustEstimator(self._record, whitening, tuning.imu_place)
         self._rotation = RotationEstimator(
             self._record, whitening, self._thrust, geometry, self.choice, tuning.speed_interval
         )

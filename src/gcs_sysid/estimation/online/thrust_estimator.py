@@ -29,12 +29,16 @@ class ThrustEstimator:
     Args:
         record: of the flight.
         whitening: of its whitened rows, where there are any.
+        place: m, standard deviation of each coordinate of the accelerometer's place.
     """
 
-    def __init__(self, record: FlightRecord, whitening: WhitenedEstimator) -> None:
+    def __init__(
+        self, record: FlightRecord, whitening: WhitenedEstimator, place: float = 0.0
+    ) -> None:
         self.accelerometer_gain: translation.AccelerometerGain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record, self._basis, self._whitening = record, record.basis, whitening
+        self._place = place
 
     def fit(
         self, at: RotationFit | None, prior: Prior | None
@@ -77,7 +81,8 @@ class ThrustEstimator:
         """Of the accelerometer's z axis, at (3,) coordinates."""
         moments = self._record.accelerometer
         mixed = _mixed(self._basis.thrust_weights(where), moments.batches)
-        return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
+        gain = self.accelerometer_gain
+        return translation.fit_accelerometer(mixed, moments.counts, gain, self._place)
 
     def follow(
         self, instants: Sequence[Instant], at: Sequence[RotationFit], start: TranslationFit
@@ -149,7 +154,7 @@ class ThrustEstimator:
             total = self._record.accelerometer.total
         step = _CURVE_STEP * np.eye(len(where))[Coordinate.CURVE]
         less, more = (
-            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
+            float(mixed[..., -2, 0].ravel()[-1])  # of the vertical axis
             for c in (where - step, where + step)
             for mixed in (_mixed(self._basis.thrust_weights(c), total),)
         )
@@ -163,10 +168,11 @@ class ThrustEstimator:
 
 
 def _mixed(weights: Array, moments: Array) -> Array:
-    """(..., WIDTH, WIDTH) of rows whose thrusts are mixed by their (thrusts,) weights."""
+    """(..., width, width) of rows whose thrusts are mixed by their (thrusts,) weights."""
     if len(weights) == 1:
         return moments
-    mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
-    mixer[0, :-3] = weights
-    mixer[1:, -3:] = np.eye(3)
+    others = moments.shape[-1] - len(weights)
+    mixer = np.zeros((1 + others, moments.shape[-1]))
+    mixer[0, :-others] = weights
+    mixer[1:, -others:] = np.eye(others)
     return mixer @ moments @ mixer.T

@@ -1,13 +1,13 @@
-"""Effect of errors in the given rotor positions, scale and IMU place on an estimate.
+"""Effect of errors in the given rotor positions and scale on an estimate.
 
-Not observable in any flight are the scale reference, the scale common to all arms, the middle of
-the rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e of
-the scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of all
-arms moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over
-k_T. The CG is counted from the middle. These errors are the same in all flights of a vehicle.
+Not observable in any flight are the scale reference, the scale common to all arms and the middle of
+the rotors. A share e of the scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag
+by e. A share e of all arms moves theta as a whole by e: inertia, CG, moment ratio, damping and
+rotor inertia, all over k_T. The CG is counted from the middle. These errors are the same in all
+flights of a vehicle.
 
-How rotors lie otherwise and how the IMU is turned a flight shows: these are unknowns of the fit
-(`estimation.fit.deviations`).
+How rotors lie otherwise, and how the IMU is turned and where it is, a flight shows: these are
+unknowns of the fits (`estimation.fit.deviations`, `estimation.fit.translation`).
 """
 
 import math
@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.problem import N_X
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.scale import resolve_scale
 from gcs_sysid.model import rigid_body as rb
@@ -25,8 +24,6 @@ from gcs_sysid.model.airframe import Airframe, Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
-
-_COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 
 
 @dataclass(frozen=True)
@@ -46,10 +43,10 @@ class Given:
     priors: Mapping[str, Known]
 
 
-CAUSES = ("scale", "lever_arm", "arm", "cant", "center_x", "center_y")
-"""What is given and may be off, each by itself: the scale reference, the IMU's place, the scale of
-all arms, what canted rotors add with these, and the middle of the rotors."""
-_SCALE, _LEVER, _ARM, _CANT, _CENTER = range(5)
+CAUSES = ("scale", "arm", "cant", "center_x", "center_y")
+"""What is given and may be off, each by itself: the scale reference, the scale of all arms, what
+canted rotors add with these, and the middle of the rotors."""
+_SCALE, _ARM, _CANT, _CENTER = range(4)
 
 
 def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dict[str, Array]:
@@ -67,18 +64,10 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
         Name -> (causes,) change, SI, of parameters that have a value; `CAUSES`.
     """
     scale = resolve_scale(given.anchor, fit.translation, given.priors)
-    lever, airframe = _lever_arm_share(fit, given.airframe), given.airframe
+    airframe = given.airframe
     arm, middle = _common_errors(airframe)
-    own = given.anchor.kind
     of_mass, of_thrust = np.zeros((2, len(CAUSES)))
     of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
-    # An accelerometer that reads too much makes k_T too large, or else the mass too small.
-    if own in ("k_T", "T_max"):
-        of_mass[_LEVER] = -lever
-    elif own == "mass":
-        of_thrust[_LEVER] = lever
-    else:
-        of_mass[_LEVER], of_thrust[_LEVER] = -lever, lever
     weight = np.ones(rb.N_THETA)
     if fit.rotation is not None and not given.anchor.origin:
         # What comes from a prior does not move with the arm. Before a change in flight it does.
@@ -126,24 +115,3 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
     reach = float(np.linalg.norm(places - places.mean(axis=1, keepdims=True)))
     arm = math.hypot(sigma.arm.of(airframe.arm) / airframe.arm, single / reach)
     return arm, single / math.sqrt(n)
-
-
-def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:
-    """Relative error of thrust over mass by an IMU that is elsewhere; of an accelerometer's alone.
-
-    What it reads too much along z, x (r p - q') + y (q r + p') - z (p^2 + q^2), is taken for
-    thrust as far as it goes with thrust.
-    """
-    translation = fit.translation
-    if translation is None or translation.source != "accelerometer" or fit.moments is None:
-        return 0.0
-    own = fit.moments.window[_COLUMN["thrust"]]
-    power = translation.kappa * own[_COLUMN["thrust"]]
-    if not power:
-        return 0.0
-    along = (
-        own[_COLUMN["rp"]] - own[N_X + 1],
-        own[_COLUMN["qr"]] + own[N_X],
-        own[_COLUMN["pp"]] + own[_COLUMN["qq"]],
-    )
-    return airframe.uncertainty.imu_position.amount * math.hypot(*along) / abs(float(power))

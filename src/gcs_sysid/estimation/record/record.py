@@ -74,7 +74,7 @@ class FlightRecord:
         basis: of the rotors' part of the rows.
         rotation: (leaks, width, width) moments of the rotation.
         momentum: (3, thrusts + 3, ...) of the momentum balance.
-        accelerometer: (thrusts + 3, ...) of its z axis.
+        accelerometer: (thrusts + 5, ...) of its z axis.
         article: the article's estimator, where requested.
         commands: maker of whitened rows of commands; None where not requested.
         input_noise: of the rotors' stream.
@@ -159,7 +159,7 @@ class FlightRecord:
         )
         width = basis.thrusts + 3
         self.momentum = NormalEquations((3, width, width), per_batch, kept)
-        self.accelerometer = NormalEquations((width, width), per_batch, kept)
+        self.accelerometer = NormalEquations((width + 2, width + 2), per_batch, kept)
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need."""

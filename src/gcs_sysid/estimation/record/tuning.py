@@ -39,6 +39,7 @@ class EstimatorTuning:
         loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
         speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
         rotor_place: m, standard deviation of each rotor's x and y as given, by itself.
+        imu_place: m, of each coordinate of the IMU.
         imu_turn: rad, of the IMU's rotation against the body about each axis.
         settle_interval: s, least time between full fits of a running history, which choose
             leak and delay; later they come when the record has grown by half.
@@ -61,6 +62,7 @@ class EstimatorTuning:
     loop_cutoff: float | None = None
     speed_interval: float = 0.0
     rotor_place: float = 0.0
+    imu_place: float = 0.0
     imu_turn: float = 0.0
     settle_interval: float = 2.0
     batch_time: float = 1.0

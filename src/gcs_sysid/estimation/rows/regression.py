@@ -44,7 +44,8 @@ class RegressionRows:
         rotation: (1, n, width) of elements, see `estimation.rows.actuator_dynamics`.
         momentum: (3, n, thrusts + 3), one for each world axis: the thrust of each lag and set
             along it, velocity, 1, and what they make up.
-        accelerometer: (n, thrusts + 3).
+        accelerometer: (n, thrusts + 5): the thrust likewise, what a place off in x, y and z
+            adds, 1, and what they make up.
         one_step: (m, width') of elements, over one step; m = 0 where none are made.
         inputs: (samples, rotors) speeds or commands that the rows were made of.
         drift: for which commands were corrected; None: no correction.
@@ -131,11 +132,15 @@ class RowMaker:
         momentum[..., -2] = 1.0
         momentum[..., -1] = rows.derivative[:, -4:-1].T
         momentum[2, :, -1] -= GRAVITY
-        accelerometer = np.ones((n, thrusts + 3))
-        accelerometer[:, :thrusts] = rows.average[:, self._thrust]
-        accelerometer[:, -3] = 0.0
-        accelerometer[:, -1] = rows.average[:, -1]
         rotation = self._of_elements(rows, self._basis)[None]
+        body = rotation[0, :, -BODY:].T
+        at = {name: body[i] for i, name in enumerate(rigid_body.RATE_SIGNALS)}
+        accelerometer = np.ones((n, thrusts + 5))
+        accelerometer[:, :thrusts] = rows.average[:, self._thrust]
+        accelerometer[:, -5] = at["rp"] - body[-2]
+        accelerometer[:, -4] = at["qr"] + body[-3]
+        accelerometer[:, -3] = -at["pp"] - at["qq"]
+        accelerometer[:, -1] = rows.average[:, -1]
         return RegressionRows(rotation, momentum, accelerometer, one_step, inputs, drift)
 
     def _of_elements(self, rows: Smoothed, basis: ActuatorDynamics) -> Array:
