@@ -9,6 +9,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
+from gcs_sysid.results.result_view import verdict_sentence
 
 
 def result(**estimates):
@@ -49,3 +50,12 @@ def test_one_line_and_file(tmp_path):
     assert "\n" not in r.dumps(indent=None)
     r.write(tmp_path / "r.json")
     assert json.loads((tmp_path / "r.json").read_text()) == r.as_json()
+
+
+def test_the_verdict_gives_a_weak_moment_its_width_and_no_share_of_unknown_ones():
+    rough = Estimate(0.016, 1e-3, "kg m^2", "weak")
+    wide, sure = Estimate(0.016, 1.0, "kg m^2", "weak"), Estimate(0.0, 1e-5, "kg m^2", "zero")
+    said = verdict_sentence(result(Ixx=rough, Iyy=wide, Ixy=sure)).replace("\xa0", " ")
+    assert said == "Weak: Ixx (± 12 %) and Iyy."
+    known = Estimate(0.016, 1e-5, "kg m^2", "identified")
+    assert "products of inertia to within" in verdict_sentence(result(Ixx=known, Ixy=sure))

@@ -306,9 +306,17 @@ def verdict_sentence(result: ResultData) -> str:
         return f"{since}{word} core parameter is known: {_listed(known)}."
     out = [f"{since}Known: {_listed(known)}."] if known else []
     for title, status in (("Weak", "weak"), ("Not observable from this flight", "unobservable")):
-        names = [name for name, estimate in core.items() if estimate.status == status]
+        names = [_roughly(n, estimate) for n, estimate in core.items() if estimate.status == status]
         out += [f"{title}: {names_text(names)}."] if names else []
     return " ".join(out)
+
+
+def _roughly(name: str, estimate: Estimate) -> str:
+    """A parameter, and how well it is known where that is better than nothing."""
+    if REGISTRY[name].sign == "any" or not estimate.shown or not (estimate.value and estimate.half):
+        return name
+    share = estimate.half / abs(estimate.value)
+    return f"{name} (±{PAGE.space}{PAGE.percent(share)})" if share < 1.0 else name
 
 
 def said_in_sentence(reason: str) -> bool:
@@ -323,12 +331,12 @@ def _listed(known: Sequence[str]) -> str:
 
 def _how_well(core: Mapping[str, Estimate]) -> list[str]:
     """How well groups of core parameters are known."""
-    out = []
+    out: list[str] = []
     for group in dict.fromkeys(REGISTRY[name].group for name in core):
         names = [name for name in core if REGISTRY[name].group == group]
         entries = {n: core[n] for n in names if core[n].status in ("identified", "zero")}
-        if not entries:
-            continue
+        if not entries or (group == "products of inertia" and not out):
+            continue  # of unknown moments a share says nothing
         subject = group if len(entries) == len(names) else names_text(list(entries))
         out.append(f"{subject} to within {_within(REGISTRY[names[0]], entries, core)}")
     return out
