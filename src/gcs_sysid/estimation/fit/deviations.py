@@ -8,7 +8,8 @@ with B_k one deviation's torque by axis and signal:
     thrust      k_T of rotor i is (1 + e_i) of the mean: torque e_i (-y_i, x_i) O_i
     torque      k_M of rotor i is off the mean by c_i: yaw torque c_i s_i O_i
     places      rotor i is off by (x_i, y_i): torque (-y_i, x_i) O_i
-    turn        the IMU is rotated against the body: J D, D the residual by rad (`missed_by`)
+    turn        the IMU is rotated by R: it reads w' = R Q U^-1 x, where signals are U times those
+                of the body (`turned`)
 
 e and c sum to zero, as their means are k_T and k_M themselves. An allocation of full rank drives
 the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that O_i is a
@@ -62,11 +63,12 @@ SURE = 3.0
 """Nats of evidence from which a kind of deviation is included."""
 N_X, _AXES = rb.N_SIGNALS, 3
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
-_RATES = [_COLUMN[name] for name in "pqr"]
-_MOMENTUM = [_COLUMN["pH"], _COLUMN["qH"]]
-_PAIRS = [(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]
-_PRODUCT = {frozenset(pair): _COLUMN["qr"] + i for i, pair in enumerate(_PAIRS)}
-"""Column of the product of two rates."""
+_RATES = np.array([[_COLUMN[name]] for name in "pqr"])
+_MOMENTUM = np.array([[_COLUMN["pH"]], [_COLUMN["qH"]]])
+_FIRST, _SECOND = np.array([(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]).T
+_PRODUCTS = _COLUMN["qr"] + np.arange(len(_FIRST))[:, None]
+"""Columns of the products of these two rates."""
+_BOTH = _FIRST != _SECOND
 _CROSS = np.array(
     [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
      [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
@@ -79,12 +81,12 @@ class Deviations:
     """Nuisance parameters of a fit.
 
     Attributes:
-        torques: (m, 3, N_SIGNALS) B_k.
+        torques: (m, 3, N_SIGNALS) B_k; zeros of a turn.
         std: (m,) of their prior; infinite: only the data limit them.
         thrusts: (m, rotors) change of each rotor's thrust coefficient, relative.
         ratios: (m, rotors) change of each rotor's torque over the mean thrust coefficient, m.
         dampings: (m, 3) change of the damping of each axis.
-        turns: (m, 3) rotation of the IMU about roll, pitch and yaw, rad.
+        turns: (m, 3) rotation vector of the IMU about roll, pitch and yaw, rad.
         sized: (m,) whether std is given or, with speeds, that of most evidence; with commands the
             others' is no more than usual.
         shown: kinds (of `SIZES`) that the flight shows; others are only allowed for.
@@ -104,9 +106,51 @@ class Deviations:
         """(m,) of the prior."""
         return self.std**-2.0
 
+    @property
+    def effects(self) -> Array:
+        """(m, 3 N_SIGNALS + 3) torque and turn of each."""
+        return np.column_stack([self.torques.reshape(len(self.std), 3 * N_X), self.turns])
+
+    @cached_property
+    def _turning(self) -> bool:
+        return bool(self.turns.any())
+
     def torque(self, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
         return np.tensordot(phi, self.torques, 1)
+
+    def forward(self, theta: Array, phi: Array) -> Array:
+        """(..., 3, N_SIGNALS) Q of w' = Q x, both as the IMU reads them.
+
+        Args:
+            theta: (..., N_THETA or more).
+            phi: (..., m).
+        """
+        Q = rb.forward_matrix(theta[..., : rb.N_THETA], self.torque(phi))
+        if not self._turning:
+            return Q
+        R, back = self._turned(phi)
+        return R @ Q @ back
+
+    def jacobian(self, theta: Array, phi: Array) -> tuple[Array, Array]:
+        """That Q and its derivatives by theta and phi, (..., N_THETA + m, 3, N_SIGNALS)."""
+        theta = theta[..., : rb.N_THETA]
+        Q, G = rb.forward_jacobian(theta, self.torque(phi))
+        J_inv = np.linalg.inv(rb.inertia_matrix(theta))
+        G = np.concatenate([G, J_inv[..., None, :, :] @ self.torques], axis=-3)
+        if not self._turning:
+            return Q, G
+        R, back = self._turned(phi)
+        Q, G = R @ Q @ back, R[..., None, :, :] @ G @ back[..., None, :, :]
+        by_turn = missed_by(PER_TURN, Q[..., None, :, :])
+        along = self.turns @ np.swapaxes(_turn_after(phi @ self.turns), -1, -2)
+        G[..., rb.N_THETA :, :, :] += np.einsum("...mk,...kax->...max", along, by_turn)
+        return Q, G
+
+    def _turned(self, phi: Array) -> tuple[Array, Array]:
+        """(..., 3, 3) R and what makes the body's signals of those read."""
+        R = rotation_by(phi @ self.turns)
+        return R, turned(np.swapaxes(R, -1, -2))[..., :N_X, :N_X]
 
     def like(self, other: "Deviations") -> bool:
         """Whether they are the same, of the same size, and torques differ by next to nothing."""
@@ -167,12 +211,11 @@ class DeviationChoice:
         """Whether rotors or IMU may not be where they are given."""
         return bool(self._turn) or len(self._places) > 0
 
-    def given(self, unknowns: Array) -> Deviations:
-        """Of what is given, in its standard deviations; the IMU turns the motion of a fit."""
-        theta = unknowns[: rb.N_THETA]
+    @property
+    def given(self) -> Deviations:
+        """Of what is given, in its standard deviations."""
         axes = np.eye(3) if self._turn else np.zeros((0, 3))
-        turns = rb.inertia_matrix(theta) @ missed_by(PER_TURN, rb.forward_matrix(theta))
-        torques = np.concatenate([self._places, self._turn * turns[: len(axes)]])
+        torques = np.concatenate([self._places, np.zeros((len(axes), 3, N_X))])
         n, places = len(torques), len(self._places)
         none = np.zeros((n, self._geometry.shape[1]))
         about = np.concatenate([np.zeros((places, 3)), self._turn * axes])
@@ -197,7 +240,7 @@ class DeviationChoice:
         thrusts[self._kind == _THRUST] = self._contrasts
         ratios[self._kind == _TORQUE] = self._contrasts
         per_rotor = (torques[3 : 3 + rotors], torques[3 + rotors :])
-        given, kinds = self.given(unknowns), len(self._kind)
+        given, kinds = self.given, len(self._kind)
         return Deviations(
             np.concatenate(
                 [
@@ -314,18 +357,43 @@ def evidence_for(g: Array, H: Array, std: Array) -> float:
     return 0.5 * float(np.sum(along**2 / (1.0 + values) - np.log1p(values)))
 
 
+def rotation_by(turn: Array) -> Array:
+    """(..., 3, 3) R of rates w as read by an IMU that is turned by (..., 3) rad: R w."""
+    first, second = _powers(turn)
+    size = np.linalg.norm(turn, axis=-1)[..., None, None]
+    return (
+        np.eye(_AXES)
+        + np.sinc(size / np.pi) * first
+        + 0.5 * np.sinc(0.5 * size / np.pi) ** 2 * second
+    )
+
+
+def _turn_after(turn: Array) -> Array:
+    """(..., 3, 3) small turn that follows one of (..., 3) rad, by what is added to that.
+
+    Left Jacobian of rotations, to fourth order in the turn.
+    """
+    first, second = _powers(turn)
+    square = (turn * turn).sum(axis=-1)[..., None, None]
+    return np.eye(_AXES) + (0.5 - square / 24.0) * first + (1.0 / 6.0 - square / 120.0) * second
+
+
+def _powers(turn: Array) -> tuple[Array, Array]:
+    first = np.tensordot(turn, _CROSS, 1)
+    return first, first @ first
+
+
 def turned(R: Array) -> Array:
-    """(WIDTH, WIDTH) what becomes of a row where rates are R times what they were, (3, 3)."""
-    out = np.eye(WIDTH)
-    out[np.ix_(_RATES, _RATES)] = out[N_X:, N_X:] = R
-    for i, j in _PAIRS:
-        own = out[_PRODUCT[frozenset((i, j))]]
-        own[:] = 0.0
-        for k in range(_AXES):
-            for m in range(_AXES):
-                own[_PRODUCT[frozenset((k, m))]] += R[i, k] * R[j, m]
+    """(..., WIDTH, WIDTH) what becomes of a row where rates are R times what they were."""
+    out = np.zeros((*R.shape[:-2], WIDTH, WIDTH))
+    out[...] = np.eye(WIDTH)
+    out[..., _RATES, _RATES.T] = out[..., N_X:, N_X:] = R
+    out[..., _PRODUCTS, _PRODUCTS.T] = (
+        R[..., _FIRST[:, None], _FIRST] * R[..., _SECOND[:, None], _SECOND]
+        + _BOTH * R[..., _FIRST[:, None], _SECOND] * R[..., _SECOND[:, None], _FIRST]
+    )
     # r H is not among the signals; rotors' angular momentum is small.
-    out[np.ix_(_MOMENTUM, _MOMENTUM)] = R[:2, :2]
+    out[..., _MOMENTUM, _MOMENTUM.T] = R[..., :2, :2]
     return out
 
 

@@ -231,7 +231,7 @@ class Problem(ABC):
             moments = first @ moments @ turned
             informed = moments if self.silent else first @ informed @ turned
         phi = unknowns[:, N_UNKNOWNS:]
-        Q, G = self._model(unknowns[:, : rb.N_THETA], phi)
+        Q, G = self.deviations.jacobian(unknowns, phi)
         T = residual_maker(Q)
         residual, W, power = self._weigh(T, moments, informed)
         # By axis: (K, 3, n, N_X).
@@ -272,14 +272,6 @@ class Problem(ABC):
         cost = np.linalg.slogdet(residual)[1] + weak / self.rows
         WG = np.swapaxes(WG, 1, 2)
         return Evaluation(unknowns, gradient, hessian, cost, power, weak, residual, W, Q, WG)
-
-    def _model(self, theta: Array, phi: Array) -> tuple[Array, Array]:
-        """Q and its derivatives by theta and phi, (K, N_THETA + m, 3, N_X)."""
-        if not phi.shape[1]:
-            return rb.forward_jacobian(theta)
-        Q, G = rb.forward_jacobian(theta, self.deviations.torque(phi))
-        J_inv = np.linalg.inv(rb.inertia_matrix(theta))
-        return Q, np.concatenate([G, J_inv[:, None] @ self.deviations.torques], axis=1)
 
     @abstractmethod
     def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:

@@ -97,8 +97,8 @@ class RotationFit:
 
     @property
     def Q(self) -> Array:
-        """(3, N_SIGNALS) of w' = Q x, deviations included."""
-        return rb.forward_matrix(self.theta, self.deviating.torque(self.deviations))
+        """(3, N_SIGNALS) of w' = Q x as read, deviations included."""
+        return self.deviating.forward(self.theta, self.deviations)
 
     @property
     def std(self) -> Array:
@@ -131,20 +131,18 @@ class RotationFit:
     def imitated_turns(self, colored: float = 0.0) -> Array:
         """(k, N_UNKNOWNS + m) errors by what looks like a turn of the IMU and is none.
 
-        A turn is fitted to first order, and leaves as much as its square. Air in motion, and what
-        rows of the window leave out, look like more.
+        Air in motion does, and what rows of the window leave out.
 
         Args:
             colored: by how much a turn's standard deviation is too small: where rows scatter more
                 than noise does, more looks like a turn. 0: in calm air.
         """
         turns, errors = self.deviating.turns, []
-        square = float(((self.deviations @ turns) ** 2).sum())
         for k, turn in enumerate(np.abs(turns).max(axis=1, initial=0.0)):
             if turn:
                 own = self.extended_covariance[N_UNKNOWNS + k, N_UNKNOWNS + k]
-                air = colored * _IMITATED**2 + square**2
-                off = math.sqrt(air / turn**2 + max(colored**2 - 1.0, 0.0) * own)
+                air = colored * (_IMITATED / turn) ** 2
+                off = math.sqrt(air + max(colored**2 - 1.0, 0.0) * own)
                 errors.append(along(self.extended_covariance, N_UNKNOWNS + k, off))
         return np.array(errors).reshape(-1, len(self.extended_covariance))
 

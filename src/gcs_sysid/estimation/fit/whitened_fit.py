@@ -207,7 +207,8 @@ def fit_whitened(
         The fit, or None while the data cannot even start one.
     """
     wanted = kept = np.ones(len(data.counts), dtype=bool) if only is None else only
-    deviations = NO_DEVIATIONS if start is None else start.deviating
+    given = choice.given if choice is not None and choice.has_given else NO_DEVIATIONS
+    deviations = given if start is None else start.deviating
     bank = BankProblem(data, basis, prior, kept, deviations)
     if bank.rows < 3 * rb.N_THETA:
         return None

@@ -145,10 +145,10 @@ class BankProblem:
         middle = nodes[basis.middle]
         at_middle = basis.moments_at(some - NOISE_SHARE * rows * some_noise, middle)
         guesses = [first_guess(moments, rows, middle, self.prior) for moments in at_middle]
-        known = [guess for guess in guesses if guess is not None]
-        if not known:
+        found = [guess for guess in guesses if guess is not None]
+        if not found:
             return None
-        guess = np.stack([known[len(known) // 2] if g is None else g for g in guesses])
+        guess = np.stack([found[len(found) // 2] if g is None else g for g in guesses])
         P = basis.maps(nodes)[:, 0]
         turned = np.swapaxes(P, 1, 2)
         moments, noise = (
@@ -158,15 +158,17 @@ class BankProblem:
         starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
         problem = AxisProblem(moments, rows, PLAIN, self.prior, noise)
         point, _ = minimize(problem, starts, _SCAN)
-        alike = self._alike(point, noise, np.median(point.unknowns, axis=0))
+        axes = self.axes((0, 0, 0))
+        known = axes.extended(np.median(point.unknowns, axis=0))
+        alike = self._alike(point, noise, known)
         power = np.log(alike).reshape(len(some), len(nodes), len(_AXES))
-        weak = self.axes((0, 0, 0)).weak_cost(starts)
+        weak = axes.weak_cost(starts)
         cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
         best = int(np.argmin(cost))
-        found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
+        starts = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
         if basis.motors:
-            found[:, COORDINATES] = nodes[best]  # plain rows have none
-        return self.tried(np.repeat(found, every, axis=0)[: len(self.total)], TRY)
+            starts[:, COORDINATES] = nodes[best]  # plain rows have none
+        return self.tried(np.repeat(starts, every, axis=0)[: len(self.total)], TRY)
 
     def _alike(self, point: Evaluation, noise: Array, known: Array) -> Array:
         """(K, 3) power of innovations as it would be if all had the same share of known noise.
@@ -181,9 +183,8 @@ class BankProblem:
             noise: (K, 1, WIDTH, WIDTH) in one row.
             known: (N_UNKNOWNS + m,) of that vehicle.
         """
-        m = known[N_UNKNOWNS:]
-        torque = self.deviations.torque(m) if len(m) else 0.0
-        of_noise = axis_power(residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque)), noise)
+        Q = self.deviations.forward(known, known[N_UNKNOWNS:])
+        of_noise = axis_power(residual_maker(Q), noise)
         return np.maximum(
             point.power / self.rows + NOISE_SHARE * of_noise, LEAST_POWER * point.variance
         )
@@ -203,10 +204,9 @@ class BankProblem:
             replace(every, std=np.full(m, np.inf)),
         )
         unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
-        # The fit in terms of all deviations: the same torque.
-        flat = every.torques.reshape(m, -1)
-        torque = self.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
-        phi = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
+        # The fit in terms of all deviations: the same torque, the same turn.
+        effect = point.unknowns[0, N_UNKNOWNS:] @ self.deviations.effects
+        phi = np.linalg.lstsq(every.effects.T, effect, rcond=None)[0]
         unknowns[:, N_UNKNOWNS:] = phi
         gradient, hessian = (part[0] for part in problem.with_prior(problem.evaluate(unknowns)))
         of = np.arange(n, n + m)

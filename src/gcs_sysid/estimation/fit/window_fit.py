@@ -49,8 +49,6 @@ _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR = 0.1
 """Squared standard deviations that a search may be from the minimum."""
-_TURNED = 2
-"""Times that the IMU's turn is fitted: it turns the motion of a fit."""
 _KNOWN_TO = 0.2
 """Of a moment of inertia: those known better show how much colored residuals widen intervals."""
 
@@ -109,10 +107,8 @@ def fit_rotation(
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimize(problem, unknowns, 12)
     if choice is not None and choice.has_given:
-        for _ in range(_TURNED):
-            given = choice.given(point.unknowns[0])
-            problem = JointProblem(bank, rows, basis, prior, deviations=given)
-            point, converged = minimize(problem, problem.extended(point.unknowns), MAX_ITERATIONS)
+        problem = JointProblem(bank, rows, basis, prior, deviations=choice.given)
+        point, converged = minimize(problem, problem.extended(point.unknowns), MAX_ITERATIONS)
     deviations = problem.deviations
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
@@ -241,7 +237,8 @@ def axis_damping_doubt(
     """
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
-    Q, G = rb.forward_jacobian(theta, fit.deviating.torque(fit.deviations))
+    Q, G = fit.deviating.jacobian(theta, fit.deviations)
+    G = G[: rb.N_THETA]
     D = np.linalg.inv(rb.inertia_matrix(theta)) @ OF_AXES
     inputs = rows[:N_X, :N_X]
     left = W @ (residual_maker(Q) @ rows)[:, :N_X]  # W r x'

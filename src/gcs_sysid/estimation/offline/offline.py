@@ -116,7 +116,7 @@ def fit_by_instruments(
     residuals = flight.residuals(fit)
     sound = sound_rows(residuals, flight.time, fit.whiteners)
     P = flight.basis.map_at(fit.coordinates)[: rb.N_SIGNALS]
-    G = rb.forward_jacobian(fit.theta, fit.deviating.torque(fit.deviations))[1]
+    G = fit.deviating.jacobian(fit.theta, fit.deviations)[1]
     found = []
     for axis in (0, 1):
         # By how much the predicted acceleration changes with ln Ixx or ln Iyy.
