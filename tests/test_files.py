@@ -26,12 +26,6 @@ def test_text_with_a_name_that_is_no_utf8_is_written(tmp_path):
     assert path.read_text("utf-8") == "of bad\\udcff.tlog"
 
 
-def test_others_may_read_it_as_any_new_file(tmp_path):
-    write_whole(tmp_path / "a", "", replace=False)
-    (tmp_path / "b").touch()
-    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
-
-
 def test_never_replaces_a_file_unasked(tmp_path):
     path = tmp_path / "flight.html"
     path.write_text("mine")
@@ -41,14 +35,6 @@ def test_never_replaces_a_file_unasked(tmp_path):
         write_whole(path, "new", replace=False)
     assert path.read_text() == "mine"
     assert os.listdir(tmp_path) == ["flight.html"]
-
-
-def test_replaces_it_when_asked(tmp_path):
-    path = tmp_path / "flight.html"
-    path.write_text("mine")
-    check_target(path, replace=True)
-    write_whole(path, "new", replace=True)
-    assert path.read_text() == "new"
 
 
 def test_a_failure_leaves_the_old_file(tmp_path):

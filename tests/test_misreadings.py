@@ -12,16 +12,14 @@ from gcs_sysid.cli.airframe_choice import command_for
 from gcs_sysid.cli.commands import build_parser
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.result_view import figures, result_table
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.results.words import PLAIN
 from gcs_sysid.screen.snapshot_view import headline, level_of, named, short_headline, sign_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.session.reported_layout import ReportedLayout, on_circle
+from tests.known_results import result_of
 from tests.screen import fake
 
 ROOT = Path(__file__).parents[1]
@@ -101,8 +99,7 @@ def test_an_unobservable_row_has_no_numbers():
         "Ixx": Estimate(0.016, 0.0002, "kg m^2", "identified", std_given=0.0001),
         "Izz": Estimate(0.03, 0.02, "kg m^2", "unobservable", std_given=0.0006),
     }
-    scale = Scale("mass", 1.5, "kg")
-    result = Result("partial", (), "a.tlog", {}, scale, RotorInput.SPEED, estimates)
+    result = result_of(estimates, verdict="partial")
     rows = rows_of(result_table(result, None, None))
     assert rows["Ixx"] == ["0.01600", "0.00039", "2.4", "0.00020", "kg", "m^2", "identified"]
     assert rows["Izz"] == ["-", "-", "-", "kg", "m^2", "unobservable"]

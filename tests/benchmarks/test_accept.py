@@ -121,17 +121,6 @@ def test_a_unit_that_breaks_is_a_defect(monkeypatch, capsys):
     assert "defect: broken: 1: ValueError: no 1" in capsys.readouterr().out
 
 
-def test_what_became_slower_is_worse(monkeypatch):
-    seconds = iter([1.0, 1.6, 1.02, 1.6])
-    monkeypatch.setattr(cost, "_release", lambda: ("abc1234", study.PROJECT))
-    monkeypatch.setattr(
-        study, "run", lambda words, tree=None: study.Done(0, next(seconds), 0.0, "")
-    )
-    (found,) = cost._figures([cost._run(("start", "1", 2))])
-    assert found.value == pytest.approx(1.6)
-    assert Row(found, Figure(found.name, "low", 1.0, 0.03, "")).verdict == "worse"
-
-
 def test_without_a_history_nothing_is_compared(monkeypatch, capsys):
     def gone(*_):
         raise trees.NoHistoryError("no git")
@@ -140,8 +129,3 @@ def test_without_a_history_nothing_is_compared(monkeypatch, capsys):
     assert command.main(["equal", "--only", "sample"]) == 0
     assert capsys.readouterr().out == "equal: not compared: no git\n"
     assert cost._run(("start", "1", 2)) is None
-
-
-def test_figures_of_the_short_form_are_stored():
-    _, short = judge.load()
-    assert len(short) > 40

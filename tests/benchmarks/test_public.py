@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pytest
 
-from benchmarks.public import __main__ as command
 from benchmarks.public import entries, score
 from benchmarks.public.flight import Flight, Stretch, flight_of
 from gcs_sysid.model import rigid_body as rb
@@ -170,22 +169,3 @@ def test_ones_own_entry_of_the_page_is_taken(tmp_path, flight):
     mine.write_text(code, encoding="utf-8")
     claims = entries.load(f"{mine}:hover_thrust")(flight)
     assert claims["k_T"][0] == pytest.approx(TRUTH["k_T"], rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--estimator", "nowhere.py:f"], "nowhere.py: FileNotFoundError"),
-        (["--estimator", "function"], "FILE.py:FUNCTION"),
-        (["--estimator", f"{__file__}:nothing"], "no function nothing"),
-        (["--vehicles", "0"], "begins at 1"),
-        (["--logs", "nowhere"], "no such folder"),
-    ],
-)
-def test_bad_input_is_one_line(words, said, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "study", lambda *_: pytest.fail("it flies"))
-    assert command.main(words) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert said in error

@@ -55,14 +55,6 @@ def test_all_layouts_and_sizes_are_drawn() -> None:
     assert draw(7) == draw(7)
 
 
-def test_the_user_knows_places_and_mass_alone() -> None:
-    airframe = draw(3).airframe
-    assert airframe.anchor() == ("mass", draw(3).vehicle.mass)
-    assert not airframe.priors
-    assert airframe.command.thrust_curve is None
-    assert airframe.imu_position is None
-
-
 def test_an_interval_is_held_against_the_nearest_true_value() -> None:
     assert against(1.1, 0.05, 1.0) == {
         "error": pytest.approx(0.1),

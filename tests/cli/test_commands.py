@@ -12,10 +12,10 @@ import pytest
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import result_table
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
+from tests.known_results import result_of
 
 PAPER = ("--airframe", "paper")
 ESTIMATE_KEYS = {*("value", "std", "std_data", "std_given", "ci95", "unit", "status", "objections")}
@@ -121,7 +121,7 @@ def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
     estimates["rotor_inertia"] = Estimate(None, None, "kg m^2", "unobservable")
     truth = dict.fromkeys(PARAMETERS, -2.34567e-4) if with_truth else None
     reasons = ("a reason that is longer than what is left of a line: " + "word " * 20,)
-    result = Result("partial", reasons, "flight.tlog", {}, None, RotorInput.SPEED, estimates)
+    result = result_of(estimates, verdict="partial", reasons=reasons, scale=None)
     table = result_table(result, truth, 80)
     lines = table.splitlines()
     assert max(map(len, lines)) <= 80

@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from gcs_sysid.cli.commands import SHELLS, build_parser
-from gcs_sysid.cli.completion_command import _actions, _airframes, script
+from gcs_sysid.cli.completion_command import _actions, script
 from gcs_sysid.model.airframe import builtin_names
 
 
@@ -86,7 +86,3 @@ def test_every_option_and_airframe_is_in_the_script(scripts, name):
         for flag in action.option_strings:
             assert (flag if name != "fish" else flag.lstrip("-")) in text
     assert all(airframe in text for airframe in builtin_names())
-
-
-def test_airframes_are_the_built_in_ones():
-    assert _airframes() == builtin_names()

@@ -1,16 +1,14 @@
 """`gcs-sysid export` and `compare`: what they print, write and return."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
+from tests.known_results import MASS, estimates, result_of
 
 ERROR = "gcs-sysid: error: "
 VALUES = {
@@ -20,21 +18,9 @@ VALUES = {
 
 
 def result(source="a.tlog", airframe="paper", **changes):
-    parameters = {
-        "mass": Estimate(1.5, 0.0, "kg", "given"),
-        **{
-            n: Estimate(v, 1e-3 * abs(v), PARAMETERS[n].unit, "identified")
-            for n, v in (VALUES | changes).items()
-        },
-    }
-    return Result(
-        "identified",
-        (),
-        source,
-        {"sysid": 1, "compid": 1, "autopilot": "px4"},
-        Scale("mass", 1.5, "kg"),
-        RotorInput.SPEED,
-        parameters,
+    return result_of(
+        MASS | estimates(VALUES | changes, share=1e-3),
+        source=source,
         airframe=load_airframe(airframe).as_json(),
     )
 
@@ -46,12 +32,10 @@ def files(tmp_path, monkeypatch):
     result("b.tlog").write(tmp_path / "same.json")
     result("b.tlog", cg_x=0.02).write(tmp_path / "moved.json")
     result("b.tlog", airframe="px4-hexa-x").write(tmp_path / "hexa.json")
-    nothing = {n: Estimate(None, None, PARAMETERS[n].unit, "unobservable") for n in PARAMETERS}
-    refused = result("c.tlog")
-    refused = Result(
-        "refused", ("too short",), "c.tlog", refused.vehicle, refused.scale, RotorInput.SPEED,
-        nothing, airframe=refused.airframe,
-    )  # fmt: skip
+    nothing = estimates(dict.fromkeys(PARAMETERS))
+    refused = replace(
+        result("c.tlog"), verdict="refused", reasons=("too short",), parameters=nothing
+    )
     refused.write(tmp_path / "refused.json")
     return tmp_path
 
@@ -69,17 +53,6 @@ def test_standard_output(capsys):
     out, _ = capsys.readouterr()
     assert out.startswith("<!--")
     assert '<mujoco model="mine">' in out
-
-
-def test_existing_files_are_kept_unless_forced(files, capsys):
-    (files / "quad.urdf").write_text("precious")
-    assert run(["export", "a.json", "--to", "urdf", "-o", "quad.urdf"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(ERROR + "quad.urdf exists; --force overwrites it")
-    assert err.count("\n") == 1
-    assert (files / "quad.urdf").read_text() == "precious"
-    assert run(["export", "a.json", "--to", "urdf", "-o", "quad.urdf", "--force"]) == 0
-    assert (files / "quad.urdf").read_text() != "precious"
 
 
 def test_what_the_data_do_not_tell_is_status_1(files, capsys):

@@ -85,10 +85,6 @@ def test_what_is_no_log_or_misspelt_says_what_to_type(tmp_path, capsys):
 # --- airframe
 
 
-def test_layouts_of_the_command_line_are_the_wizards():
-    assert list(LAYOUTS) == list(commands.LAYOUTS)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_an_airframe_by_options_alone(layout, tmp_path, capsys):
@@ -270,10 +266,3 @@ def test_the_doctor_starts_without_the_packages_that_it_looks_for(module, tmp_pa
     )
     assert (done.returncode, done.stderr) == (1, "")
     assert "links: cannot be checked" in done.stdout
-
-
-def test_the_doctor_has_no_way_to_send():
-    for file in Path(listening.__file__).parent.glob("*.py"):
-        text = file.read_text(encoding="utf-8")
-        assert "Gate" not in text
-        assert "outgoing" not in text

@@ -69,14 +69,6 @@ def test_json_alone_on_standard_output(inspect, flight):
         assert found["rotor_input"]["sources"][0]["unit"] in ("rad/s", "autopilot's output")
 
 
-def test_json_to_a_file_beside_the_text(inspect, flight, tmp_path):
-    path = tmp_path / "found.json"
-    status, out, _ = inspect(flight.tlog, "--json", path)
-    assert status == 0
-    assert "Can be identified from:" in out
-    assert json.loads(path.read_text(encoding="utf-8"))["kind"] == "tlog"
-
-
 def test_what_cannot_be_identified_from_is_still_an_answer(inspect, fly):
     slow = fly("--mission", "all-axes", "--rate", "4", "--duration", "8")
     status, out, _ = inspect(slow.tlog)
@@ -131,12 +123,6 @@ def test_vehicles_that_make_no_sense_give_one_line(inspect, flight, options, why
     assert status == 2
     assert why in err
     assert err.count("\n") == 1
-
-
-def test_a_target_is_needed(inspect):
-    status, _, err = inspect()
-    assert status == 2
-    assert "LOG" in err
 
 
 def test_a_silent_link_is_no_answer(inspect):

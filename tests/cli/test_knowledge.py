@@ -106,16 +106,3 @@ def test_what_makes_no_sense_is_said(analyze, paper_flight, capsys, words, said)
         status, err = ended.code, capsys.readouterr().err
     assert status == 2
     assert said in err
-
-
-def test_priors_of_an_airframe_file(tmp_path, paper_flight, analyze):
-    from gcs_sysid.errors import InputError
-    from gcs_sysid.model.airframe import load_airframe, parse_airframe, read_airframe_table
-
-    table, _ = read_airframe_table("paper")
-    airframe = parse_airframe({**table, "prior": {"Ixx": [0.0165, 0.001]}}, "file")
-    assert airframe.priors == {"Ixx": (0.0165, 0.001)}
-    assert load_airframe("paper").priors == {}
-    for wrong in ({"Ixx": 0.0165}, {"Ixx": [1, 0]}, {"none": [1, 1]}, [1]):
-        with pytest.raises(InputError, match=r"file"):
-            parse_airframe({**table, "prior": wrong}, "file")

@@ -13,9 +13,3 @@ def test_each_event_is_told_once_though_old_ones_are_dropped():
             told.append(event)
             last = event
     assert [id(event) for event in told] == [id(event) for event in all_events[:22]]
-
-
-def test_what_was_dropped_before_it_was_told_does_not_stop_the_rest():
-    events = tuple(Event(float(i), "x") for i in range(4))
-    assert list(events_after(Event(0.0, "gone"), events)) == list(events)
-    assert list(events_after(None, ())) == []

@@ -71,9 +71,3 @@ def test_what_cannot_be_reached_is_said(plan):
     status, out, _ = plan("--airframe", "paper", "--target", "0.1%", "--max-tilt", "5")
     assert status == 1
     assert "not enough" in out
-
-
-def test_commands_as_the_input(plan):
-    status, out, _ = plan(*SIH, "--rotor-input", "command", "--target", "5%")
-    assert status == 0
-    assert "T_max" in out

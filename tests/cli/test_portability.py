@@ -128,15 +128,6 @@ def test_the_doctor_and_the_wizard(as_on_windows, tmp_path):
 
 
 @pytest.mark.thorough
-def test_an_analysis_with_a_report(as_on_windows, paper_flight, tmp_path):
-    argv = [paper_flight.tlog, *PAPER, "--truth", paper_flight.truth_file, "--report", "r.html"]
-    status, out, err = as_on_windows("gcs_sysid", "analyze", *argv)
-    assert (status, err) == (0, "")
-    assert "± 95 %" in out  # cp1252 has that sign
-    assert (tmp_path / "work" / "r.html").stat().st_size > 10_000
-
-
-@pytest.mark.thorough
 def test_a_live_session_where_nobody_speaks_ends_after_its_duration(as_on_windows, tmp_path):
     argv = ["live", "udpin:127.0.0.1:45877", *PAPER, "--headless", "--duration", "0.5"]
     status, out, err = as_on_windows("gcs_sysid", *argv, "--no-record")

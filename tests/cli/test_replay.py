@@ -35,12 +35,6 @@ def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
     assert lines[-1] == alone
 
 
-def test_its_results_may_go_to_standard_output(log, capsys):
-    assert run(["replay", log, *PAPER, "--speed", "max", "--headless", "--json", "-"]) == 0
-    out = capsys.readouterr().out
-    assert [json.loads(line)["schema"] for line in out.splitlines()][-1] == "gcs-sysid/1"
-
-
 def test_without_a_terminal_it_ends_with_the_log(log, capsys):
     assert run(["replay", log, *PAPER, "--speed", "max"]) == 0
     assert "identified" in capsys.readouterr().out

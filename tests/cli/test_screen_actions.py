@@ -8,7 +8,6 @@ import pytest
 
 from gcs_sysid.cli.screens import export_result, report_session
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports import FORMATS
 from gcs_sysid.exports.exported_vehicle import MissingError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus
@@ -23,10 +22,6 @@ def result(paper_result):
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def test_every_format_has_a_suffix():
-    assert len({target.suffix for target in FORMATS.values()}) == len(FORMATS)
 
 
 def test_an_export_never_takes_the_place_of_another(result, folder):

@@ -10,9 +10,7 @@ from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameter_file import read_parameter_file
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
+from tests.known_results import estimates, result_of
 
 COMMON = {
     "Ixx": 0.0165, "Iyy": 0.017, "Izz": 0.029, "Ixy": 1e-4, "Iyz": 1e-4, "Ixz": -1e-4,
@@ -31,23 +29,14 @@ NOW = {
 
 
 def result(by, weak=(), autopilot="px4", **changes):
-    values = COMMON | BY[by] | changes
-    parameters = {
-        "mass": Estimate(1.5, 0.01, "kg", "given"),
-        **{
-            n: Estimate(v, 0.01 * abs(v), PARAMETERS[n].unit, "weak" if n in weak else "identified")
-            for n, v in values.items()
-        },
-    }
-    timing = {
-        "rotor_delay": Estimate(-0.007, 2e-4, "s", "identified"),
-        **({"motor_lag": Estimate(0.03, 5e-4, TIMING["motor_lag"].unit, "identified")}
-           if by == "command" else {}),
-    }  # fmt: skip
-    return Result(
-        "identified", (), f"{by}.tlog", {"sysid": 1, "compid": 1, "autopilot": autopilot},
-        Scale("mass", 1.5, "kg"), by, parameters, timing=timing,
-        airframe=load_airframe("paper").as_json(),
+    values, weak = COMMON | BY[by] | changes, dict.fromkeys(weak, "weak")
+    timing = {"rotor_delay": Estimate(-0.007, 2e-4, "s", "identified")}
+    if by == "command":
+        timing |= {"motor_lag": Estimate(0.03, 5e-4, "s", "identified")}
+    return result_of(
+        {"mass": Estimate(1.5, 0.01, "kg", "given"), **estimates(values, 0.01, statuses=weak)},
+        source=f"{by}.tlog", vehicle={"sysid": 1, "compid": 1, "autopilot": autopilot},
+        rotor_input=by, timing=timing, airframe=load_airframe("paper").as_json(),
     )  # fmt: skip
 
 

@@ -141,10 +141,3 @@ def test_blocks_say_what_they_are(page):
     # A command outside a fence is one that nobody runs.
     command = re.compile(r"^ {4}(?:\$ )?(?:gcs-sysid|sim-bridge|from |import )", re.MULTILINE)
     assert not command.search(prose(page))
-
-
-def test_shapes_are_compared():
-    assert is_like(shape("a 1.5 b\n\nc -2e-05"), shape("a 3 b\nc 7"))
-    assert is_like(shape("a\nx\ny\nb"), shape("a\n...\nb"))
-    assert not is_like(shape("a\nx\nb"), shape("a\nb"))
-    assert not is_like(shape("a weak 1"), shape("a identified 1"))

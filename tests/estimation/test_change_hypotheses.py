@@ -315,9 +315,3 @@ def test_a_step_at_the_very_end_says_nothing(before):
     """As where a flight ends while an alarm is undecided."""
     found = judge(TIME, fly(), DT, reference(), quiet(), TIME[-1] - before, LAST, decide=False)
     assert found.verdict != "change"
-
-
-def test_rotors_that_stand_still_are_no_change():
-    samples = fly(thrust=np.zeros(len(TIME)))
-    found = judge(TIME, samples, DT, reference(watched=(0,)), quiet(), AT, LAST, decide=False)
-    assert found.verdict != "change"

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from gcs_sysid.coach.information import predicted_information, prior_noise, prior_vehicle
-from gcs_sysid.estimation.fit.priors import COORDINATE_STD, N_UNKNOWNS, Unknown
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
 from gcs_sysid.estimation.fit.window_fit import fit_lag_places
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record import command_record
 from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
@@ -50,11 +49,6 @@ def noted(monkeypatch):
     return numbers
 
 
-@pytest.fixture
-def makings(monkeypatch):
-    return noted(monkeypatch)
-
-
 def flown(truth, samples):
     estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
     estimator.update(samples)
@@ -87,19 +81,6 @@ def estimator(usual):
 def commands(estimator):
     """Its rows of commands."""
     return estimator._record.commands
-
-
-@pytest.mark.thorough
-def test_other_places_need_few_whiteners(truth, samples, usual, makings, monkeypatch):
-    found, std = usual.outcome
-    few = [number for number in usual.makings if number is not None]
-    assert few
-    assert max(few) < 10
-    monkeypatch.setattr(command_record, "_NEAR", np.inf)
-    expected, std_of_all = outcome(flown(truth, samples))
-    assert max(number for number in makings if number is not None) > 15
-    np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-3)
-    np.testing.assert_allclose(std, std_of_all, rtol=1e-3)
 
 
 def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
@@ -148,16 +129,6 @@ def test_quick_samples_are_averaged(truth, samples):
     np.testing.assert_allclose(totals[1], totals[0], rtol=1e-9, atol=1e-9 * totals[0].max())
 
 
-@pytest.mark.thorough
-def test_a_place_far_less_likely_is_made_once(truth, samples, usual, makings, monkeypatch):
-    found, std = usual.outcome
-    monkeypatch.setattr(command_record, "_NO_RIVAL", np.inf)
-    expected, std_of_all = outcome(flown(truth, samples))
-    assert len(makings) > len(usual.makings)
-    np.testing.assert_allclose((found - expected) / std, 0.0, atol=1e-9)
-    np.testing.assert_allclose(std, std_of_all, rtol=1e-9)
-
-
 def record_about(estimator, share):
     """The commands of a flight, with rows about a share of the lag found."""
     record = deepcopy(estimator)._record.commands
@@ -202,23 +173,6 @@ def test_motors_are_found_however_far_the_search_starts(commands, lag):
     found = commands._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
     assert found.is_within(0.3)
     np.testing.assert_allclose(found.fit.rotation.coordinates[1:3], [LAG, 0.0], atol=1e-3)
-
-
-@pytest.mark.parametrize(("detected", "doubted"), [(-1.0, True), (1e9, False)])
-def test_what_disturbs_may_be_commands_that_are_not_sent(commands, monkeypatch, detected, doubted):
-    """Of a loop of 250 Hz, sampled at 200 Hz: the curve was 0.88 for 0."""
-    apart = np.zeros(N_UNKNOWNS)
-    apart[Unknown.CURVE] = 0.4
-    monkeypatch.setattr(CommandRecord, "_apart_from_window", lambda self: apart)
-    monkeypatch.setattr(command_record, "RULES", replace(command_record.RULES, detected=detected))
-    start = commands._now.basis.at, "speed"
-    tuned, doubt = commands._found([start], commands._now.maker.hover, ("speed",))
-    full = tuned.fit.rotation.full_covariance
-    along = (
-        0.4 * full[:, Unknown.CURVE] / full[Unknown.CURVE, Unknown.CURVE]
-    )  # all goes with the curve
-    assert (np.diag(doubt) >= 0.99 * along**2).all() == doubted
-    assert (doubt[Unknown.CURVE, Unknown.CURVE] >= 0.16) == doubted
 
 
 def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(estimator):

@@ -46,19 +46,6 @@ def test_memory_is_bounded_while_batches_grow():
     assert sizes == {1, 2, 4, 8, 16, 32, 64, 128, 256, 512}
 
 
-def test_the_newest_batches_can_be_forgotten():
-    z = rows(95)
-    moments = NormalEquations((4, 4), 10, max_batches=32)
-    moments.add(z)
-    moments.drop_last(7)  # the half-full batch of 5 and the whole one before it
-    assert moments.rows == 80
-    close(moments.total, z[:80].T @ z[:80])
-    moments.add(z[80:])
-    close(moments.total, z.T @ z)
-    moments.drop_last(1000)
-    assert moments.rows == 0
-
-
 @pytest.mark.parametrize(("rows_dropped", "left"), [(5, 90), (6, 80), (15, 80), (16, 70)])
 def test_whole_batches_are_forgotten_and_as_few_as_will_do(rows_dropped, left):
     z = rows(110)

@@ -9,10 +9,10 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.estimation.fit import translation, window_fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.record.article_estimator import METHODS, ArticleEstimator
+from gcs_sysid.estimation.record.article_estimator import ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import LeakySums, NormalEquations, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
@@ -200,23 +200,6 @@ def test_direct_form_is_drawn_to_zero_by_noise(truth, plain_flight):
     assert np.min(shares) > -0.2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method):
-    samples = noisy(plain_flight, 0.02, 1).part(slice(None, None, 10))
-    whole = ArticleEstimator(truth.geometry, 0.05, method)
-    whole.update(samples)
-    fit = whole.fit()
-    assert np.isfinite(fit.theta).all()
-    assert np.all(np.diag(fit.covariance) >= 0.0)
-    assert whole.seconds == pytest.approx(30.0, abs=0.11)  # two ends may be lost
-    if method != "central-difference":  # which needs the neighbors of a sample
-        parts = ArticleEstimator(truth.geometry, 0.05, method)
-        for k in range(0, len(samples.gyro), 7):
-            parts.update(samples.part(slice(k, k + 7)))
-        np.testing.assert_allclose(parts.fit().theta, fit.theta, rtol=1e-6)
-
-
 BANK = tuple(0.01 * k - 0.015 for k in range(8))
 
 
@@ -256,11 +239,3 @@ def test_what_slow_speeds_miss_is_known_to_a_factor(truth, lost):
     assert 0.5 * excess < told[0, 0] < 4.0 * excess
     np.testing.assert_allclose(told, told[0, 0], rtol=1e-3)
     assert follower.doubt > 0.0
-
-
-def test_rounding_of_the_speeds_is_the_least_noise(truth):
-    follower = SpeedNoise(truth.geometry, 0.05)
-    assert np.all(follower.row_moments(PLAIN, WindowSmoother(0.05, 4), 0.0) == 0.0)
-    follower.update(np.full((500, 4), 100.0))
-    # A whole number of revolutions a minute: 0.105 rad/s, uniform.
-    np.testing.assert_allclose(follower.std, 2 * np.pi / 60 / np.sqrt(12))

@@ -66,18 +66,6 @@ def test_never_below_what_white_residuals_would_give():
         np.testing.assert_allclose(covariance, covariance.T)
 
 
-def test_the_factor_is_students():
-    # Batches on their own: one dominates each of two unknowns, and thirty share a third.
-    shares = np.zeros((210, 3))
-    shares[10, 0] = shares[0, 1] = 7.0
-    shares[::7, 2] = 1.0
-    factor = student_factor(shares)
-    np.testing.assert_allclose(factor, [6.483, 6.483, 2.042 / 1.960], rtol=1e-3)
-    # Neighbors' products scatter too: 256 / 41.5 = 6.17 degrees of freedom.
-    np.testing.assert_allclose(student_factor(np.ones((16, 1))), 2.43 / 1.96, rtol=5e-3)
-    assert np.all(np.isfinite(student_factor(np.zeros((5, 2)))))
-
-
 @pytest.mark.parametrize("batches", [8, 20])
 def test_intervals_hold_with_few_batches(batches):
     """A mean of white noise in few batches: t, not normal."""

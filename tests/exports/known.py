@@ -8,8 +8,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
+from tests.known_results import MASS, estimates, result_of
 
 VALUES = {
     "mass": 1.5, "Ixx": 0.0165, "Iyy": 0.021, "Izz": 0.0292, "Ixy": 0.00136, "Iyz": 0.00255,
@@ -28,24 +27,17 @@ def estimate(name, value, share=0.001, status="identified"):
 
 def speed_result(**changes):
     """As identified with rotor speeds and a weighed mass."""
-    parameters = {name: estimate(name, value) for name, value in VALUES.items()}
-    parameters["mass"] = Estimate(VALUES["mass"], 0.0, "kg", "given")
-    result = Result(
-        "identified",
-        (),
-        "logs/a flight.tlog",
-        {"sysid": 1, "compid": 1, "autopilot": "px4"},
-        Scale("mass", VALUES["mass"], "kg"),
-        RotorInput.SPEED,
-        parameters,
+    usual = result_of(
+        estimates(VALUES, 0.001) | MASS,
+        source="logs/a flight.tlog",
         airframe=load_airframe("px4-quad-x").with_arm(0.3).as_json(),
     )
-    return replace(result, **changes)
+    return replace(usual, **changes)
 
 
 def without(result, *names):
     """The same, where the flight does not tell these."""
-    lost = {name: Estimate(None, None, PARAMETERS[name].unit, "unobservable") for name in names}
+    lost = estimates(dict.fromkeys(names))
     return replace(result, parameters=result.parameters | lost)
 
 

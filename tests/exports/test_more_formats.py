@@ -230,13 +230,3 @@ def test_an_ensemble_has_the_covariance_of_the_result(result):
     assert table[:, 0].mean() == pytest.approx(VALUES["Izz"], rel=0.005)
     assert all(v["moment_ratio"] == pytest.approx(v["k_M"] / v["k_T"]) for v in drawn)
     assert [v["Izz"] for v in drawn_vehicles(vehicle, 3, 7)] == table[:3, 0].tolist()
-
-
-def test_draws_are_rigid_bodies_or_there_are_none(result):
-    wide = {"Izz": estimate("Izz", VALUES["Izz"], 0.3)}
-    vehicle = assemble(replace(result, parameters=result.parameters | wide))
-    for one in drawn_vehicles(vehicle, 50, 1):
-        one.check_inertia()
-    never = assemble(result, given={"Izz": 0.06})
-    with pytest.raises(ValueError, match="rigid body"):
-        drawn_vehicles(never, 2, 1)

@@ -60,14 +60,6 @@ def test_a_reader_that_has_run_out_of_memory_is_told_as_that(task):
         analyze_within(LogLimits(), task, read)
 
 
-def test_other_errors_are_its_own(task):
-    def read(task):
-        raise InputError("no log")
-
-    with pytest.raises(InputError, match=r"^no log$"):
-        analyze_within(LogLimits(), task, read)
-
-
 ENDLESS = """
 import re
 from gcs_sysid.fleet import jobs

@@ -55,14 +55,6 @@ def test_who_kills_the_process_twice_was_to_blame(pool):
             assert result == path
 
 
-@pytest.mark.slow
-def test_stopped_takes_no_more(pool):
-    done = []
-    for task, _ in complete(pool, tasks(count=100), lambda: len(done) >= 3):
-        done.append(task)
-    assert len(done) < 10
-
-
 def test_an_error_is_told_in_a_line():
     assert (
         reason(ValueError("one\ntwo")) == "internal error (ValueError: one two); please report it"

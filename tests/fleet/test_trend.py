@@ -15,14 +15,11 @@ pytest.importorskip("pyarrow", reason="needs the extra fleet")
 from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.batch import row, write_table
 from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.trend import mean, render, scatter_of, value_text, vehicles_of
+from gcs_sysid.fleet.trend import mean, render, scatter_of, vehicles_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
 from gcs_sysid.significance import FALSE_ALARM_RATE
+from tests.known_results import MASS, estimates, result_of
 
 STD = 0.01
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
@@ -31,18 +28,11 @@ _number = itertools.count()
 
 
 def result(status="identified", verdict="identified", recorded=None, **values):
-    parameters = {
-        name: Estimate(value, STD, PARAMETERS[name].unit, status) for name, value in values.items()
-    }
-    vehicle = {"sysid": 1, "compid": 1, "autopilot": "px4"}
-    return Result(
-        verdict,
-        () if verdict == "identified" else ("too quiet",),
-        "",
-        vehicle,
-        Scale("mass", 1.5, "kg"),
-        RotorInput.SPEED,
-        {"mass": Estimate(1.5, 0.0, "kg", "given"), **parameters},
+    return result_of(
+        MASS | estimates(values, std=STD, statuses=dict.fromkeys(values, status)),
+        verdict=verdict,
+        reasons=() if verdict == "identified" else ("too quiet",),
+        source="",
         telemetry={} if recorded is None else {"recorded": f"{recorded:%Y-%m-%d %H:%M} UTC"},
     )
 
@@ -225,9 +215,3 @@ def test_a_fleet_that_tells_nothing_and_no_fleet(tmp_path, capsys):
     assert run(["trend", str(tmp_path), "-o", str(tmp_path / "a.html")]) == 1
     assert "too quiet" in (tmp_path / "a.html").read_text(encoding="utf-8")
     assert capsys.readouterr().out == ""
-
-
-def test_a_changed_lag_is_in_milliseconds():
-    for value, text in ((0.05, "50.0 ± 2.0 ms"), (5e-5, "0.1 ± 2.0 ms")):
-        assert value_text("motor_lag", Estimate(value, 0.001, "s", "identified")) == text
-    assert value_text("mass", Estimate(1.5, 0.01, "kg", "identified")) == "1.500 ± 0.020 kg"

@@ -1,6 +1,5 @@
 """Every harness on its seeds, on the inputs kept, and on what hypothesis draws near them."""
 
-import random
 from dataclasses import replace
 
 import pytest
@@ -8,14 +7,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.reliability.fuzz import main
-from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.mapped_table import read_table
 from testbed.fuzz import blackbox_harnesses, definition_harnesses, link_harnesses
 from testbed.fuzz.drive import Driver
-from testbed.fuzz.harness import Harness, one_line_errors
+from testbed.fuzz.harness import Harness
 from testbed.fuzz.harnesses import HARNESSES
-from testbed.fuzz.mutate import Mutator
 
 BY_NAME = [pytest.param(harness, id=harness.name) for harness in HARNESSES]
 
@@ -45,16 +42,6 @@ def test_what_is_drawn_holds(harness):
     holds()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("harness", BY_NAME)
-def test_what_the_mutator_draws_holds(harness):
-    mutator = Mutator(harness.seeds(), harness.tokens, harness.longest, random.Random(7))
-    for _ in range(25):
-        data = mutator.draw()
-        assert len(data) <= harness.longest
-        harness.check(data)
-
-
 def test_the_tables_to_begin_with_are_read(tmp_path):
     mapping, table = tmp_path / "map.toml", tmp_path / "log.csv"
     for seed in definition_harnesses.table_seeds():
@@ -63,26 +50,12 @@ def test_the_tables_to_begin_with_are_read(tmp_path):
         assert {"imu", "rotor_speed"} <= {t.stream for t in read_table(table, mapping).tracks}
 
 
-def test_the_mutator_repeats_itself_and_changes_its_seeds():
-    draws = [Mutator([b"abc"], [b"x"], 50, random.Random(3)) for _ in range(2)]
-    first, second = ([mutator.draw() for _ in range(200)] for mutator in draws)
-    assert first == second
-    assert len(set(first)) > 100
-
-
 def test_a_scanner_that_loses_a_frame_or_makes_one_up_is_found_out(monkeypatch):
     (stream, *_) = link_harnesses.stream_seeds()
     feed = FrameScanner.feed
     monkeypatch.setattr(FrameScanner, "feed", lambda self, chunk: feed(self, chunk)[:-1])
     with pytest.raises(AssertionError, match="reference"):
         link_harnesses.check_frames(stream)
-
-
-def test_a_line_that_writes_to_the_terminal_is_none():
-    with one_line_errors():
-        raise InputError("a\x1b[2J\nb")  # made printable by the error itself
-    with pytest.raises(AssertionError), one_line_errors():
-        raise InputError("")
 
 
 def test_what_a_harness_finds_is_kept_once(tmp_path):

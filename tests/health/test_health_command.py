@@ -3,7 +3,6 @@
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from pymavlink import mavparm
@@ -15,14 +14,10 @@ from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import read_baseline
 from gcs_sysid.health.health_trend import trend_text
 from gcs_sysid.health.vehicle_health import HealthOptions
-from gcs_sysid.inspection import inspector
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session import analysis
-from gcs_sysid.telemetry.logs import open_log
 from tests.health.conftest import HOVER
 
-SAMPLE = Path(__file__).parents[2] / "logs" / "sample.tlog"
 QUANTITY = {"value", "std", "ci95", "unit", "std_given", "std_data"}
 
 
@@ -195,21 +190,6 @@ def test_of_a_log_of_many_hours_the_beginning_is_judged_and_said(flight, monkeyp
     part = health_of_log(flight.tlog, HealthOptions(airframe))
     assert 10.0 < part.seconds < 20.0  # 500 samples at 25 Hz
     assert part.assumptions[-1] == "hover of the log's first 500 IMU samples"
-
-
-@pytest.mark.parametrize("given", [[], ["--airframe", "paper"]])
-def test_a_log_alone_is_read_once(given, monkeypatch, capsys):
-    opened = []
-
-    def open_counted(path, wanted=None):
-        opened.append(path)
-        return open_log(path, wanted)
-
-    for module in (assessment, analysis, inspector):
-        monkeypatch.setattr(module, "open_log", open_counted)
-    assert run([str(SAMPLE), *given]) == 0
-    assert ("identified" in capsys.readouterr().out) is bool(given)
-    assert opened == [SAMPLE]
 
 
 def one_line(capsys):

@@ -33,14 +33,6 @@ def test_flights_that_scatter_more_than_each_shows_make_no_trend():
     assert found < 0.08 * 300
 
 
-def test_small_numbers_get_a_power_of_ten():
-    series = Series("k_T", "N s^2", (4.6e-6, 4.7e-6), (1e-8, 1e-8)).in_power()
-    assert series.values == pytest.approx((4.6, 4.7))
-    assert series.stds == pytest.approx((0.01, 0.01))
-    assert series.unit == "10⁻⁶ N s^2"
-    assert Series("CG", "mm", (12.0, 3.0), (1.0, 1.0)).in_power().unit == "mm"
-
-
 def test_one_flight_has_no_trend():
     assert trend_text([Health("a.tlog"), Health("b.tlog")]) == []
 

@@ -16,7 +16,6 @@ from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer
 from gcs_sysid.report.page import health_section
-from gcs_sysid.results.result import Result
 from gcs_sysid.screen.panels import health_lines
 from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
@@ -24,6 +23,7 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.web.page_json import why_no_health
+from tests.known_results import result_of
 
 RATE = 100.0
 PX4 = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
@@ -188,7 +188,7 @@ def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
     why = "the motion does not match these rotors: check motor order"
     note = Objection("gyro spikes", verdict="identified", by="data")
     wrong = Objection(why, verdict="refused", by=ROTORS)
-    nothing = Result("identified", (), "", {}, None, "speed", {})
+    nothing = result_of({})
     withheld = beside_analysis(found, object_to(nothing, [note, wrong]))
     assert withheld.contradicted
     assert not withheld.available

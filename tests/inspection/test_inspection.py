@@ -97,12 +97,6 @@ def test_repeats_under_fresh_stamps_are_counted_also_from_chunk_to_chunk():
     assert tally.repeats_percent == pytest.approx(50.0, abs=0.1)
 
 
-def test_what_comes_twice_or_late_is_no_sample():
-    tally = watched([0.0, 0.01, 0.01, 0.02, 0.015, 0.03]).flight
-    assert tally.samples == 4
-    assert tally.rate == pytest.approx(100.0)
-
-
 # Motion.
 
 
@@ -124,12 +118,6 @@ def test_motion_is_found_under_noise_larger_than_itself():
     # Without the split of even and odd samples this would be 0.85 rad/s^2.
     assert yaw.acceleration_rms < 0.25
     assert yaw.rate_rms < 0.05
-
-
-def test_too_little_flight_tells_no_motion():
-    watch = MotionWatch()
-    watch.add_rates(np.arange(20) * 0.004, np.zeros((20, 3)), 0.004)
-    assert watch.motion() == []
 
 
 # Rotor input: what the chain decides.
@@ -313,15 +301,6 @@ def test_a_narrow_link_is_refused_with_what_to_do(fly):
     assert any("faster" in o.how or "fast link" in o.how for o in found.objections)
 
 
-@pytest.mark.slow
-def test_eight_rotors_are_one_source(inspect):
-    found = inspect("--autopilot", "ardupilot", "--airframe", "ardupilot-octo-x")
-    chosen = found.rotor_input.chosen
-    assert chosen.message == "ESC_TELEMETRY"
-    assert len(chosen.rotors) == 8
-    assert chosen.dead == ()
-
-
 # Flight without a word of the autopilot.
 
 
@@ -353,14 +332,6 @@ def test_how_records_are_cut_into_blocks_changes_nothing(size):
     assert whole.clock.reboots == 1
     assert whole.flights
     assert found(size) == whole
-
-
-def test_flight_by_armed_and_turning_rotors():
-    inspector = Inspector(Intake())
-    inspector.add_records(block_of(armed_and_turning()))
-    found = inspector.finish("made", "tlog")
-    assert found.flight_told_by == "rotors"
-    assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)
 
 
 def test_an_imu_that_misreads_is_named_as_by_analyze():
@@ -429,25 +400,6 @@ def test_a_link_is_listened_to_for_the_time_asked(recording):
     assert found.kind == "link"
     assert found.verdict == "yes"
     assert found.stream(Stream.IMU).samples == pytest.approx(500, abs=10)
-
-
-def test_a_link_is_asked_for_streams_and_given_its_rates_back(recording):
-    link = ScriptedLink(recording())
-    found = listen(link)
-    ids = {data[7] | data[8] << 8 for data in link.sent}
-    assert ids == {0, 20, 76}  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
-    # What came before the answer to the requests does not count.
-    assert found.stream(Stream.IMU).samples == pytest.approx(300, abs=10)
-    assert found.stream(Stream.VELOCITY).message == "LOCAL_POSITION_NED"
-
-
-def test_silence_is_told():
-    link = ScriptedLink()
-    found = listen(link)
-    assert not found.is_received
-    assert link.closed
-    assert found.verdict == "no"
-    assert "no MAVLink message received" in texts(found)
 
 
 @pytest.mark.slow

@@ -88,27 +88,6 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, reco
 
 
 @pytest.mark.slow
-def test_what_was_given_out_does_not_change(watched, records):
-    chain, prediction = watched
-    half = len(records) // 2
-    feed(chain, records[:half])
-    found = prediction.acceleration()
-    before = found.measured.copy(), found.predicted.copy()
-    feed(chain, records[half:])
-    np.testing.assert_array_equal(found.measured, before[0])
-    np.testing.assert_array_equal(found.predicted, before[1])
-
-
-@pytest.mark.slow
-def test_the_estimate_does_not_depend_on_being_watched(watched, records):
-    chain, _ = watched
-    alone = Chain(load_airframe("paper"), SELDOM)
-    feed(chain, records)
-    feed(alone, records)
-    assert chain.finish() == alone.finish()
-
-
-@pytest.mark.slow
 def test_after_a_reset_only_what_is_new_is_shown(watched, records):
     chain, prediction = watched
     half = len(records) // 2

@@ -141,14 +141,6 @@ def test_duration_ends_a_session_that_hears_nobody(udp, airframe):
     assert session.latest().link.state is LinkState.ENDED
 
 
-def test_stop_ends_a_session(udp, airframe):
-    session = LiveSession(udp, airframe, LiveOptions())
-    session.start()
-    session.request_stop()
-    assert finish(session).verdict == "refused"
-    session.stop()  # again does no harm
-
-
 @pytest.mark.slow
 def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, flight, tmp_path, analyzed):
     path = tmp_path / "live.tlog"

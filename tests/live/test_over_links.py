@@ -229,24 +229,6 @@ def assert_same(first, second):
             assert x == y, name
 
 
-@pytest.mark.slow
-@pytest.mark.thorough  # UDP: test_receiver_process, TCP: test_live_session, serial: below
-@pytest.mark.parametrize(
-    "wire",
-    [udp, tcp, serial],
-    indirect=True,
-)
-def test_a_recording_played_over_any_link_gives_the_same_numbers(
-    wire, paper_flight, paper_result, tmp_path
-):
-    airframe, path = load_airframe("paper"), tmp_path / "again.tlog"
-    final = played(wire, paper_flight.tlog, airframe, path)
-    assert final.verdict == "identified"
-    assert_same(final, paper_result)
-    before, after = ([f.raw for _, f in read_tlog(p)] for p in (paper_flight.tlog, path))
-    assert before == after
-
-
 RECORDED = {
     "px4-sih-default.tlog": ("px4-sih", 1.0),
     "ardupilot-sitl.tlog": ("ardupilot-quad-x", 1.6),

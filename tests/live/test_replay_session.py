@@ -252,14 +252,6 @@ def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
     assert stage.playback.ended
 
 
-def test_rates_are_those_of_the_last_seconds(recorded):
-    stage = Stage(recorded)
-    stage.play(6.0)
-    assert stage.snapshot.link.rates["imu"] == pytest.approx(50.0, rel=0.05)
-    assert stage.snapshot.link.vehicle.startswith("PX4")
-    assert [v.chosen for v in stage.snapshot.link.vehicles] == [True]
-
-
 @pytest.mark.thorough
 def test_it_goes_on_over_a_reboot(fly):
     flight = fly(

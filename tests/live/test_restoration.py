@@ -23,7 +23,7 @@ from sim_bridge.px4 import Px4
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.payloads import unpack
-from tests.test_what_is_sent import PATIENCE, OnTerminal, needs_posix, on_udp
+from tests.test_what_is_sent import PATIENCE, needs_posix, on_udp
 
 IMU, ATTITUDE, POSITION, LANDED, ESC, OUTPUTS, RAW_IMU, ESC_TELEMETRY = (
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
@@ -139,22 +139,6 @@ def test_a_signal_ends_the_session_and_the_rates_are_what_they_were(how, kind, t
             program.kill()
             program.wait()
     assert vehicle.asked[510] > 0
-
-
-@needs_posix
-@pytest.mark.slow
-def test_q_on_the_screen_too(tmp_path):
-    vehicle = Emulated("px4")
-    with on_udp(vehicle, lambda _: False, lambda: None) as url:
-        program = OnTerminal("live", url, "--airframe", "paper", "--no-record", folder=tmp_path)
-        try:
-            wait_for(vehicle.changed, program.process)
-            assert program.shows(b"PX4")
-            program.type(b"q")
-            assert program.shows(None)
-            assert ended(vehicle)
-        finally:
-            program.end()
 
 
 @needs_posix

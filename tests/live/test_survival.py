@@ -325,18 +325,6 @@ def test_an_ended_session_leaves_nothing_for_the_garbage_collector(tmp_path, mon
         gc.enable()
 
 
-def test_a_defect_at_the_very_end_leaves_the_last_result(running):
-    session, link, path = running
-    session.start()
-    raws = flown(link, 50)
-    until(session, lambda s: s.link.received == 50)
-    session._estimate.chain.finish = broken
-    session.stop()
-    assert session.final.verdict == "refused"
-    assert isinstance(session.problem, ZeroDivisionError)
-    assert recorded(path) == raws
-
-
 def test_what_a_user_asks_for_may_be_defective(running):
     session, link, _ = running
     session.start()

@@ -24,13 +24,6 @@ def test_markup_is_not_escaped_twice():
     assert joined("<", Markup("<br>")) == "&lt;<br>"
 
 
-def test_attributes():
-    made = element("a", "x", class_="k", aria_label='"', hidden=True, title=None, inert=False)
-    assert made == '<a class="k" aria-label="&quot;" hidden>x</a>'
-    with pytest.raises(ValueError, match="attribute"):
-        element("a", **{"on click": "x"})
-
-
 @pytest.mark.parametrize("char", ["\x00", "\x1b", "\u202e", "\x85", "\udc80"])
 def test_what_would_not_be_seen_is_shown(char):
     assert escaped(f"a{char}b") in ("a\N{REPLACEMENT CHARACTER}b", "a?b")

@@ -21,6 +21,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.results.words import STATUS
+from tests.known_results import result_of
 
 from .reading import Page
 
@@ -278,10 +279,7 @@ def test_a_flight_of_hours_makes_a_page_of_bounded_size():
 
 def test_a_refused_recording_has_a_page_too():
     data = made_up("no-imu.tlog")
-    result = Result(
-        verdict="refused", reasons=("no IMU data",), source=data.result.source, vehicle={},
-        scale=None, rotor_input=RotorInput.SPEED, parameters={},
-    )  # fmt: skip
+    result = result_of({}, verdict="refused", reasons=("no IMU data",), scale=None)
     bare = ReportData(result, {}, data.airframe, data.provenance, History(np.empty(0), {}, {}))
     page = Page(render(bare))
     assert "Not identified" in page.one("section", id="verdict").text

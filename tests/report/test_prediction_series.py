@@ -98,21 +98,6 @@ def model():
     )
 
 
-def test_white_noise_has_the_spectrum_expected_of_it(model):
-    dt = 0.004
-    found = predict([still(60_000, dt)], dt, model, -np.inf, np.inf, 0.0)
-    found = replace(found, speed_noise=np.zeros(3))  # these speeds have none
-    spectrum = residual_spectrum(found, dt, RotorInput.SPEED)
-    ratio = spectrum.density / spectrum.white
-    strong = spectrum.white > 0.01 * spectrum.white.max(axis=0)
-    assert np.mean(ratio[strong]) == pytest.approx(1.0, abs=0.1)
-    assert np.abs(np.log(ratio[strong])).max() < 1.0
-    # Parseval: the density holds the residual's power.
-    step = spectrum.frequency[1] - spectrum.frequency[0]
-    power = np.nanvar(found.measured - found.predicted, axis=0)
-    np.testing.assert_allclose(spectrum.density.sum(axis=0) * step, power, rtol=0.1)
-
-
 def test_pieces_do_not_matter_and_gaps_are_left_out(model):
     dt = 0.004
     whole = still(5000, dt)

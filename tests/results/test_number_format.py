@@ -10,7 +10,6 @@ from gcs_sysid.results import words
 from gcs_sysid.results.words import (
     PAGE,
     PLAIN,
-    engineering_exponent,
     percent_column,
     rounded,
     scaled_unit,
@@ -40,24 +39,6 @@ def test_unit_with_its_power(unit, exponent, text):
 
 
 @pytest.mark.parametrize(
-    ("magnitude", "previous", "exponent"),
-    [
-        (0.0294, None, -3),
-        (2.05e-4, None, -6),
-        (6.14e-6, None, -6),
-        (1.5, None, 0),
-        (0.7e-3, -3, -3),  # held, though 700e-6 would do
-        (0.4e-3, -3, -6),
-        (1.2, -3, 0),
-        (0.0, None, 0),
-        (math.inf, -3, -3),
-    ],
-)
-def test_power_is_engineering_and_held(magnitude, previous, exponent):
-    assert engineering_exponent(magnitude, previous) == exponent
-
-
-@pytest.mark.parametrize(
     ("fraction", "signed", "text"),
     [
         (0.00487, False, "0.49 %"),
@@ -84,14 +65,6 @@ def test_every_status_has_its_own_sign():
 
 def test_labels_fit_their_column():
     assert all(len(words.label(name)) <= 13 for name in REGISTRY)
-
-
-@pytest.mark.parametrize(
-    ("fraction", "text"),
-    [(0.02, "2.0 %"), (0.118, "12 %"), (0.0049, "0.49 %"), (3.17, "317 %"), (12.0, ">999 %")],
-)
-def test_percent_has_two_digits(fraction, text):
-    assert PLAIN.percent(fraction) == text
 
 
 @pytest.mark.parametrize(

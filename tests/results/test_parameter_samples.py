@@ -13,8 +13,7 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rigid_body import are_physical
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import Acceleration, History
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
+from tests.known_results import result_of
 
 VALUES = {
     "mass": (1.5, 0.0), "Ixx": (0.0165, 1e-4), "Iyy": (0.0167, 1e-4), "Izz": (0.0294, 6e-4),
@@ -44,13 +43,13 @@ def result(std_given=0.0, **changed):
                        not_negative=REGISTRY[name].sign == "not negative")
         for name, (value, std) in values.items()
     }  # fmt: skip
-    return Result(
-        "identified", (), "a <flight>.tlog", {}, Scale("mass", 1.5, "kg"), RotorInput.SPEED,
+    return result_of(
         estimates,
+        source="a <flight>.tlog",
         timing={"rotor_delay": Estimate(0.001, 1e-4, "s", "identified")},
         airframe={"name": "x", "rotors": ROTORS},
         covariance={"names": names, "matrix": (correlation * np.outer(std, std)).tolist()},
-    )  # fmt: skip
+    )
 
 
 def test_samples_have_the_covariance():

@@ -6,16 +6,12 @@ import math
 import pytest
 
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.result_view import verdict_sentence
+from tests.known_results import result_of
 
 
 def result(**estimates):
-    return Result(
-        "partial", ("why",), "log", {}, Scale("mass", 1.5, "kg"), RotorInput.SPEED, estimates
-    )
+    return result_of(estimates, verdict="partial", reasons=("why",))
 
 
 def test_interval_is_the_normal_95_percent():

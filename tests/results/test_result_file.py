@@ -6,23 +6,20 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.result_file import parse_result, read_result
+from tests.known_results import result_of
 
-RESULT = Result(
-    "partial",
-    ("weak: Izz",),
-    "flight.tlog",
-    {"sysid": 1, "compid": 1, "autopilot": "px4"},
-    Scale("k_T", 2e-4, "N s^2", 1e-6, "the flight before 31.0 s"),
-    RotorInput.SPEED,
+RESULT = result_of(
     {
         "mass": Estimate(1.5, 0.01, "kg", "identified", bound=0.005),
         "Izz": Estimate(0.03, 0.003, "kg m^2", "weak", rests_on="prior"),
         "Ixz": Estimate(None, None, "kg m^2", "unobservable"),
     },
+    verdict="partial",
+    reasons=("weak: Izz",),
+    source="flight.tlog",
+    scale=Scale("k_T", 2e-4, "N s^2", 1e-6, "the flight before 31.0 s"),
     timing={"rotor_delay": Estimate(0.001, 0.0001, "s", "identified")},
     airframe={"name": "mine", "rotors": []},
 )

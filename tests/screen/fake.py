@@ -11,10 +11,8 @@ import numpy as np
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.estimate import Estimate, Status
-from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import Acceleration, History
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import (
     Advice,
     Event,
@@ -26,6 +24,7 @@ from gcs_sysid.results.snapshot import (
     Snapshot,
 )
 from gcs_sysid.screen import Actions
+from tests.known_results import result_of
 
 TRUTH = {
     "mass": 1.5,
@@ -80,14 +79,11 @@ def estimates() -> dict[str, Estimate]:
 
 def result() -> Result:
     """A result half way through the flight."""
-    return Result(
+    return result_of(
+        estimates(),
         verdict="partial",
         reasons=("Izz, Iyz: fly more yaw", "k_M: unobservable without yaw acceleration"),
         source="udpin:0.0.0.0:14550",
-        vehicle={"sysid": 1, "compid": 1, "autopilot": "px4"},
-        scale=Scale("mass", 1.5, "kg"),
-        rotor_input=RotorInput.SPEED,
-        parameters=estimates(),
         timing={"rotor_delay": Estimate(0.0118, 0.0004, "s", "identified")},
     )
 

@@ -189,9 +189,3 @@ def test_speech_is_not_waited_for_and_ends_with_the_session(tmp_path):
         os.kill(running.pid, 0)
     caller.see(led(t=50.0))
     assert not speaker.busy
-
-
-def test_without_a_program():
-    speaker = Speaker(lambda name: None)
-    speaker.say("Link lost.")
-    assert (speaker.program, speaker.busy) == ("", False)

@@ -126,14 +126,6 @@ def test_no_headline_wraps(words, target):
     assert found == {}
 
 
-def test_the_headline_names_the_widest_where_there_is_room():
-    snapshot = HEADLINED["ABOVE TARGET"]
-    for width, named in ((118, False), (190, True)):
-        first = "".join(text for text, _ in verdict_lines(snapshot, width, large=True)[0])
-        assert "9 within the target of ±2 %" in first
-        assert (", widest Izz ±2.1 %" in first) is named
-
-
 async def test_the_page_bar_is_whole_at_any_width(run_screen):
     """Below 68 columns only the selected page has its title; a click finds the page."""
     async with run_screen(fake.snapshot(), size=(60, 24)) as s:

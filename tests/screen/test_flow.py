@@ -12,7 +12,6 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.key_commands import help_text
-from gcs_sysid.screen.main_view import layout_classes
 from gcs_sysid.screen.panels import ParameterRows
 
 from . import fake
@@ -47,29 +46,6 @@ async def test_a_lost_link_counts_the_silence(run_screen):
         assert "no data for 1 min 7 s" in s.text()
         await s.serve(replace(fake.snapshot(), link=fake.link(received=20_000)))
         assert "silent" not in s.text()
-
-
-async def test_the_same_snapshot_is_not_drawn_again(run_screen, monkeypatch):
-    async with run_screen(fake.snapshot()) as s:
-        drawn = []
-        monkeypatch.setattr(s.app, "draw", lambda: drawn.append(1))
-        s.app.poll()
-        s.app.poll()
-        assert drawn == []
-        await s.serve(fake.snapshot())
-        assert drawn == [1]
-
-
-async def test_only_rows_that_changed_are_drawn_again(run_screen, monkeypatch):
-    async with run_screen(fake.snapshot()) as s:
-        drawn = []
-        monkeypatch.setattr(ParameterRows, "refresh", lambda rows, *regions: drawn.extend(regions))
-        result = fake.result()
-        result.parameters["Izz"] = Estimate(0.031, 0.0001, "kg m^2", "identified")
-        s.source.snapshot = replace(fake.snapshot(), result=result)
-        s.app.poll()
-        [region] = drawn
-        assert (region.y, region.height) == (names_of(result).index("Izz"), 1)
 
 
 async def test_the_parameter_under_the_mouse_is_explained(run_screen):
@@ -114,24 +90,6 @@ async def test_event_text_is_never_taken_for_markup(run_screen):
         assert s.text().count(text) == 1
 
 
-@pytest.mark.parametrize(
-    ("size", "classes"),
-    [
-        ((80, 24), {"-paged"}),
-        ((80, 50), {"-paged", "-tall"}),
-        ((200, 24), {"-paged"}),
-        ((120, 40), {"-columns"}),
-        ((200, 50), {"-wide"}),
-        ((196, 40), {"-wide"}),
-        ((195, 40), {"-columns"}),
-        ((196, 39), {"-columns"}),
-        ((61, 24), {"-paged", "-narrow"}),
-    ],
-)
-def test_layout_of_a_size(size, classes):
-    assert layout_classes(*size) == classes
-
-
 @pytest.mark.slow
 async def test_a_terminal_that_grows_and_shrinks(run_screen):
     async with run_screen(fake.snapshot(), size=(80, 24)) as s:
@@ -160,13 +118,6 @@ async def test_a_storm_of_sizes_ends_with_the_last(run_screen):
         await s.serve(fake.snapshot())
         await s.settle()
         assert s.lines()[2:-2] == before.split("\n")[2:-3]
-
-
-@pytest.mark.slow
-async def test_a_tall_small_terminal_shows_table_and_plot(run_screen):
-    async with run_screen(fake.snapshot(), size=(80, 50)) as s:
-        assert "10⁻³ kg m²" in s.text()
-        assert "95 % band" in s.text()
 
 
 @pytest.mark.parametrize("size", [(80, 24), (120, 40), (200, 50)])

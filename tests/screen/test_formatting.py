@@ -9,13 +9,6 @@ from gcs_sysid.screen import formatting as fmt
 from . import fake
 
 
-def test_one_power_for_all_parameters_of_a_unit():
-    chosen = fmt.choose_exponents(fake.result(), fake.TRUTH, {})
-    assert chosen["kg m^2"] == -3
-    assert chosen["kg"] == 0
-    assert chosen["m"] == -3
-
-
 def test_an_absurd_unobservable_value_does_not_set_the_power():
     result = fake.result()
     result.parameters["rotor_inertia"] = Estimate(4.0e5, 1e9, "kg m^2", "unobservable")
@@ -40,11 +33,6 @@ def test_digits_follow_the_interval(value, std, exponent, texts):
     written = fmt.value_and_half(estimate, exponent)
     assert [text.strip() for text in written] == [text.strip() for text in texts]
     assert [len(text) for text in written] == [fmt.NUMBER_WIDTH, fmt.NUMBER_WIDTH - 1]
-
-
-def test_decimal_points_stand_in_one_column():
-    values = [fmt.aligned(v, d) for v, d in ((16.553, 3), (-1.67, 2), (205.12, 1))]
-    assert {value.index(".") for value in values} == {fmt.WHOLE_WIDTH}
 
 
 def test_times():

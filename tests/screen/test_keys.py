@@ -304,15 +304,6 @@ async def test_the_vehicle_is_chosen_from_those_that_speak(run_screen):
         assert s.answer() == "restarting on ArduPilot quadrotor 2:1"
 
 
-async def test_one_vehicle_is_no_choice(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("v")
-        assert s.answer() == "Only one vehicle on the link."
-        await s.serve(fake.waiting())
-        await s.press("v")
-        assert s.answer() == "No vehicle yet."
-
-
 @pytest.mark.slow
 async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

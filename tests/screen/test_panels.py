@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 
 from gcs_sysid.results.history import History, known_history, settled_range
-from gcs_sysid.results.snapshot import Advice, Gain, LinkState
+from gcs_sysid.results.snapshot import Gain
 from gcs_sysid.screen import formatting
 from gcs_sysid.screen.bars import advice_lines, verdict_lines
 from gcs_sysid.screen.formatting import HEIGHT
 from gcs_sysid.screen.main_view import blocks
 from gcs_sysid.screen.panels import (
-    HORIZON_WIDTH,
-    WINGS,
     facts,
     health_lines,
     horizon,
@@ -78,11 +76,6 @@ def test_range_follows_the_later_half_and_the_truth():
     assert 1.5 < high < 2.0
 
 
-def test_the_band_has_no_stripes_where_instants_are_few():
-    curve = reduced_history(history(np.full(4, 5.0)), "m", 100)
-    assert shade(curve, (0.0, 10.0), (0.0, 10.0), (50, 5)).any(axis=0).all()
-
-
 def dots(lines):
     """(rows, columns) of the dots of lines of braille."""
     order = ((0, 3), (1, 4), (2, 5), (6, 7))
@@ -144,15 +137,6 @@ def test_standing_counts_what_a_complete_identification_consists_of():
     assert wide.reached == len(wide.known)
 
 
-def test_the_verdict_in_a_word():
-    snapshot = fake.snapshot()
-    assert headline(snapshot) == "PARTIAL"
-    assert headline(replace(snapshot, advice=replace(fake.advice(), enough=True))) == "ENOUGH"
-    refused = replace(snapshot, result=replace(fake.result(), verdict="refused"))
-    assert headline(refused) == "NOT YET"
-    assert headline(replace(refused, link=fake.link(LinkState.ENDED))) == "NO ANSWER"
-
-
 @pytest.mark.parametrize("width", [60, 80, 118, 160])
 @pytest.mark.parametrize("large", [False, True])
 def test_a_wrong_airframe_is_the_headline_before_take_off(width, large):
@@ -194,12 +178,6 @@ def test_the_coach_says_what_to_fly_how_far_it_is_and_what_it_brings():
     assert "Izz 7.9 % → 3.0 %" in written(fake.advice(), 118)[1]
 
 
-def test_the_coach_has_enough():
-    advice = Advice("", "land when you like", enough=True)
-    assert written(advice) == ["✓ ENOUGH  land when you like"]
-    assert written(replace(advice, enough=False)) == ["COACH  land when you like"]
-
-
 def test_a_gain_that_is_reached_is_ticked():
     assert gain_text(Gain("Izz", 0.12, 0.03)) == "Izz 12 % → 3.0 %"
     assert gain_text(Gain("Izz", 0.03, 0.03)) == "Izz 3.0 % ✓"
@@ -226,21 +204,9 @@ def ground(lines):
     return sum(line.count("█") + line.count("▄") / 2 + line.count("▀") / 2 for line in lines)
 
 
-def test_horizon_level_is_half_ground():
-    lines = horizon(0.0, 0.0, 7)
-    assert {len(line) for line in lines} == {HORIZON_WIDTH}
-    assert lines[3].count(WINGS) == 1
-    assert lines[0].strip() == ""
-    assert set(lines[-1]) == {"█"}
-
-
 def test_horizon_sinks_when_the_nose_rises():
     assert ground(horizon(0.0, 0.3, 7)) < ground(horizon(0.0, 0.0, 7))
     assert ground(horizon(0.0, -0.3, 7)) > ground(horizon(0.0, 0.0, 7))
-
-
-def test_horizon_upside_down():
-    assert set(horizon(math.pi, 0.0, 7)[0]) == {"█"}
 
 
 def test_a_slow_message_is_marked_by_a_sign():

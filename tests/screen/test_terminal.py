@@ -7,10 +7,7 @@ import threading
 import pytest
 from textual.drivers._writer_thread import MAX_QUEUED_WRITES, WriterThread
 
-from gcs_sysid.screen import SysidApp
-from gcs_sysid.screen.terminal import HangingUpFile, ending_with_its_terminal
-
-from . import fake
+from gcs_sysid.screen.terminal import HangingUpFile
 
 linux_driver = pytest.importorskip("textual.drivers.linux_driver")
 
@@ -56,23 +53,3 @@ def test_the_writer_of_a_lost_terminal_ends_however_much_is_queued():
     ending.start()
     ending.join(10.0)
     assert not ending.is_alive()
-
-
-@pytest.mark.parametrize(("suspended", "starts"), [(False, 0), (True, 1)])
-def test_sigcont_starts_the_driver_again_only_after_it_was_suspended(
-    monkeypatch, suspended, starts
-):
-    started = []
-    base = linux_driver.LinuxDriver
-    monkeypatch.setattr(base, "__init__", lambda self: None)
-    monkeypatch.setattr(base, "resume_application_mode", lambda self: started.append(self))
-    driver = ending_with_its_terminal(base)()
-    driver._auto_restart, driver._must_signal_resume = True, suspended
-    driver._sigcont_application(18, None)
-    assert len(started) == starts
-
-
-def test_the_screen_uses_that_driver():
-    driver = SysidApp(fake.FakeSource(fake.snapshot())).driver_class
-    assert driver.__name__ == "TerminalDriver"
-    assert issubclass(driver, linux_driver.LinuxDriver)

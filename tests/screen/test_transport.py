@@ -38,14 +38,6 @@ async def test_every_key_asks_for_what_it_stands_for_and_says_so(run_replay):
         assert not s.app.paused
 
 
-async def test_what_would_change_the_numbers_is_absent(run_replay):
-    async with run_replay() as (s, asked):
-        for key, what in {"m": "Mark", "r": "Reset", "o": "Record", "s": "Scale"}.items():
-            await s.press(key)
-            assert s.answer() == f"{what}: not in a replay."
-        assert s.source.calls == asked == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(80, 24), (120, 40), (200, 50)])
 async def test_the_bar_says_where_it_stands(run_replay, size):

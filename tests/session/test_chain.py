@@ -244,15 +244,3 @@ def test_an_estimate_from_a_dead_reading_is_discarded(never_moved):
     assert (chain.fit.seconds == 0.0) is never_moved
     assert (chain.fit is before) is not never_moved
     assert chain.input_lost == "ESC_STATUS rotor 2 stands still while the others move"
-
-
-@pytest.mark.slow
-def test_a_refused_result_identifies_nothing(flown, monkeypatch):
-    """As where a flight is long enough for thrust over mass, and not for the rotation."""
-    chain, whole = flown
-    assert whole.parameters["k_T"].status == "identified"
-    monkeypatch.setattr(chain, "fit", replace(chain.fit, rotation=None))
-    result = chain.result()
-    assert result.verdict == "refused"
-    assert result.parameters["k_T"].value == pytest.approx(whole.parameters["k_T"].value)
-    assert {e.status for e in result.parameters.values()} <= {"given", "weak", "unobservable"}

@@ -59,19 +59,6 @@ def test_hover_does_not_tell_izz_and_k_m(fly, airframe):
 
 
 @pytest.mark.slow
-def test_mems_noise_at_250_hz(fly, airframe):
-    flight = fly(
-        *("--mission", "all-axes", "--noise", "mems", "--rate", "250"),
-        *("--duration", "20", "--seed", "1"),
-    )
-    result = analyze_log(flight.tlog, airframe)
-    wrong = errors(result, flight.truth)
-    assert result.verdict == "identified"
-    assert max(wrong["Ixx"], wrong["Iyy"]) < 0.006
-    assert max(wrong.values()) < 0.06
-
-
-@pytest.mark.slow
 def test_another_vehicle_may_be_asked_for(paper_flight, airframe):
     other = analyze_log(paper_flight.tlog, airframe, wanted=(7, None))
     assert other.verdict == "refused"
@@ -185,19 +172,6 @@ def test_another_vehicle_after_a_landing_is_a_segment(changed, paper_records, pa
     assert result.scale.anchor == "k_T"
     assert result.parameters["mass"].status == "identified"
     assert "differs since the landing" in chain.events[-1].text
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("second", [None, heavier])
-def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, joined, changed, second):
-    _, one = changed if second else joined
-    _, other = follow(after_a_landing(paper_records, second=second), tick=0.7)
-    assert len(one.segments) == len(other.segments) == (second is not None)
-    for name in ("Ixx", "Izz", "k_T", "mass"):
-        estimate = one.parameters[name]
-        assert other.parameters[name].value == pytest.approx(
-            estimate.value, rel=1e-12, abs=0.05 * estimate.std
-        )
 
 
 @pytest.mark.slow

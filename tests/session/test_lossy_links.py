@@ -173,14 +173,6 @@ def test_a_stream_that_often_repeats_itself_is_no_fault():
     assert np.isfinite(values).all()
 
 
-def test_motors_that_stand_are_told():
-    t, v = moving()
-    v[1000:] = 0.0
-    buffer, values = given_out(t, v, t[5:])
-    assert buffer.still == 0
-    assert (values[1100:] == 0.0).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("at_once", [7, 90])
 def test_samples_at_once_tell_the_same_as_one_by_one(at_once):

@@ -16,14 +16,9 @@ from gcs_sysid.session.reported_layout import (
     airframe_of_layout,
     differences,
     notes,
-    proposal,
     reported_layout,
-    suggested_airframe,
 )
 from gcs_sysid.setup_help.airframe_file import layout_rotors
-from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import MavlinkSystem
-from gcs_sysid.web import log_worker
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.cli import main as sim_bridge
 from sim_bridge.px4_parameters import px4_parameters
@@ -215,13 +210,6 @@ def test_nothing_is_made_up(autopilot, parameters):
     assert reported_layout(autopilot, parameters) is None
 
 
-def test_a_proposal_in_words():
-    assert proposal(px4()) == (
-        "4 rotors by CA_ROTORn_PX, _PY and _KM: 1 front right ccw, 2 rear left ccw, "
-        "3 front left cw, 4 rear right cw, arm 0.25 m"
-    )
-
-
 # --- in a flight
 
 
@@ -300,18 +288,6 @@ def test_what_other_logs_lack(layout, lacking):
     said = " and ".join(one.words for one in found)
     assert ("--airframe FILE.toml or one of" in said) is ("layout" in lacking)
     assert ("--arm M" in said) is ("size" in lacking)
-
-
-def test_only_a_blackbox_log_of_a_quad_has_a_suggestion(tmp_path):
-    assert suggestion_of(blackbox_of(tmp_path, motors=4)) == "betaflight-quad-x"
-    assert suggestion_of(blackbox_of(tmp_path, motors=6)) is None
-    quad = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
-    assert suggested_airframe("tlog", quad) is None
-    assert suggested_airframe("blackbox", None) is None
-
-
-def suggestion_of(log):
-    return log_worker.look(log, lambda *_: None)["suggestion"]
 
 
 def test_the_page_preselects_the_suggestion_and_no_layout_of_its_own():

@@ -9,11 +9,8 @@ from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.session.analysis import take_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
-from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
 
 pytestmark = pytest.mark.slow
 
@@ -44,33 +41,6 @@ def in_parts(window):
         tracks = (track.between(first, stop) for track in window.tracks)
         parameters = tuple(told for told in window.parameters if first <= told[0] < stop)
         yield RecordBlock(tuple(track for track in tracks if len(track.t)), parameters)
-
-
-class Counted(tuple):
-    """A tuple that counts how often it is gone through."""
-
-    times = 0
-
-    def __iter__(self):
-        Counted.times += 1
-        return super().__iter__()
-
-
-def test_parameters_cost_no_time_for_each_window():
-    order = np.arange(0, 4000, 4)
-    track = Track(Stream.IMU, 0.01 * order, np.zeros((1000, 6)), order=order)
-    told = [(n, Record(Stream.PARAMETER, 0.01 * n, ("NAME", 1.0))) for n in range(1, 4000, 4)]
-    events = [(n, IntakeEvent(0.01 * n, "reset", "")) for n in range(2, 4000, 40)]
-    block = RecordBlock((track,), Counted(told), Counted(events))
-    Counted.times = 0
-    windows = list(block.windows())
-    assert Counted.times < 10
-    assert [entry for window in windows for entry in window.parameters] == told
-    assert [event for window in windows for event in window.events] == events
-    assert np.concatenate([part.order for w in windows for part in w.tracks]).tolist() == [*order]
-    assert all(len(window.parameters) <= 1 for window in windows)
-    known = [(window.events[0][0], window.tracks) for window in windows if window.events]
-    assert all(part.order[0] > number for number, tracks in known for part in tracks)
 
 
 def assert_same_grid(blocks, others):
@@ -124,17 +94,8 @@ FLIGHTS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "a mass step",
-        *(
-            pytest.param(name, marks=pytest.mark.thorough)
-            for name in FLIGHTS
-            if name != "a mass step"
-        ),
-    ],
-)
+@pytest.mark.thorough  # one in `make test`: test_size_of_blocks_does_not_matter of test_chain
+@pytest.mark.parametrize("name", FLIGHTS)
 def test_windows_give_what_parts_give(fly, name):
     flight = fly(*MEMS, *FLIGHTS[name], "--rate", "50", "--seed", "3")
     result, _, grid = analyzed(flight.tlog, "paper", windows=True)
@@ -153,38 +114,3 @@ def test_windows_of_recorded_flights(shared_logs, name):
     assert_same(result, other)
     assert_same_grid(grid, same_grid)
     assert len(grid) < 0.1 * len(same_grid)
-
-
-@pytest.mark.slow
-@pytest.mark.thorough
-@pytest.mark.parametrize("after", [10001, 10017, 10050])
-def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
-    flight = fly(*MEMS, *FLIGHTS["sound"], "--seed", "3")
-    frames = list(read_tlog(flight.tlog))
-    path = tmp_path / "reset.tlog"
-    with TlogWriter(path) as writer:
-        for number, (time_us, frame) in enumerate(frames):
-            if number == after:
-                writer.write(time_us, [reset_mark()])
-            writer.write(time_us, [frame])
-    result, chain, _ = analyzed(path, "paper", windows=True)
-    assert_same(result, analyzed(path, "paper", windows=False)[0])
-    seconds = 1e-6 * (frames[-1][0] - frames[after][0])
-    assert 10.0 < chain.fit.seconds < seconds < 20.0
-
-
-@pytest.mark.thorough
-def test_the_course_in_windows_is_that_of_parts(fly):
-    flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
-    histories = [
-        analyzed(flight.tlog, "paper", windows=windows, history=0.1)[1].history
-        for windows in (True, False)
-    ]
-    now, before = histories
-    assert len(now.t) == len(before.t) > 200
-    assert now.t == pytest.approx(before.t, abs=1e-9)
-    for name in ("Ixx", "Izz", "k_M", "mass"):
-        late = now.t > 10.0
-        assert now.value[name][late] == pytest.approx(
-            before.value[name][late], rel=1e-4, nan_ok=True
-        )

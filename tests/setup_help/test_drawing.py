@@ -2,35 +2,15 @@
 
 import pytest
 
-from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help.airframe_file import (
     ASCII,
     LAYOUTS,
     UNICODE,
-    UNICODE_SIGNS,
     draw,
     layout_rotors,
     legend,
     reversed_spins,
-    rotor_table,
 )
-from gcs_sysid.setup_help.checks import can_show
-
-QUAD_X = """\
-             ▲ front
-3↻                      1↺
-   ·                   ·
-     ·               ·
-       ·           ·
-         ·       ·
-           ·   ·
-             ┼
-           ·   ·
-         ·       ·
-       ·           ·
-     ·               ·
-   ·                   ·
-2↺                      4↻"""
 
 QUAD_PLUS = """\
               ^ front
@@ -47,10 +27,6 @@ QUAD_PLUS = """\
               .
               .
             4 cw"""
-
-
-def test_a_quad_x_in_unicode():
-    assert draw(layout_rotors("px4-quad-x", 0.25), UNICODE) == QUAD_X
 
 
 def test_a_quad_plus_in_ascii():
@@ -85,23 +61,3 @@ def test_coaxial_rotors_stand_one_under_the_other():
     assert all(f"{number}" in drawn for number in range(1, 9))
     upper, lower = (line for line in drawn.splitlines() if "1↺" in line or "5↻" in line)
     assert upper.index("1↺") == lower.index("5↻")
-
-
-def test_rotors_on_one_spot_or_line_can_be_drawn():
-    assert "2" in draw((Rotor(0.0, 0.0, 1), Rotor(0.0, 0.0, -1)), ASCII)
-    assert "2" in draw((Rotor(1.0, 0.0, 1), Rotor(-1.0, 0.0, -1)), ASCII)
-
-
-def test_the_table_has_the_numbers():
-    head, *rows = rotor_table(layout_rotors("px4-hexa-x", 0.2)).splitlines()
-    assert head.split() == ["motor", "place", "x", "m", "y", "m", "spin"]
-    assert rows[0].split() == ["1", "right", "0", "0.2", "cw"]
-    assert rows[5].split() == ["6", "rear", "left", "-0.1732", "-0.1", "cw"]
-
-
-@pytest.mark.parametrize(
-    ("encoding", "shown"),
-    [("utf-8", True), ("cp1252", False), ("ascii", False), ("nonesuch", False)],
-)
-def test_signs_are_used_where_they_can_be_shown(encoding, shown):
-    assert can_show(UNICODE_SIGNS, encoding) is shown

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gcs_sysid.model.airframe import Rotor, builtin_names, load_airframe
+from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help.airframe_file import (
     LAYOUTS,
     layout_rotors,
@@ -45,16 +45,6 @@ def test_motors_are_numbered_and_turn_as_the_autopilot_has_them(name):
         assert rotor.spin == (1 if spin == "ccw" else -1)
 
 
-def test_every_built_in_layout_can_be_chosen():
-    assert {name for name in builtin_names() if name not in ("paper", "px4-sih")} <= set(LAYOUTS)
-
-
-def test_a_quad_x_need_not_be_square():
-    rotors = layout_rotors("px4-quad-x", (0.1, 0.2))
-    assert [(r.x, r.y) for r in rotors] == [(0.1, 0.2), (-0.1, -0.2), (0.1, -0.2), (-0.1, 0.2)]
-    assert "px4-quad-x" in same_order(rotors)
-
-
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_layout_is_recognised(name):
     rotors = layout_rotors(name, 0.4)
@@ -89,11 +79,3 @@ def test_turned_a_little_it_is_still_the_layout(name):
 def test_places_in_words(angle, words):
     a = math.radians(angle)
     assert place_of(math.cos(a), math.sin(a)) == words
-
-
-def test_the_middle_has_a_name():
-    assert place_of(0.0, 0.0) == "center"
-
-
-def test_the_built_in_quad_of_the_paper_is_a_quad_x():
-    assert same_order(load_airframe("paper").rotors) == ["px4-quad-x", "ardupilot-quad-x"]

@@ -1,7 +1,5 @@
 """What the doctor says of the machine itself."""
 
-import sys
-
 import pytest
 
 from gcs_sysid.setup_help.checks import (
@@ -12,7 +10,6 @@ from gcs_sysid.setup_help.checks import (
     check_python,
     check_recordings,
     check_terminal,
-    quoted,
     worst,
 )
 
@@ -112,9 +109,3 @@ def test_findings_as_text():
     assert worst(findings) is Sign.PROBLEM
     assert worst([]) is Sign.OK
     assert findings[0].as_json() == {"topic": "a", "sign": "ok", "text": "fine", "advice": []}
-
-
-def test_paths_with_spaces_are_quoted():
-    assert quoted("C:\\Program Files\\python.exe") == '"C:\\Program Files\\python.exe"'
-    assert quoted("/usr/bin/python") == "/usr/bin/python"
-    assert sys.executable in quoted(sys.executable)

@@ -1,7 +1,5 @@
 """The questions, answered as a user would, slips included."""
 
-import math
-
 import pytest
 
 from gcs_sysid.errors import InputError
@@ -144,12 +142,6 @@ def test_answers_that_end_too_early_end_the_wizard(typed):
         asked(*typed)
 
 
-@pytest.mark.parametrize(("typed", "yes"), [(["y"], True), (["No"], False), (["what", ""], True)])
-def test_yes_and_no(typed, yes):
-    dialogue = Dialogue(*typed)
-    assert Wizard(dialogue.ask, dialogue.say, ASCII).yes("Write?", default=True) is yes
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -165,13 +157,6 @@ def test_yes_and_no(typed, yes):
 def test_options_that_do_not_go_together(given, said):
     with pytest.raises(InputError, match=said):
         given_answers(given)
-
-
-def test_arms_may_have_their_unit():
-    assert say.arm_lengths("110mm") == pytest.approx(0.11)
-    assert say.arm_lengths("10cm,120mm") == pytest.approx((0.1, 0.12))
-    with pytest.raises(InputError, match="must be in m or cm or mm"):
-        say.arm_lengths("110xx")
 
 
 @pytest.mark.parametrize(
@@ -195,9 +180,3 @@ def test_arms_may_have_their_unit():
 def test_answers_that_make_no_sense(parse, text):
     with pytest.raises(InputError):
         parse(text)
-
-
-def test_a_rotor_may_be_written_in_several_ways():
-    told = [say.rotor(text) for text in ("0.2 -0.2 cw", "CW:0.2,-0.2", " 0.2, -.2; cw ")]
-    assert {(r.x, r.y, r.spin) for r in told} == {(0.2, -0.2, -1)}
-    assert math.isclose(say.rotor("1e-1 0 ccw").x, 0.1)

@@ -1,8 +1,5 @@
 """Our recursive filters do what SciPy's do, and spare every command what those take to load."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy import signal
@@ -46,14 +43,3 @@ def test_coefficients_may_change_from_sample_to_sample(n):
 @pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.4])
 def test_the_gyros_low_pass_is_butterworths(cutoff):
     np.testing.assert_allclose(butterworth(cutoff), signal.butter(2, 2.0 * cutoff), rtol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "module", ["gcs_sysid.live.live_session", "gcs_sysid.cli.program", "sim_bridge.cli"]
-)
-def test_nothing_loads_scipys_signal_at_its_start(module):
-    heavy = "{'scipy.signal', 'scipy.stats', 'scipy.interpolate', 'scipy.optimize'}"
-    code = f"import sys, {module}; print({heavy} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"

@@ -73,13 +73,6 @@ def test_measured_speeds_are_preferred():
     assert rotor_selector.refused == {}
 
 
-def test_the_time_between_new_readings_is_noted():
-    t, u, v = signals()
-    slow = speeds(np.repeat(v[::4], 4, axis=0)[: len(t)], t)
-    choice = judged(commands(u, t), slow).choice
-    assert choice.interval == pytest.approx(4.0 * (t[1] - t[0]), rel=0.05)
-
-
 def test_readings_that_only_rounding_repeats_are_new_as_often_as_they_come():
     t, u, v = signals()
     calm = np.where(t[:, None] < 0.3 * t[-1], v, v[0] + np.sin(0.5 * t[:, None]))
@@ -212,17 +205,6 @@ def test_commands_sold_as_measured_speeds_are_commands(unit):
     assert "ACTUATOR_OUTPUT_STATUS under another name" in rotor_selector.refused["ESC_STATUS"]
 
 
-def test_quick_motors_are_still_measured():
-    t, u, v = signals(lag=0.005, rate=250.0)
-    assert judged(commands(u, t), speeds(v, t)).choice.kind == "speed"
-
-
-def test_motionless_hover_is_no_reason_to_refuse():
-    t, u, v = signals()
-    still = np.full_like(v, 100.0)
-    assert judged(commands(u, t), speeds(still, t)).choice.kind == "speed"
-
-
 def test_coaxial_rotors_measured_a_few_millimeters_apart_are_no_small_ones():
     t, _u, v = signals()
     under = tuple(replace(rotor, x=rotor.x + 0.004, spin=-rotor.spin) for rotor in PAPER.rotors)
@@ -268,13 +250,6 @@ def test_scale_and_airframe_decide_between_sound_sources(anchor, wanted, kind):
     assert (
         judged(commands(u, t), speeds(v, t), airframe=airframe, anchor=anchor).choice.kind == kind
     )
-
-
-def test_without_what_the_scale_needs_nothing_is_chosen():
-    t, u, _v = signals()
-    rotor_selector = judged(commands(u, t), anchor=ScaleReference("k_T", 2e-4))
-    assert rotor_selector.choice is None
-    assert rotor_selector.refused == {"ACTUATOR_OUTPUT_STATUS": "speed is wanted"}
 
 
 @pytest.mark.parametrize(
@@ -427,23 +402,6 @@ def test_speeds_that_repeat_old_readings_give_way():
     assert rotor_selector.choice.refused == {
         "ESC_STATUS": "repeats old readings, 5 new ones a second"
     }
-
-
-def test_a_few_repeats_are_counted_and_forgiven():
-    t, u, v = signals()
-    rotor_selector = judged(commands(u, t), speeds(repeating(v, 2), t))
-    assert rotor_selector.choice.name == "ESC_STATUS"
-    repeats = rotor_selector.repeats["ESC_STATUS"].as_dict()
-    assert repeats["percent"] == pytest.approx(50.0, abs=1.0)
-    assert repeats["count"] == len(t) // 2
-    assert rotor_selector.repeats["ACTUATOR_OUTPUT_STATUS"].repeated < 5
-
-
-def test_what_rounding_repeats_in_calm_air_is_no_old_reading():
-    t, _u, v = signals()
-    calm = 400.0 + 0.3 * RPM * (v - v.mean(axis=0)) / v.std(axis=0)
-    slow = repeating(calm, 10)  # a change of one rpm now and then
-    assert judged(speeds(slow, t)).choice.name == "ESC_STATUS"
 
 
 def test_groups_of_rotors_repeat_on_their_own():

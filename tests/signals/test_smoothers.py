@@ -102,31 +102,6 @@ def test_missing_samples_spoil_the_differentiator_until_it_has_settled():
         np.testing.assert_array_equal(b[:, [0, 2]], a[:, [0, 2]])
 
 
-@KINDS
-def test_rows_after_a_restart_are_those_of_a_new_one(kind):
-    v = signals()
-    smoother = make(kind)
-    smoother.update(v[:101], 0)
-    smoother.restart()
-    again = smoother.update(v[101:], 0)
-    for a, b in zip((again.average, again.derivative), rows_of(kind, v[101:]), strict=True):
-        assert len(a) > 0
-        np.testing.assert_array_equal(a, b)
-
-
-@KINDS
-def test_both_sides_agree_on_smooth_signals(kind):
-    t = np.arange(600)[:, None] * DT
-    w = np.sin(2.0 * t)
-    average, _ = rows_of(kind, 2.0 * np.cos(2.0 * t))
-    _, derivative = rows_of(kind, w)
-    # The window: next to exact. The differentiator: (w dt)^2 / 12 of straight pieces.
-    np.testing.assert_allclose(
-        derivative, average, rtol=0.0, atol=1e-9 if kind == "window" else 1e-3
-    )
-    assert np.isfinite(average).sum() > 100
-
-
 DELAYS = (-0.01, 0.0, 0.03)
 
 

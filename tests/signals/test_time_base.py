@@ -104,18 +104,6 @@ def test_interpolation_is_exact_for_cubics(rate):
         assert np.abs(run.values(key) - expected)[inside].max() < 1e-12
 
 
-def test_interpolate_takes_samples_on_the_grid_as_they_are():
-    t = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
-    v = np.random.default_rng(1).normal(size=(5, 2))
-    np.testing.assert_array_equal(interpolate(t, v, t, gap=0.15), v)
-    between = interpolate(t, v, np.array([0.5, -0.1, 1.1]), gap=0.15)
-    assert np.isnan(between).all()
-    # Beside the gap the two neighbors alone: a straight line.
-    beside = interpolate(t, v, np.array([0.15, 0.95]), gap=0.15)
-    np.testing.assert_allclose(beside, [(v[1] + v[2]) / 2, (v[3] + v[4]) / 2], rtol=1e-12)
-    assert np.isnan(interpolate(t[:1], v[:1], t, gap=1.0)).all()
-
-
 @pytest.mark.parametrize(("lost", "most"), [(0, 1.0), (1, 1.05), (2, 1.2), (4, 1.5), (10, 1.5)])
 def test_bridging_lost_samples_multiplies_little_noise(lost, most):
     t = np.delete(np.arange(60), slice(30, 30 + lost)).astype(float)
@@ -415,16 +403,6 @@ def test_step_is_the_mean_of_intervals_that_alternate():
     assert run.base.restarts == 0
     inside = (run.t > 0.05) & (run.t < 5.9)
     assert np.abs(run.values(IMU) - cubic(run.t, 6))[inside].max() < 1e-9
-
-
-def test_a_short_spell_of_slow_samples_changes_nothing():
-    """As at 241.6 s of ardupilot-sitl.tlog: a dozen and a half samples after 15 ms each."""
-    t = np.concatenate([np.arange(0.0, 3.0, 0.004), 3.0 + np.arange(0.0, 0.7, 0.015)])
-    t = np.concatenate([t, np.arange(3.71, 6.0, 0.004)])
-    run = Flown([record(Stream.IMU, round(float(x), 6)) for x in t], 60.0)
-    assert run.base.dt == 0.004
-    assert run.base.restarts == 0
-    assert np.abs(run.values(IMU) - cubic(run.t, 6)).max() < 1e-6
 
 
 def test_states_hold_their_last_value():

@@ -147,16 +147,6 @@ def test_canted_rotors_are_allocated_as_built(hexa: Vehicle) -> None:
     np.testing.assert_allclose(Dynamics(v).wrench(speeds, speeds)[:4], wanted, rtol=1e-9)
 
 
-def test_scatter_keeps_the_mean_and_has_its_width(paper_vehicle: Vehicle) -> None:
-    rng = np.random.default_rng(2)
-    traits = [Physics(scatter=0.03).of_vehicle(paper_vehicle, rng).traits for _ in range(400)]
-    for name in ("thrust", "torque"):
-        drawn = np.array([getattr(t, name) for t in traits])
-        np.testing.assert_allclose(drawn.mean(axis=1), 1.0, atol=1e-12)
-        # Of four about their own mean: three degrees of freedom.
-        assert drawn.std() == pytest.approx(0.03 * math.sqrt(0.75), rel=0.1)
-
-
 @pytest.mark.parametrize("lag_of", ["speed", "thrust", "command"])
 def test_rotor_inertia_keeps_angular_momentum_behind_any_lag(
     paper_vehicle: Vehicle, lag_of: str

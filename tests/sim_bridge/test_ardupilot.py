@@ -9,10 +9,6 @@ import pytest
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.requests import StreamRequests
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.ardupilot_instruments import LowPass2p
@@ -132,32 +128,6 @@ def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> Non
     counts = desk.counts(2.0)
     assert counts["SERVO_OUTPUT_RAW"] == counts["RAW_IMU"] == counts["ATTITUDE"] == 100
     assert "HIGHRES_IMU" not in counts
-
-
-@pytest.mark.slow
-def test_the_tools_requests_bring_what_it_needs_before_4_0(make_desk: Callable[..., Any]) -> None:
-    """Asked by flight time, and given its silence back at the end."""
-    desk = make_desk(sensor_faults=SensorFaults(groups_only=True))
-    intake, sent = Intake(), []
-    requests = StreamRequests(Gate(sent.append), 250.0)
-    step = 0.2
-    for turn in range(round(20.0 / step)):
-        arrived = []
-        for raw in sent:
-            arrived += desk.autopilot.receive(raw, desk.simulation.tick)
-        sent.clear()
-        for _ in range(round(step / desk.simulation.step_size)):
-            desk.simulation.step()
-            arrived += desk.autopilot.poll(desk.simulation.tick)
-        intake.frames(frame for raw in arrived if (frame := read_frame(raw)) is not None)
-        requests.tick(turn * step, intake.vehicle, intake.monitor.rates())
-    rates = intake.monitor.rates()
-    needed = {"RAW_IMU": 50.0, "SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0}
-    assert {name: rates[name] for name in needed} == pytest.approx(needed, rel=0.05)
-    requests.close()
-    for raw in sent:
-        desk.autopilot.receive(raw, desk.simulation.tick)
-    assert set(desk.counts(2.0)) == {"HEARTBEAT"}
 
 
 def test_parameters_travel_as_floats_nearest_to_them(desk: Any) -> None:

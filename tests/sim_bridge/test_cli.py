@@ -12,6 +12,8 @@ from sim_bridge.choices import Kind
 from sim_bridge.cli import main, make_parser
 from sim_bridge.line_faults import KINDS as FAULTS
 from sim_bridge.line_faults import LineFaults
+from sim_bridge.physics import KINDS as EFFECTS
+from sim_bridge.physics import Physics
 from sim_bridge.sensor_faults import KINDS, SensorFaults
 
 
@@ -74,6 +76,10 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
         ("--signing-key /nosuch/key", "/nosuch/key: cannot read"),
         ("--signing-key K", "is no signing key"),
         ("--signing-key K --mavlink 1", "version 1 has no signatures"),
+        ("--physics rotor-dragg=1", "no effect 'rotor-dragg'; there are rotor-drag"),
+        ("--physics rotor-drag=-1", "rotor-drag: must lie between 0 and 20 1/s"),
+        ("--physics damping=1:2", "write P:Q:R, got '1:2'"),
+        ("--physics weakening=0:3:0.1", "must be a motor's number from 1"),
         ("--frobnicate", "unrecognized arguments"),
     ],
 )
@@ -139,12 +145,18 @@ def test_an_existing_file_is_replaced_by_force_alone(
 
 
 @pytest.mark.parametrize(
-    ("word", "kinds", "chosen"), [("traps", KINDS, SensorFaults), ("faults", FAULTS, LineFaults)]
+    ("word", "kinds", "chosen"),
+    [
+        ("traps", KINDS, SensorFaults),
+        ("faults", FAULTS, LineFaults),
+        ("effects", EFFECTS, Physics),
+    ],
 )
-def test_help_tells_of_every_trap_and_fault(
+def test_help_tells_of_every_trap_fault_and_effect(
     word: str, kinds: dict[str, Kind], chosen: type, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, out, _ = run("--help", capsys)
     lines = out[out.index(f"{word} (") :].split("\n\n")[0].splitlines()[1:]
-    assert [line.split()[0].split("[")[0].split("=")[0] for line in lines] == list(kinds)
+    names = [line.split()[0].split("[")[0].split("=")[0] for line in lines]
+    assert [name for name in names if name != "all"] == list(kinds)
     assert {field.name for field in fields(chosen)} == {name.replace("-", "_") for name in kinds}

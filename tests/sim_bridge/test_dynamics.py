@@ -64,31 +64,6 @@ def test_rotors_that_speed_up_keep_the_total_angular_momentum(paper_vehicle: Veh
     assert abs(state.rates[2] - 0.3) > 0.1
 
 
-def test_rk4_converges_with_fourth_order(paper_vehicle: Vehicle) -> None:
-    v = replace(paper_vehicle, linear_drag=0.3, rotational_damping=0.01, rotor_inertia=1e-4)
-
-    def end(steps: int) -> np.ndarray:
-        dynamics = Dynamics(v, step_size=0.4 / steps)
-        state = State(tumbling().body, [100.0, 80.0, 90.0, 110.0])
-        for _ in range(steps):
-            state = dynamics.step(state, [120.0, 60.0, 100.0, 90.0])
-        return np.array(state.body)
-
-    exact = end(800)
-    errors = [np.linalg.norm(end(n) - exact) for n in (10, 20, 40)]
-    assert 3.5 < math.log2(errors[0] / errors[1]) < 4.6
-    assert 3.5 < math.log2(errors[1] / errors[2]) < 4.6
-
-
-def test_motor_lag_is_exact_at_any_step(paper_vehicle: Vehicle) -> None:
-    for step in (0.001, 0.02):
-        dynamics = Dynamics(paper_vehicle, step_size=step)
-        state = tumbling()
-        for _ in range(round(0.06 / step)):
-            state = dynamics.step(state, [100.0] * 4)
-        assert state.speeds[0] == pytest.approx(100.0 * (1.0 - math.exp(-2.0)), rel=1e-12)
-
-
 def test_a_command_that_lags_makes_thrust_lag_where_it_is_linear(paper_vehicle: Vehicle) -> None:
     # PX4's SIH: dT/dt = (T_c - T) / tau.
     v = replace(paper_vehicle, lag_of="command", thrust_curve=0.0, motor_lag=0.05)
@@ -155,21 +130,6 @@ def test_translation_obeys_the_article(paper_vehicle: Vehicle) -> None:
         expected = -T * up / paper_vehicle.mass + [0.0, 0.0, GRAVITY]
         got = dynamics.derivative(s.body, dynamics.wrench(s.speeds, s.speeds))[3:6]
         np.testing.assert_allclose(got, expected, atol=1e-12)
-
-
-def test_drag_damping_and_disturbance_enter_where_they_should(paper_vehicle: Vehicle) -> None:
-    v = replace(paper_vehicle, linear_drag=0.4, rotational_damping=0.02)
-    s = random_state(np.random.default_rng(2))
-    gust = Disturbance((0.1, -0.2, 0.3), (0.01, 0.02, -0.03))
-    plain, full = Dynamics(paper_vehicle), Dynamics(v)
-    wrench = plain.wrench(s.speeds, s.speeds)
-    extra = np.subtract(full.derivative(s.body, wrench, gust), plain.derivative(s.body, wrench))
-    np.testing.assert_allclose(
-        v.mass * extra[3:6], np.array(gust.force) - 0.4 * np.array(s.velocity), atol=1e-12
-    )
-    np.testing.assert_allclose(
-        inertia(v) @ extra[10:], np.array(gust.torque) - 0.02 * np.array(s.rates), atol=1e-12
-    )
 
 
 def test_trim_is_an_equilibrium(paper_vehicle: Vehicle) -> None:

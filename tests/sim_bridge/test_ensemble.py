@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sim_bridge.cli import main
-from sim_bridge.ensemble import Flight, fly_ensemble
+from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
 
@@ -60,18 +60,3 @@ def test_noise_equals_that_of_the_messages(
     np.testing.assert_allclose(gyro, noisy.gyro[0], atol=1e-6)
     np.testing.assert_allclose(force, noisy.specific_force[0], atol=1e-5)
     np.testing.assert_allclose(quaternion, noisy.quaternion[0], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_one_flight_with_many_seeds(flights: dict[str, Flight]) -> None:
-    noisy = flights["paper"].repeated(3).with_noise("mems", 0.0, [1, 2, 1])
-    assert noisy.count == 3
-    assert (noisy.gyro[0] == noisy.gyro[2]).all()
-    assert (noisy.gyro[0] != noisy.gyro[1]).any()
-    assert np.std(noisy.speeds - flights["paper"].speeds) == pytest.approx(0.5, rel=0.05)
-
-
-@pytest.mark.slow
-def test_as_many_seeds_as_flights_are_needed(flights: dict[str, Flight]) -> None:
-    with pytest.raises(ValueError, match="as many seeds"):
-        flights["paper"].with_noise("none", 0.0, [1, 2])

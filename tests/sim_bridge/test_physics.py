@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from sim_bridge.doublets import ALL_MISSIONS, DOUBLETS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.physics import IDEAL, KINDS, Physics, Weakening, make_physics, parse_physics
-from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
 
@@ -38,43 +37,6 @@ def test_every_effect_has_a_name_and_nothing_is_on_by_default() -> None:
     assert not IDEAL.switched_on
     # A usual command at idle and a usual lag are the defaults themselves.
     assert set(usual().switched_on) >= set(KINDS) - {"idle"}
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("rotor-dragg=1", "no effect 'rotor-dragg'; there are rotor-drag"),
-        ("rotor-drag=-1", "rotor-drag: must lie between 0 and 20 1/s"),
-        ("rotor-drag=nan", "must be a number"),
-        ("damping=1:2", "write P:Q:R, got '1:2'"),
-        ("wind=5:30:2", "write M/S[:DEG]"),
-        ("wind=50", "wind: must lie between 0 and 40 m/s"),
-        ("lag-of=all", "must be one of speed, thrust, command"),
-        ("weakening=0:3:0.1", "must be a motor's number from 1"),
-        ("weakening=1:3:1.5", "must lie between 0 and 0.9"),
-        ("throttle-cut=3", "write FROM:S"),
-        ("slosh=0.7", "must lie between 0 and 0.5 of the mass"),
-        ("thrust-curve=2", "must lie between 0 and 1"),
-        ("battery=0.1:0", "must be positive"),
-        ("scatter=", "scatter: must be a number"),
-    ],
-)
-def test_a_wrong_effect_gets_one_line(
-    capsys: pytest.CaptureFixture[str], text: str, words: str
-) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["--physics", text])
-    assert caught.value.code == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
-
-
-def test_help_lists_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    said = capsys.readouterr().out
-    assert all(f"  {name}" in said for name in KINDS)
 
 
 def test_a_vehicle_that_cannot_hover_is_refused_in_one_line(
@@ -147,19 +109,6 @@ def test_the_seed_fixes_every_byte_with_everything_on(tmp_path: Path) -> None:
     first = fly(tmp_path, *words)[0].read_bytes()
     assert fly(tmp_path, *words)[0].read_bytes() == first
     assert fly(tmp_path, *words[:-1], "5")[0].read_bytes() != first
-
-
-@pytest.mark.slow
-def test_an_ensemble_flies_as_each_of_its_vehicles(paper_vehicle: Vehicle) -> None:
-    # Scatter is drawn for each vehicle apart; the rest is shared.
-    on = replace(usual(), scatter=0.0)
-    vehicles = [replace(paper_vehicle, cg_x=x, cg_y=0.02) for x in (0.02, 0.04)]
-    mission = ALL_MISSIONS["all-axes"]
-    single = [fly_ensemble(v, mission, 50.0, 2.5, seed=1, physics=on) for v in vehicles]
-    together = fly_ensemble(stack_vehicles(vehicles), mission, 50.0, 2.5, seed=1, physics=on)
-    for i, flight in enumerate(single):
-        np.testing.assert_allclose(together.gyro[i], flight.gyro[0], atol=1e-9)
-        np.testing.assert_allclose(together.specific_force[i], flight.specific_force[0], atol=1e-8)
 
 
 def simulation(vehicle: Vehicle, physics: Physics, mission: str = "hover") -> Simulation:
@@ -240,17 +189,3 @@ def test_doublets_reach_their_rates_and_stay_in_place(mission: str) -> None:
     height = -np.cumsum(flight.velocity[0, :, 2]) * flight.interval
     assert height.max() == pytest.approx(asked.climb, abs=0.12)
     assert abs(height.min()) < 0.12
-
-
-@pytest.mark.parametrize("around", [2.0, 6.1, 7.3, 17.2, 28.0, 37.7, 46.2])
-def test_doublet_set_points_are_derivatives_of_each_other(around: float) -> None:
-    mission, h = ALL_MISSIONS["climbs"], 1e-4
-    before, here, after = (mission.reference(around + k * h) for k in (-1, 0, 1))
-    for low, high, slack in (
-        ("position", "velocity", 1e-4),
-        ("velocity", "acceleration", 1e-4),
-        # Without products of rates: they are second-order in the feed-forward.
-        ("rate", "angular_acceleration", 0.4),
-    ):
-        slope = np.subtract(getattr(after, low), getattr(before, low)) / (2 * h)
-        np.testing.assert_allclose(slope, getattr(here, high), atol=slack)

@@ -8,7 +8,6 @@ import pytest
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.cli import main
 from sim_bridge.playback import MOST_PAUSE, moments, play
-from sim_bridge.server import Pace
 
 
 class Sink:
@@ -73,16 +72,6 @@ def test_time_never_goes_back_and_long_pauses_are_cut(recording: Path, tmp_path:
     path = restamped(recording, tmp_path, stamps)
     times = [flown for flown, _ in moments(read_tlog(path))]
     assert times == pytest.approx([0.0, 1e-3, 1e-3, 1.2e-3, 1.2e-3 + MOST_PAUSE])
-
-
-def test_the_pace_is_the_clocks_times_the_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    slept: list[float] = []
-    monkeypatch.setattr("sim_bridge.server.time.monotonic", lambda: 100.0 + sum(slept))
-    monkeypatch.setattr("sim_bridge.server.time.sleep", slept.append)
-    pace = Pace(4.0)
-    for flown in (0.0, 1.0, 2.0):
-        pace.wait(flown)
-    assert slept == pytest.approx([0.25, 0.25])
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.sensors import (
     CORNER,
     SENSORS,
@@ -69,21 +68,6 @@ def test_bias_starts_at_its_size_and_walks() -> None:
     np.testing.assert_allclose(abs(x[0]), 0.01, atol=6e-4)
     assert 0.4 < (x[0] > 0).mean() < 0.6
     assert (x[-1] - x[0]).std() == pytest.approx(1e-3, rel=0.1)
-
-
-def test_paper_noise_sizes() -> None:
-    channels = make_channels(
-        "paper", 0.02, dict.fromkeys(SENSORS, DT), 4, np.random.SeedSequence(5)
-    )
-    blocks = {name: c.block(50_000) for name, c in channels.items()}
-    assert blocks["gyro"].std() == pytest.approx(0.02, rel=0.03)
-    assert blocks["attitude"].std() == pytest.approx(0.02, rel=0.03)
-    assert blocks["accelerometer"].std() == pytest.approx(0.02 * GRAVITY, rel=0.03)
-    assert not blocks["rotor"].any()
-    assert blocks["rotor"].shape == (50_000, 4)
-    # Every sensor draws for itself.
-    gyro, attitude = blocks["gyro"][:, 0], blocks["attitude"][:, 0]
-    assert abs(np.corrcoef(gyro, attitude)[0, 1]) < 0.05
 
 
 @pytest.mark.parametrize("model", ["paper", "mems", "white"])

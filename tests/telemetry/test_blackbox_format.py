@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry import blackbox_frames
 from gcs_sysid.telemetry.blackbox_format import read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import read_frames
 from testbed import blackbox_log as bbl
@@ -171,20 +170,6 @@ def test_what_was_written_is_read(encoding, predictor):
     frames = frames_of(writer.data + bbl.END)
     assert frames.main.values.tolist() == written
     assert frames.damaged == frames.lost == frames.garbage_bytes == 0
-
-
-def test_windows_do_not_show(monkeypatch):
-    rng = random.Random(5)
-    writer, data = drawn_log(rng)
-    data = damaged(rng, data, len(writer.header()))
-    data = data[:-500] + b"PPE" * 900 + data[-500:]
-    expected = frames_of(data)
-    for size in (64, 257, 1000):
-        monkeypatch.setattr(blackbox_frames, "_AT_ONCE", size)
-        found = frames_of(data)
-        assert found.main.values.tolist() == expected.main.values.tolist()
-        assert found.counts == expected.counts
-        assert found.garbage_bytes == expected.garbage_bytes
 
 
 def test_columns_wanted_are_those_of_all():

@@ -14,7 +14,6 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
-from testbed.fuzz.body_harnesses import assert_alike
 from testbed.recordings import columns_of, records_of
 
 RPM = 2.0 * math.pi / 60.0
@@ -210,21 +209,6 @@ def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight, of):
     log = open_log(path)
     assert 290 <= len(of(log, Stream.IMU)) < 300
     assert 300 < log.as_dict()["garbage_bytes"] < 500
-
-
-def test_windows_do_not_show(tmp_path, flight):
-    path = tmp_path / "some.bin"
-    for seed in range(6):
-        rng = random.Random(seed)
-        data = bytearray(flight.bytes())
-        for _ in range(9 * (seed > 0)):
-            at = rng.randrange(3, len(data))
-            hurt = rng.choice((b"", b"\xa3\x95\x80", b"\xa3\x95" * 500, rng.randbytes(2000)))
-            data[at : at + rng.randrange(300)] = hurt
-        path.write_bytes(data)
-        expected = read_dataflash(path)
-        for size in (1, 600, 1000, 4096, len(data)):
-            assert_alike(read_dataflash(path, size), expected)
 
 
 def test_what_is_not_read_takes_no_memory(tmp_path, dataflash_file):

@@ -177,14 +177,6 @@ def test_servo_outputs_and_actuator_outputs_are_told_apart(decoder, sender):
     assert actuator.source == "ACTUATOR_OUTPUT_STATUS"
 
 
-def test_a_32_bit_millisecond_time_goes_on_through_its_wrap(decoder, sender):
-    wrap = 2**32 * 1e-3
-    decoder.decode(sender.imu(wrap - 0.5))
-    decoder.decode(sender.imu(wrap + 0.5))
-    record = decoder.decode(sender.frame(mavlink.MAVLink_attitude_message(1500, 0, 0, 0, 0, 0, 0)))
-    assert record.t == pytest.approx(wrap + 1.5, abs=1e-2)
-
-
 def test_servo_outputs_wait_for_a_clock(decoder, sender):
     assert decoder.decode(servos(sender, 5.0, [1500] * 4)) is None
     assert decoder.dropped["no time"] == 1
@@ -226,21 +218,6 @@ def test_a_quaternion_of_zeros_is_dropped(decoder, sender):
     assert decoder.decode(frame) is None
 
 
-def test_late_samples_keep_their_own_time(decoder, sender):
-    decoder.decode(sender.imu(10.0))
-    assert decoder.decode(sender.imu(9.6)).t == pytest.approx(9.6)
-    assert decoder.clock.now == 10.0
-
-
-def test_unix_time_is_put_on_the_clock_by_system_time(decoder, sender):
-    unix = 1_750_000_000.0
-    assert decoder.decode(sender.imu(unix + 20.0)) is None
-    decoder.decode(
-        sender.frame(mavlink.MAVLink_system_time_message(round(unix * 1e6) + 20_000_000, 20_000))
-    )
-    assert decoder.decode(sender.imu(unix + 21.0)).t == pytest.approx(21.0, abs=1e-5)
-
-
 @pytest.mark.parametrize(
     ("first", "name"),
     [(f, f"ESC_TELEMETRY_{f}_TO_{f + 3}") for f in (1, 5, 9, 13, 17, 21, 25, 29)],
@@ -263,12 +240,6 @@ def test_esc_telemetry_takes_the_time_of_the_outputs_sent_with_it(decoder, sende
     # Outputs that came long ago do not hold the time back.
     decoder.decode(sender.imu(3.5))
     assert decoder.decode(esc_telemetry(sender, [600] * 4)).t == 3.5
-
-
-def test_rotor_speeds_without_a_stamp_wait_for_a_clock(decoder, sender):
-    assert decoder.decode(esc_telemetry(sender, [600] * 4)) is None
-    assert decoder.decode(sender.frame(mavlink.MAVLink_rpm_message(600.0, 1200.0))) is None
-    assert decoder.dropped["no time"] == 2
 
 
 def test_rpm_sensors_that_are_not_there_are_left_out(decoder, sender):

@@ -69,33 +69,6 @@ def test_a_peer_that_does_not_read_gets_whole_frames_or_none(peer, sender):
     assert (scanner.garbage_bytes, scanner.bad_crc) == (0, 0)
 
 
-def test_a_frame_that_was_cut_off_is_finished_before_the_next(peer, sender):
-    """As systems may that take what fits; Linux takes such small pieces whole or not at all."""
-
-    class Narrow:
-        room, data = 0, b""
-
-        def send(self, data):
-            if not self.room:
-                raise BlockingIOError
-            taken, self.room = data[: self.room], max(0, self.room - len(data))
-            self.data += taken
-            return len(taken)
-
-        def close(self):
-            pass
-
-    _, link = peer
-    link._peer.close()
-    narrow = link._peer = Narrow()
-    frames = [sender.heartbeat() for _ in range(5)]
-    for frame, narrow.room in zip(frames, (30, 10, 4, 0, 100), strict=True):
-        link.send(frame.raw)
-    scanner = FrameScanner()
-    assert scanner.feed(narrow.data) == [frames[0], frames[1], frames[4]]
-    assert (scanner.garbage_bytes, link.unsent) == (0, 2)
-
-
 @pytest.fixture
 def host():
     """The loopback of IPv6, where there is one."""

@@ -12,9 +12,7 @@ from gcs_sysid.telemetry.frames import (
     LONGEST_FRAME,
     FrameScanner,
     Validity,
-    join_frames,
     read_frame,
-    split_frames,
 )
 
 FIXTURES = settings(
@@ -140,14 +138,3 @@ def test_a_frame_cut_in_two_datagrams_is_put_together(stream):
 
 def heartbeat():
     return mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
-
-
-def test_frames_joined_and_split_are_the_same_and_what_was_found_of_them(stream):
-    _, frames = stream
-    damaged = bytearray(frames[0].raw)
-    damaged[-1] ^= 1
-    frames = [*frames, read_frame(bytes(damaged))]
-    assert frames[-1].valid is Validity.BAD_CRC
-    assert split_frames(join_frames(frames)) == frames
-    assert split_frames(b"head" + join_frames(frames[:1]), 4) == frames[:1]
-    assert split_frames(b"") == []

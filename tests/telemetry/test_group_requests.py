@@ -7,7 +7,7 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASK_AGAIN_AFTER, StreamRequests
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
-from gcs_sysid.telemetry.wanted_streams import GROUPS, fitting_groups
+from gcs_sysid.telemetry.wanted_streams import GROUPS
 from testbed.payloads import unpack
 
 RAW_SENSORS, RC, EXTRA1, POSITION, EXTRA3 = 1, 3, 10, 6, 12
@@ -116,10 +116,6 @@ def test_groups_fit_the_line(baud, hertz):
     assert sizes <= baud / 10.0
 
 
-def test_at_least_one_hertz_is_asked_for():
-    assert fitting_groups(None, 250.0, 10.0) == dict.fromkeys(GROUPS, 1.0)
-
-
 def test_arducopter_4_0_to_4_5_is_asked_for_raw_imu_alone():
     """It knows single requests, and no HIGHRES_IMU."""
     raws = []
@@ -130,14 +126,5 @@ def test_arducopter_4_0_to_4_5_is_asked_for_raw_imu_alone():
         arriving = {name: hz for name, hz in requests.asked.items() if name not in absent}
         requests.tick(0.2 * i, vehicle, arriving)
     assert requests.asked["RAW_IMU"] == 200.0  # its loop sends 250 Hz unevenly
-    numbers = {read_frame(raw).message_id for raw in raws}
-    assert mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM not in numbers
-
-
-def test_px4_is_never_asked_for_groups():
-    raws = []
-    requests = StreamRequests(Gate(raws.append), 250.0)
-    for i in range(600):
-        requests.tick(0.2 * i, MavlinkSystem(1, 1, 2, 12), {})
     numbers = {read_frame(raw).message_id for raw in raws}
     assert mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM not in numbers

@@ -13,7 +13,6 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog
 from testbed.recordings import records_of
@@ -61,17 +60,6 @@ def test_onboard_logs_are_known_whatever_their_names(tmp_path, ulog_file, datafl
     dataflash_file.row("EV", 1_000_000, 10)
     (tmp_path / "b.tlog").write_bytes(dataflash_file.bytes())
     assert open_log(tmp_path / "b.tlog").kind == "dataflash"
-
-
-def test_a_tlog_gives_what_its_frames_give(tmp_path, sender):
-    path = write(tmp_path / "flight.tlog", flight(sender))
-    intake = Intake()
-    expected = intake.frames(frame for _, frame in read_tlog(path))
-    log = open_log(path)
-    assert log.recorded is None
-    assert records_of(log) == expected
-    assert log.recorded == WALL
-    assert log.as_dict() == {**intake.as_dict(), "clock_drift_ppm": log.drift_ppm}
 
 
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.008])

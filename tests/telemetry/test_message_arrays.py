@@ -11,7 +11,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.messages import LAYOUTS, message_arrays
-from gcs_sysid.telemetry.tlog import TlogReader, read_messages, read_tlog
+from gcs_sysid.telemetry.tlog import read_messages, read_tlog
 
 START = 1_750_000_000_000_000
 
@@ -104,21 +104,6 @@ def test_only_the_types_wanted_are_read(tmp_path, sender):
     assert arrays["HIGHRES_IMU"]["_frame"].tolist() == [1, 2]
     with pytest.raises(KeyError):
         read_messages(path, ["NO_SUCH_MESSAGE"])
-
-
-def test_windows_joined_are_the_whole(tmp_path, stream):
-    _, frames = stream
-    path = tmp_path / "long.tlog"
-    path.write_bytes(as_log([frame.raw for frame in frames * 20]))
-    whole, counts = read_messages(path)
-    reader = TlogReader(path, window=4000)
-    windows = list(reader.messages())
-    assert len(windows) > 10
-    assert reader.counts == counts
-    assert {name for window in windows for name in window} == set(whole)
-    for name, rows in whole.items():
-        joined = np.concatenate([window[name] for window in windows if name in window])
-        assert joined.tobytes() == rows.tobytes()
 
 
 @pytest.mark.slow

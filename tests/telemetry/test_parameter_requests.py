@@ -91,15 +91,6 @@ def test_after_an_outage_those_given_up_get_another_chance():
     assert requests.missing == []
 
 
-def test_nothing_is_asked_of_nobody_or_when_only_listening():
-    autopilot = Autopilot(())
-    drive(ParameterRequests(autopilot.gate), autopilot, None, 5.0)
-    drive(ParameterRequests(autopilot.gate), autopilot, MavlinkSystem(1, 1, 2, 8), 5.0)
-    autopilot.gate.listen_only = True
-    drive(ParameterRequests(autopilot.gate), autopilot, PX4, 5.0)
-    assert autopilot.asked == []
-
-
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 @pytest.mark.parametrize("rotors", [4, 8, 12])
 def test_names_fit_their_field(autopilot, rotors):

@@ -1,7 +1,6 @@
 """Links that come back, by an invented clock and over real sockets and pseudo terminals."""
 
 import os
-import socket
 
 import pytest
 
@@ -13,7 +12,7 @@ from gcs_sysid.telemetry.link import (
     open_link,
 )
 from gcs_sysid.telemetry.transceiver import Receiver
-from gcs_sysid.telemetry.urls import LinkUrl, parse_url
+from gcs_sysid.telemetry.urls import LinkUrl
 
 
 class Clock:
@@ -134,24 +133,6 @@ def test_a_frame_cut_off_is_not_continued_by_the_next_connection(clock, stream):
         clock.now += 0.01
     assert got == frames
     assert receiver.garbage_bytes == half
-
-
-def test_a_tcp_server_that_hangs_up_is_called_again(clock, sender):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        url = parse_url(f"tcp:127.0.0.1:{server.getsockname()[1]}")
-        link = PersistentLink(open_link(url), clock=clock, sleep=clock.sleep)
-        receiver = Receiver(link)
-        with link:
-            for _ in range(3):
-                vehicle, _ = server.accept()
-                beat = sender.heartbeat()
-                vehicle.sendall(beat.raw)
-                assert until(receiver, lambda got: got) == [beat]
-                vehicle.close()
-                breaks = link.breaks
-                until(receiver, lambda _, breaks=breaks: link.breaks > breaks)
-                until(receiver, lambda _: link.open)
-            assert not link.ended
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")

@@ -112,15 +112,6 @@ def test_after_a_reboot_all_are_asked_for(wire, requests):
     assert [name for name, *_ in wire.take()] == list(RATES)
 
 
-def test_the_vehicles_own_rates_are_restored_at_the_end(wire, requests):
-    requests.tick(0.0, VEHICLE, {})
-    wire.take()
-    requests.close()
-    assert sorted(wire.take()) == sorted([(name, 0.0) for name in RATES] * 2)
-    requests.close()
-    assert wire.take() == []
-
-
 def test_ardupilot_is_asked_for_its_own_messages_in_whole_milliseconds(wire):
     requests = StreamRequests(wire.gate, 300.0, rotors=6)
     requests.tick(0.0, ARDUPILOT, {})

@@ -150,15 +150,6 @@ def test_our_time_is_never_behind_what_is_believed(signing, check, clock):
     assert clock.next_time() == NOW + 100 * UNITS + 1
 
 
-def test_our_time_does_not_go_back_when_the_wall_clock_does(tmp_path):
-    state = tmp_path / "key.time"
-    first = SigningClock(state, now=lambda: NOW)
-    last = [first.next_time() for _ in range(100)][-1]
-    first.close()
-    second = SigningClock(state, now=lambda: NOW - 86400 * UNITS)
-    assert second.next_time() > last
-
-
 def test_our_time_does_not_go_back_after_a_crash(tmp_path):
     state = tmp_path / "key.time"
     wall = NOW

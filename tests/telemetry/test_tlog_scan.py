@@ -7,8 +7,7 @@ import tracemalloc
 import pytest
 
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK
-from gcs_sysid.telemetry.frames import Validity, read_frame
-from gcs_sysid.telemetry.tlog import ScanCounts, Scanner, TlogReader, _RecordChain
+from gcs_sysid.telemetry.tlog import ScanCounts, Scanner, TlogReader
 
 START = 1_750_000_000_000_000
 STEP = 4000
@@ -113,20 +112,6 @@ def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
         assert scan(bytes(data), window) == whole
 
 
-@pytest.mark.parametrize("garbage", range(900, 1060, 8))
-def test_long_garbage_is_judged_alike_by_windows_of_any_size(raws, garbage, monkeypatch):
-    monkeypatch.setattr(Scanner, "ALONE", 1000)
-    stamps = times(30)
-    stamps[10] ^= 1 << 28  # the last before the garbage: damaged, if its neighbors are asked
-    data = as_log(raws[:11], stamps[:11]) + b"\x55" * garbage + as_log(raws[11:30], stamps[11:])
-    data += bytes(3000)
-    whole = scan(data)
-    assert whole[2].garbage_bytes == garbage + 3000
-    assert whole[2].repaired_times == (garbage < 1000)
-    for window in (300, 1000, 1001, 4096):
-        assert scan(data, window) == whole
-
-
 @pytest.mark.parametrize("behind", ["one", "many"])
 def test_garbage_without_end_after_a_frame_is_read_in_little_memory(raws, behind):
     """As a disk leaves it on which a power cut met a file that had been given its room."""
@@ -175,19 +160,3 @@ def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
     _, validities, counts = scan(as_log(raws))
     assert validities == [OK] * 17
     assert (counts.garbage_bytes, counts.resyncs) == (3 * (size + 8), 3)
-
-
-@pytest.mark.parametrize(
-    "pattern", [b"\xfe", b"\xfd\x09\0\0", b"\xfe\x09\xfd", b"\xfd\xfe", "frame"]
-)
-def test_frames_in_what_repeats_itself_are_those_found_one_by_one(raws, pattern):
-    frame = raws[0] + bytes(-len(raws[0]) % 42)  # whose period is one that is looked for
-    garbage = ((frame if pattern == "frame" else pattern) * 6000)[:6000]
-    content = as_log(raws[:20]) + garbage + as_log(raws[20:40]) + garbage[:2500]
-    chain, good = _RecordChain(content, len(content)), []
-    while (at := chain.next_good(good[-1] + 1 if good else 0)) is not None:
-        good.append(at)
-    frames = ((at, read_frame(content, at)) for at in range(len(content)))
-    one_by_one = [at for at, frame in frames if frame and frame.valid is Validity.OK]
-    assert good == one_by_one
-    assert len(good) >= (140 if pattern == "frame" else 40)

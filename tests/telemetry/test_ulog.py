@@ -11,7 +11,7 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import ulog_format
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.ulog import read_ulog
-from testbed.recordings import columns_of, records_of
+from testbed.recordings import columns_of
 
 NAN = float("nan")
 
@@ -97,11 +97,6 @@ def test_taking_off_by_itself_is_flying(path, of):
     states = [(r.t, r.values[0]) for r in of(log, Stream.IN_AIR)]
     assert states == [(2.0, 0.0), (2.15, 1.0)]
     assert {r.values for r in of(open_log(path), Stream.ARMED)} == {(1.0,)}
-
-
-def test_records_come_in_the_order_of_time(path):
-    times = [r.t for r in records_of(open_log(path))]
-    assert times == sorted(times)
 
 
 def test_vehicle_parameters_and_dropouts_are_told(path, of):

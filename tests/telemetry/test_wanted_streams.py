@@ -14,13 +14,6 @@ from gcs_sysid.telemetry.wanted_streams import (
 PX4 = ("ESC_STATUS", "ACTUATOR_OUTPUT_STATUS")
 
 
-def test_slow_rates_lower_what_need_not_be_faster():
-    assert default_rates(PX4, 20.0)["ATTITUDE"] == 20.0
-    assert default_rates(PX4, 250.0)["ATTITUDE"] == 100.0
-    assert default_rates(PX4, 250.0)["LOCAL_POSITION_NED"] == 50.0
-    assert default_rates(PX4, 1.0)["EXTENDED_SYS_STATE"] == 1.0
-
-
 @pytest.mark.parametrize(
     ("rotors", "groups"), [(3, 1), (4, 1), (6, 2), (8, 2), (12, 3), (16, 4), (20, 4)]
 )
@@ -74,8 +67,3 @@ def test_intervals_suit_the_autopilot(autopilot, hertz, interval):
 )
 def test_ardupilot_is_asked_for_whole_turns_of_its_loop(loop, interval):
     assert interval_us("ardupilot", 250.0, loop) == interval
-
-
-@pytest.mark.parametrize("loop", [None, 0.0, -1.0, 3.0, 1e9])
-def test_a_loop_rate_that_cannot_be_is_not_believed(loop):
-    assert interval_us("ardupilot", 250.0, loop) == 5000

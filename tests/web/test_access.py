@@ -152,27 +152,6 @@ def hosts(served, reached, port=8000):
     return access.hosts(reached)
 
 
-def test_names_of_a_server_on_one_address():
-    assert hosts("192.168.1.5", "192.168.1.5") == {"192.168.1.5:8000"}
-    assert hosts("gcs.example", "10.0.0.7") == {"gcs.example:8000"}
-    assert hosts("::1", "::1") >= {"[::1]:8000", "localhost:8000"}
-    assert hosts("127.0.0.1", "127.0.0.1", 80) >= {"127.0.0.1", "127.0.0.1:80"}
-
-
-def test_names_of_a_server_on_all_addresses(monkeypatch):
-    monkeypatch.setattr(socket, "gethostname", lambda: "Field-PC")
-    names = {"10.0.0.7:8000", "field-pc:8000", "field-pc.local:8000"}
-    assert hosts("0.0.0.0", "10.0.0.7") == names
-    assert "localhost:8000" in hosts("0.0.0.0", "127.0.0.1")
-
-
-def test_two_secrets_and_new_ones_each_time():
-    first, second = Access("127.0.0.1"), Access("127.0.0.1")
-    tokens = {access.address(role) for access in (first, second) for role in ("pilot", "viewer")}
-    assert len(tokens) == 4
-    assert all(len(token.partition("token=")[2]) == 32 for token in tokens)
-
-
 def test_a_port_in_use_is_one_clear_line(page):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         site = Site("127.0.0.1", taken.getsockname()[1], page)

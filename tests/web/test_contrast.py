@@ -7,8 +7,6 @@ import pytest
 from textual.color import Color
 
 from gcs_sysid.results.words import CHANGE, STATUS, VERDICT, WAITING
-from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.app import DARK, LIGHT
 from gcs_sysid.web.site import asset
 
 TEXT, SIGN = 4.5, 3.0
@@ -66,40 +64,6 @@ def test_the_pages_colors_are_all_the_themes():
     assert set(re.findall(r"#[0-9a-fA-F]{3,8}\b", css)) == {"#000a", "#fff"}
     names = {name for theme in page_themes().values() for name in theme}
     assert set(re.findall(r"var\(--([\w-]+)\)", css)) <= names
-
-
-def resolved(style, variables, ground):
-    """A style of the screen as a color: `bold $text-error`, `$foreground 65%`."""
-    words = style.partition(" on ")[0].split()
-    name = next((word[1:] for word in words if word.startswith("$")), "foreground")
-    text = variables[name]
-    share = next((float(word[:-1]) / 100.0 for word in words if word.endswith("%")), 1.0)
-    auto = re.fullmatch(r"auto (\d+)%", text)
-    if auto:
-        color, share = ground.get_contrast_text(1.0), float(auto[1]) / 100.0
-    else:
-        color = Color.parse(text)
-    return ground.blend(color, share, alpha=1.0)
-
-
-@pytest.mark.parametrize("theme", [DARK, LIGHT], ids=["dark", "light"])
-def test_the_screens_text_can_be_read(theme):
-    variables = theme.to_color_system().generate()
-    styles = {*fmt.STATUS_STYLE.values(), *fmt.LINK_STYLE.values(), *fmt.CHANGE_STYLE.values()}
-    styles |= {fmt.MUTED, "$foreground", "$text-primary", "$text-muted", "$text-success"}
-    low = {}
-    for ground in ("background", "surface", "panel", "primary-muted"):
-        color = Color.parse(variables[ground])
-        for style in styles:
-            found = contrast(resolved(style, variables, color), color)
-            if found < TEXT:
-                low[style, ground] = round(found, 2)
-    for kind in ("primary", "success", "warning", "error"):  # banners and the verdict
-        color = Color.parse(variables[f"{kind}-muted"])
-        found = contrast(Color.parse(variables[f"text-{kind}"]), color)
-        if found < TEXT:
-            low[f"$text-{kind}", f"{kind}-muted"] = round(found, 2)
-    assert low == {}
 
 
 def test_color_is_never_alone():

@@ -150,15 +150,6 @@ def test_every_viewer_sees_each_snapshot_once(site, source, viewer, pilot):
     assert source.calls == []
 
 
-def test_a_page_is_packed_once_for_all(page, source, viewer, monkeypatch):
-    made = []
-    view = session_page.session_view
-    monkeypatch.setattr(session_page, "session_view", lambda *a: (made.append(a), view(*a))[1])
-    for _ in range(3):
-        viewer.events(1)
-    assert len(made) == 1
-
-
 def test_there_is_room_for_so_many(viewer, monkeypatch):
     monkeypatch.setattr(session_page, "MOST_VIEWERS", 1)
     with viewer.open("GET", "/live") as first:
@@ -217,11 +208,6 @@ def test_a_message_has_a_size(pilot, source):
     status, text = pilot.post("/live/action", b'{"action": "mark", "text": "' + b"x" * 100_000)
     assert (status, text.count("\n")) == (413, 1)
     assert source.calls == []
-
-
-def test_why_something_failed_is_told(pilot, source):
-    source.broken = True
-    assert pilot.post("/live/action", {"action": "reset"}) == (400, "the disk is full\n")
 
 
 def test_a_defect_is_one_line_here_and_there(pilot, page, source, capfd):
