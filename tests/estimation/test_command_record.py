@@ -41,9 +41,9 @@ def noted(monkeypatch):
     """Whiteners of each making of all rows from now on; None: all of them."""
     numbers, make = [], CommandRecord._made
 
-    def made(self, basis, hover, whiteners=None):
+    def made(self, basis, hover, whiteners=None, alike=None):
         numbers.append(None if whiteners is None else len(whiteners))
-        return make(self, basis, hover, whiteners)
+        return make(self, basis, hover, whiteners, alike)
 
     monkeypatch.setattr(CommandRecord, "_made", made)
     return numbers

@@ -168,10 +168,12 @@ class FirstPlace:
     """The place of the lag that others are compared with.
 
     Attributes:
+        made: rows about its motors.
         whiteners: that are enough for it.
         cost: nats.
     """
 
+    made: TunedRows
     whiteners: Sequence[Whitener]
     cost: float
 
@@ -365,8 +367,9 @@ class CommandRecord:
             left -= n
         self._kept.append(None)
         if self._now is not None:
-            maker, white = self._made(self._now.basis, self._now.maker.hover)
-            self._now = replace(self._now, maker=maker, white=white, samples=self._samples)
+            now = self._now
+            maker, white = self._made(now.basis, now.maker.hover, alike=now)
+            self._now = replace(now, maker=maker, white=white, samples=self._samples)
 
     def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
@@ -459,7 +462,7 @@ class CommandRecord:
         if not places:
             return first, self.doubt
         found, start = [first], first.fit.rotation.coordinates
-        leading = FirstPlace(first.near, first.cost)
+        leading = FirstPlace(first, first.near, first.cost)
         for other in places:
             if other != first.basis.lag_place.of:
                 tuned = self._converged(start, other, hover, leading)
@@ -509,21 +512,21 @@ class CommandRecord:
             hover: mean command.
             leading: place that this one is but compared with.
         """
-        tuned = None
+        tuned, now = None, self._now
+        alike = now if leading is None else leading.made
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
-            now = self._now
             if leading is not None:
-                maker, white = self._made(basis, hover, leading.whiteners)
+                maker, white = self._made(basis, hover, leading.whiteners, alike)
             elif now is not None and self._holds(now, basis, hover):
                 basis, maker, white = now.basis, now.maker, now.white
             else:
-                maker, white = self._made(basis, hover)
+                maker, white = self._made(basis, hover, alike=alike)
             found = self._fitted(white, basis, None if tuned is None else tuned.fit.rotation)
             if found is None:
                 return tuned
             before, away = tuned, np.zeros(N_UNKNOWNS)
-            tuned = TunedRows(basis, maker, white, found, away, self._samples)
+            alike = tuned = TunedRows(basis, maker, white, found, away, self._samples)
             if tuned.stayed:
                 break
             if before is not None:
@@ -566,7 +569,7 @@ class CommandRecord:
         converged = self._converged(tuned.fit.rotation.coordinates, place, hover)
         if converged is not None:
             return converged
-        maker, white = self._made(tuned.basis, hover)
+        maker, white = self._made(tuned.basis, hover, alike=tuned)
         return replace(tuned, maker=maker, white=white)
 
     def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
@@ -576,15 +579,27 @@ class CommandRecord:
         return same and of and bool((made.basis.at == basis.at).all())
 
     def _made(
-        self, basis: LocalDynamics, hover: float, whiteners: Sequence[Whitener] | None = None
+        self,
+        basis: LocalDynamics,
+        hover: float,
+        whiteners: Sequence[Whitener] | None = None,
+        alike: TunedRows | None = None,
     ) -> tuple[MotorRows, WhitenedRecord]:
-        """All samples kept, as rows."""
+        """All samples kept, as rows.
+
+        Args:
+            basis: the motors.
+            hover: mean command.
+            whiteners: None: all of the bank.
+            alike: rows about others: what was a shock is one, where these are not far off.
+        """
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
         bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
-        white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
+        judged = alike.white.judged if alike is not None and alike.trusted else ()
+        white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time, judged)
         # A stretch of which nothing could be used has no samples.
         latest = next((p for p in reversed(self._kept) if p is not None and len(p[3])), None)
         for joined, run in groupby(self._kept, lambda part: part is not None):

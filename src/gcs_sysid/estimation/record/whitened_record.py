@@ -42,6 +42,7 @@ class WhitenedRecord:
         whiteners: of the bank.
         dt: s between samples.
         batch_time: s, of long batches.
+        judged: which short batches hold shocks, as far as rows of the same samples have shown it.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class WhitenedRecord:
         whiteners: Sequence[Whitener],
         dt: float,
         batch_time: float,
+        judged: Sequence[bool] = (),
     ) -> None:
         self.basis = basis
         self.time = step.time
@@ -73,6 +75,8 @@ class WhitenedRecord:
         self.narrowed = False
         """Whether whiteners and delays are fewer than at first: their numbers changed."""
         self._reference: ShockReference | None = None
+        self._known, self.judged = judged, list[bool]()
+        """Which short batches hold shocks: of rows of the same samples, and so far."""
         self.total = np.zeros(shape)
         """(bank, width, width) sum over all rows, shocks included; not to be written to."""
         self.rows = 0
@@ -166,14 +170,18 @@ class WhitenedRecord:
 
     def _settle(self, noise: Array) -> None:
         """Make room: what is sound of the older half joins the long batches."""
-        known = WhitenedMoments(
-            (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
-        )
-        # Early fits are poor, and what is narrowed to rests on the latest. Records of commands are
-        # made again, and never narrowed.
-        quick = self._columns is not None or self.basis.motors
-        shocks, self._reference = shocks_in(known, self.basis, self._reference, quick=quick)
-        half = _RECENT // 2
+        half, done = _RECENT // 2, len(self.judged)
+        shocks = self._known[done : done + half]
+        if len(shocks) < half:
+            known = WhitenedMoments(
+                (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
+            )
+            # Early fits are poor, and what is narrowed to rests on the latest. Records of commands
+            # are made again, and never narrowed.
+            quick = self._columns is not None or self.basis.motors
+            found, self._reference = shocks_in(known, self.basis, self._reference, quick=quick)
+            shocks = found[:half].tolist()
+        self.judged += shocks
         for i in range(half):
             if not shocks[i]:
                 self._long.add_sum(self._recent[i], int(self._counts[i]))
