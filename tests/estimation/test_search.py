@@ -288,7 +288,8 @@ class Bent:
         return at.gradient, at.hessian
 
     def evaluate(self, unknowns):
-        return Iterate(unknowns, -3e6 * (unknowns - 0.01), np.full((len(unknowns), 1, 1), 1e6))
+        hessian = np.full((len(unknowns), 1, 1), 1e6)
+        return Iterate(unknowns, -3e6 * (unknowns - 0.01), hessian, np.zeros_like(hessian))
 
 
 def test_a_gradient_vanishes_where_a_whole_step_is_too_long():

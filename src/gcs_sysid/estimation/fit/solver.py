@@ -1,4 +1,4 @@
-"""Damped Gauss-Newton, for several hypotheses side by side: the one minimizer of all fits.
+"""Damped Newton steps, for several hypotheses side by side: the one minimizer of all fits.
 
 Levenberg-Marquardt on the normal matrix scaled to a unit diagonal. What is minimized, in what
 units, and which steps are allowed, is the problem's.
@@ -14,6 +14,9 @@ from gcs_sysid.arrays import Array, Mask
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
 _KEPT = 0.1
 """Share of the way to the edge of what is allowed that a step leaves."""
+_BESIDE = 0.1
+"""Standard deviations; smaller steps along that edge, which is curved, hardly gain what they
+promise."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,14 @@ class Iterate:
         unknowns: (K, u).
         gradient: (K, p) downhill, of half the cost.
         hessian: (K, p, p) of the same, Gauss-Newton.
+        bend: (K, p, p) what residuals' second derivatives add to it, as far as these are known.
+            Steps are by both; what is known of the unknowns is the first alone.
     """
 
     unknowns: Array
     gradient: Array
     hessian: Array
+    bend: Array
 
     def where(self, better: Mask, other: Self) -> Self:
         """The other one for the hypotheses where that is better."""
@@ -110,6 +116,10 @@ class Minimized(Protocol[At]):
         """
         ...
 
+    def are_held(self, unknowns: Array, gradient: Array) -> Mask:
+        """(K, p) which unknowns are at the end of their range, with (K, p) downhill beyond it."""
+        ...
+
     def fall(self, before: At, after: At) -> Array:
         """(K,) by how much a step lowers what is minimized."""
         ...
@@ -139,19 +149,24 @@ def _descend(
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)
         d = scales(hessian)
+        hessian = hessian + point.bend
+        held = problem.are_held(point.unknowns, gradient)
+        if held.any():
+            gradient, hessian = _of_the_rest(gradient, hessian, held)
         step, downhill, H = _step(hessian, gradient, d, damping)
         candidate = problem.moved(point.unknowns, step / d)
         allowed = problem.are_allowed(candidate)
         # Long steps lead outside before a search is near; bent, they would end at the edge.
-        stuck = ~allowed & (damping >= 1.0)
-        if stuck.any():
-            step = _along_edge(problem, point.unknowns, step, d, H, stuck)
+        outside = ~allowed & (damping >= 1.0)
+        if outside.any():
+            step = _along_edge(problem, point.unknowns, step, d, H, outside)
             candidate = problem.moved(point.unknowns, step / d)
             allowed = problem.are_allowed(candidate)
         # How much the cost can still fall, in units of the likelihood.
-        before, gain = gain, (step * downhill).sum(axis=1)
+        # Beside an edge the way may go uphill first.
+        before, gain = gain, np.abs((step * downhill).sum(axis=1))
         # Steps that do not become shorter any more are rounding.
-        small = gain < stopping.enough**2
+        small = gain < np.where(outside, _BESIDE, stopping.enough) ** 2
         small |= (gain < stopping.unseen**2) & (gain > 0.5 * before)
         tried = problem.evaluate(np.where(allowed[:, None], candidate, point.unknowns))
         fall = problem.fall(point, tried)
@@ -177,6 +192,18 @@ def _descend(
             point, converged[left] = point.filled(left, rest[0]), rest[1]
             break
     return point, converged
+
+
+def _of_the_rest(gradient: Array, hessian: Array, held: Mask) -> tuple[Array, Array]:
+    """Gradient and curvature where some of the unknowns stay as they are.
+
+    Others then go to the minimum beside the edge (gradient projection: Bertsekas 1982, SIAM Journal
+    on Control and Optimization 20, 221-246). With steps that are cut off there they would make up
+    for a move that is not made, and creep.
+    """
+    alone = held[:, :, None] != held[:, None, :]
+    alone |= (held[:, :, None] & held[:, None, :]) & ~np.eye(held.shape[1], dtype=bool)
+    return np.where(held, 0.0, gradient), np.where(alone, 0.0, hessian)
 
 
 def _along_edge(

@@ -112,14 +112,14 @@ def fit_rotation(
     deviations = problem.deviations
     stuck = np.zeros(len(bank), dtype=bool)
     if basis.motors:
-        for more in range(4, -1, -1):
-            # At the edge of the physical inertias there is no minimum.
-            stuck = Outcome(problem, point, of_speeds).left >= _NEAR
-            converged &= ~stuck
-            if converged.any() or not more:
+        for _ in range(4):
+            if converged.any():
                 break
             # Curve and lag bend the valley: it takes many steps along.
             point, converged = minimize(problem, point.unknowns, MAX_ITERATIONS)
+        # At the edge of the physical inertias, or of the range of the motors, is no minimum.
+        stuck = Outcome(problem, point, of_speeds).left >= _NEAR
+        converged &= ~stuck
     pull = None
     if basis.motors and noise.any():
         # Such noise is a good part of what slow commands show: unlike that of measured speeds, one

@@ -367,6 +367,9 @@ class ActuatorDynamics:
         self.high = np.array([axis[-1] for axis in axes])
         self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
         """The coordinates that are unknown; the others are given."""
+        self.twice_delayed: Array | None = None
+        """(WIDTH, width) second derivative of all maps by delay; None: it is not the same for all,
+        and searches do without."""
         self.elements = self._chosen()
         self.late = len(self.elements) * self.sets * SIGNALS
         """Columns of the elements."""

@@ -105,6 +105,9 @@ class LocalDynamics(ActuatorDynamics):
         for place, i in enumerate(self.varied, 3):
             self._slopes[1 + self.free.index(i), place] = 1.0 / self.moved[i]
         self.width = self.late + len(BODY_PLACES)
+        twice = self.twice_delayed = np.zeros((WIDTH, self.width))
+        places = np.arange(OWN)[:, None] + OWN * np.arange(1, 3)  # of both delays
+        twice[_OF_ROTORS[:, None], places] = self.moved[Coordinate.DELAY] ** -2.0
 
     def weights(self, at: Array) -> Array:
         """(K, 1 + f, sets) at (K, N_COORDINATES): of each set, and its derivatives.
