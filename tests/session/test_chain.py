@@ -1,6 +1,7 @@
 """The chain from records to results, on the article's flight."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.session.analysis import take_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.rotor_units import RotorSource
@@ -244,3 +246,20 @@ def test_an_estimate_from_a_dead_reading_is_discarded(never_moved):
     assert (chain.fit.seconds == 0.0) is never_moved
     assert (chain.fit is before) is not never_moved
     assert chain.input_lost == "ESC_STATUS rotor 2 stands still while the others move"
+
+
+def test_parameters_of_later_blocks_are_known_before_the_samples():
+    done = []
+
+    class Block(str):
+        def windows(self, size):
+            return [self]
+
+    log = SimpleNamespace(blocks=lambda: map(Block, "abc"), share_read=1.0)
+    learning = SimpleNamespace(
+        learn_parameters=lambda block: done.append(f"learn {block}"),
+        take=lambda block: done.append(f"take {block}"),
+        outdated=False,
+    )
+    assert take_log(learning, log)
+    assert done == ["learn a", "learn b", "learn c", "take a", "take b", "take c"]

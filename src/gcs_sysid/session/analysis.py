@@ -1,6 +1,7 @@
 """Analysis of recorded flights."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -113,23 +114,45 @@ def take_log(
         Whether the chain took all of it.
     """
     done = 0.0
-    blocks = log.blocks()
-    for block in blocks:
+    blocks = _with_parameters_of_later(chain, log)
+    for block, share in blocks:
         if keeper is not None:
             keeper.add_records(block)
         windows = [*block.windows(WINDOW)]
         for number, window in enumerate(windows):
             if progress:
-                progress(done + (log.share_read - done) * number / len(windows))
+                progress(done + (share - done) * number / len(windows))
             chain.take(window)
             if chain.outdated and not whole:
-                for rest in (*windows[number + 1 :], *blocks):
-                    chain.learn_parameters(rest)
+                for _ in blocks:
+                    pass
                 return False
-        done = log.share_read
+        done = share
     if progress:
         progress(1.0)
     return True
+
+
+def _with_parameters_of_later(
+    chain: Chain, log: Log, most: int = 8
+) -> Iterator[tuple[RecordBlock, float]]:
+    """Blocks of a log, each with the share read up to its end.
+
+    A ground station fetches the parameters soon after it connects: known before the samples, they
+    spare most logs that the estimate starts again.
+
+    Args:
+        chain: learns the parameters of blocks to come.
+        log: not yet read.
+        most: blocks that are kept waiting, some 2 MB each.
+    """
+    waiting: deque[tuple[RecordBlock, float]] = deque()
+    for block in log.blocks():
+        chain.learn_parameters(block)
+        waiting.append((block, log.share_read))
+        if len(waiting) > most:
+            yield waiting.popleft()
+    yield from waiting
 
 
 def aligned_samples(log: Log, airframe: Airframe) -> Iterator[SampleBlock]:

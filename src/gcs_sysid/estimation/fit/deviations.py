@@ -135,6 +135,8 @@ class Deviations:
     def jacobian(self, theta: Array, phi: Array) -> tuple[Array, Array]:
         """That Q and its derivatives by theta and phi, (..., N_THETA + m, 3, N_SIGNALS)."""
         theta = theta[..., : rb.N_THETA]
+        if not len(self.std):
+            return rb.forward_jacobian(theta)
         Q, G = rb.forward_jacobian(theta, self.torque(phi))
         J_inv = np.linalg.inv(rb.inertia_matrix(theta))
         G = np.concatenate([G, J_inv[..., None, :, :] @ self.torques], axis=-3)

@@ -61,7 +61,7 @@ class TunedRows:
         white: their moments.
         fit: to these, when they were made.
         away: (N_UNKNOWNS,) remaining error where the motors moved away.
-        samples: that they were made of at once.
+        samples: that they were made of at once; 0: some were forgotten since.
     """
 
     basis: LocalDynamics
@@ -350,10 +350,12 @@ class CommandRecord:
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record."""
         self._settled = self._rest = None
+        if self._now is not None:
+            self._now.white.forget_last(seconds)
+            self._now.restart()
+            # Whole batches are: what is left of them is in rows that the next look makes.
+            self._now = replace(self._now, samples=0)
         if self._kept is None:
-            if self._now is not None:
-                self._now.white.forget_last(seconds)
-                self._now.restart()
             return
         left = int(np.ceil(seconds / self._dt))
         while left > 0 and self._kept:
@@ -366,10 +368,6 @@ class CommandRecord:
             self._samples -= min(n, left)
             left -= n
         self._kept.append(None)
-        if self._now is not None:
-            now = self._now
-            maker, white = self._made(now.basis, now.maker.hover, alike=now)
-            self._now = replace(now, maker=maker, white=white, samples=self._samples)
 
     def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
@@ -522,7 +520,8 @@ class CommandRecord:
                 basis, maker, white = now.basis, now.maker, now.white
             else:
                 maker, white = self._made(basis, hover, alike=alike)
-            found = self._fitted(white, basis, None if tuned is None else tuned.fit.rotation)
+            start = alike.fit.rotation if alike is not None and alike.trusted else None
+            found = self._fitted(white, basis, start)
             if found is None:
                 return tuned
             before, away = tuned, np.zeros(N_UNKNOWNS)
@@ -591,14 +590,15 @@ class CommandRecord:
             basis: the motors.
             hover: mean command.
             whiteners: None: all of the bank.
-            alike: rows about others: what was a shock is one, where these are not far off.
+            alike: rows about others: a shock in them is one, where these are not far off.
         """
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
         bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
-        judged = alike.white.judged if alike is not None and alike.trusted else ()
+        known = alike is not None and alike.samples > 0 and alike.trusted
+        judged = alike.white.judged if alike is not None and known else ()
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time, judged)
         # A stretch of which nothing could be used has no samples.
         latest = next((p for p in reversed(self._kept) if p is not None and len(p[3])), None)
