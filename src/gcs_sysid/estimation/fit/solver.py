@@ -168,7 +168,9 @@ def _descend(
         # Steps that do not become shorter any more are rounding.
         small = gain < np.where(outside, _BESIDE, stopping.enough) ** 2
         small |= (gain < stopping.unseen**2) & (gain > 0.5 * before)
-        tried = problem.evaluate(np.where(allowed[:, None], candidate, point.unknowns))
+        tried = point
+        if allowed.any():
+            tried = problem.evaluate(np.where(allowed[:, None], candidate, point.unknowns))
         fall = problem.fall(point, tried)
         unseen = (gain < stopping.unseen**2) & (damping <= stopping.shortened)
         better = allowed & ((fall >= 0.0) | unseen) & ~converged
@@ -229,6 +231,8 @@ def _along_edge(
     for _ in range(4):  # edges are curved
         left, _slope = problem.margin(problem.moved(unknowns, step / d))
         short = np.where(outside, np.maximum(_KEPT * margin - left, 0.0), 0.0)
+        if not short.any():
+            break
         step = step + way * (short / away)[:, None]
     return step
 
