@@ -12,7 +12,7 @@ filtered alike whatever their rates, as in `signals.smoothers`, down to a few sa
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -369,27 +369,32 @@ def _lag_of(
     drift = (t - t.mean()) / max(float(np.ptp(t)), 1.0)
     climbing = np.nan_to_num(sink)[:, None]
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
-    costs = []
-    for lag in lags:
-        u, uu = _command_means(commands, t, half, rotors, float(lag))
+
+    @cache
+    def cost(i: int) -> float:
+        """Of the residual of all rotors; infinite where nothing can be fitted."""
+        u, uu = _command_means(commands, t, half, rotors, float(lags[i]))
         if not measured:
             u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
-        cost = 0.0
+        total = 0.0
         for a, b, y in zip(u.T, uu.T, reported.T, strict=True):
             columns = np.column_stack([a, b, a * drift, climbing])
             there = np.isfinite(columns).all(axis=1) & np.isfinite(y)
-            if there.sum() < 2 * TUNING.fewest_windows:
-                return 0.0
-            size = float(np.mean(y[there])) ** 2
-            if not size:
-                return 0.0  # a sensor that gives nothing
+            size = float(np.mean(y[there])) ** 2 if there.any() else 0.0
+            if there.sum() < 2 * TUNING.fewest_windows or not size:
+                return np.inf  # too little, or a sensor that gives nothing
             fit = np.linalg.lstsq(columns[there], y[there], rcond=None)[0]
-            cost += float(np.mean((y[there] - columns[there] @ fit) ** 2)) / size
-        costs.append(cost)
-    i = int(np.argmin(costs))
+            total += float(np.mean((y[there] - columns[there] @ fit) ** 2)) / size
+        return total
+
+    # It has one valley: every third shows where.
+    near = min(range(0, len(lags), 3), key=cost)
+    i = min(range(max(near - 2, 0), min(near + 3, len(lags))), key=cost)
     if not 0 < i < len(lags) - 1:
-        return float(lags[i]) if i == 0 else 0.0  # at the far end: nothing moves
-    left, middle, right = costs[i - 1 : i + 2]
+        return 0.0  # none, or at the far end: nothing moves
+    left, middle, right = map(cost, (i - 1, i, i + 1))
+    if not np.isfinite([left, middle, right]).all():
+        return 0.0
     bend = left - 2.0 * middle + right
     return float(lags[i] + (0.5 * TUNING.lag_step * (left - right) / bend if bend > 0.0 else 0.0))
 
