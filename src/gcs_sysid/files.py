@@ -242,7 +242,14 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
     if path.resolve() in (source.resolve() for source in sources):
         raise InputError(f"{path} is also an input or another output; name another file")
     if path.exists() and not replace:
-        raise InputError(f"{path} exists; --force overwrites it")
+        raise cannot_write(path, FileExistsError())
+
+
+def cannot_write(path: Path | str, error: OSError | ValueError) -> InputError:
+    """Why a file cannot be written; a ValueError is of a name with a null character."""
+    if isinstance(error, FileExistsError):
+        return InputError(f"{path} exists; --force overwrites it")
+    return InputError(f"{path}: cannot write: {getattr(error, 'strerror', None) or error}")
 
 
 def utf8(text: str) -> bytes:
@@ -264,9 +271,8 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     _check_no_device(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot write: {reason}") from error
+    except (OSError, ValueError) as error:
+        raise cannot_write(path, error) from error
     part = Path(name)
     try:
         with open(handle, "wb") as file:
@@ -277,10 +283,8 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
             part.replace(path)
         else:
             _put_new(part, path)
-    except FileExistsError as error:
-        raise InputError(f"{path} exists; --force overwrites it") from error
     except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+        raise cannot_write(path, error) from error
     finally:
         part.unlink(missing_ok=True)
 

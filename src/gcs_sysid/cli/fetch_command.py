@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gcs_sysid.cli.output import progress_bar, show
 from gcs_sysid.errors import InputError, NoAnswerError
-from gcs_sysid.files import check_target
+from gcs_sysid.files import cannot_write, check_target
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
 from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLog, RemoteLogs
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
                 logs.read(log, file, progress_bar(f"log {log.number}"))
             part.replace(target)
         except OSError as error:
-            raise InputError(f"{target}: cannot write: {error.strerror}") from error
+            raise cannot_write(target, error) from error
     finally:
         port.close()
     show(f"{target}: {_words(log)}\nnext: gcs-sysid {target}")

@@ -29,11 +29,27 @@ from gcs_sysid.results.words import PLAIN
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when nothing hovers in a log."""
-    given = given_of(options)
     targets = options.json, options.params, options.picture
     output.check_outputs(*targets, force=options.force, sources=options.logs)
     if options.params is not None:
         check_suffix(Path(options.params))
+    found, failed = flights_of(options)
+    usable = [health for health in found if health.available]
+    _deliver(options, found, usable)
+    if failed:
+        return 2
+    return 0 if len(usable) == len(found) else 1
+
+
+def flights_of(options: argparse.Namespace) -> tuple[list[Health], bool]:
+    """The vehicle's condition by each log that can be read, and whether one cannot.
+
+    Each is compared with the first.
+
+    Raises:
+        InputError: the options contradict each other.
+    """
+    given = given_of(options)
     found: list[Health] = []
     one_by_one = OneByOne(options.logs)
     for log in options.logs:
@@ -41,11 +57,7 @@ def run(options: argparse.Namespace) -> int:
             health = health_of_log(Path(log), given, options.vehicle)
             found.append(health)
             given = against_first(given, health)
-    usable = [health for health in found if health.available]
-    _deliver(options, found, usable)
-    if one_by_one.failed:
-        return 2
-    return 0 if len(usable) == len(found) else 1
+    return found, bool(one_by_one.failed)
 
 
 def given_of(options: argparse.Namespace) -> HealthOptions:

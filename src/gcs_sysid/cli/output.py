@@ -18,7 +18,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, log_file, read_text, write_whole
+from gcs_sysid.files import cannot_write, check_target, log_file, read_text, write_whole
 from gcs_sysid.strict_json import json_text, parse_json
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def show(text: str) -> None:
         if not is_full(error):
             raise
         abandon_stdout()
-        raise InputError(f"standard output: cannot write: {error.strerror}") from error
+        raise cannot_write("standard output", error) from error
 
 
 def _kind(error: Exception) -> str:
@@ -144,11 +144,8 @@ def open_output(path: str, *, force: bool) -> TextIO:
         return sys.stdout
     try:
         return open(path, "w" if force or is_device(path) else "x", encoding="utf-8")
-    except FileExistsError as error:
-        raise InputError(f"{path} exists; --force overwrites it") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot write: {reason}") from error
+    except (OSError, ValueError) as error:
+        raise cannot_write(path, error) from error
 
 
 def check_outputs(*paths: str | None, force: bool, sources: Iterable[str] = ()) -> None:
@@ -212,7 +209,7 @@ def write_text(path: str, text: str, *, force: bool) -> None:
         except OSError as error:
             if isinstance(error, BrokenPipeError):
                 raise
-            raise InputError(f"{path}: cannot write: {error.strerror}") from error
+            raise cannot_write(path, error) from error
     else:
         write_whole(Path(path), text, replace=force)
 
@@ -329,7 +326,7 @@ class JsonLines:
     def __init__(self, path: str | None, *, force: bool) -> None:
         self.to_stdout = path == "-"
         self.when_gone: Callable[[], None] = lambda: None
-        self._path = path
+        self._name = "standard output" if self.to_stdout else str(path)
         self._file: TextIO | None = open_output(path, force=force) if path else None
         # Of those that wait for a slow reader the oldest goes: it is the one least missed.
         self._waiting: deque[Result] = deque(maxlen=64)
@@ -363,7 +360,7 @@ class JsonLines:
         if isinstance(self._error, BrokenPipeError):
             raise self._error
         if self._error is not None:
-            raise InputError(self._problem(self._error)) from self._error
+            raise self._problem(self._error) from self._error
 
     def _run(self) -> None:
         assert self._file is not None
@@ -384,6 +381,5 @@ class JsonLines:
             else:
                 say(f"{self._problem(error)}; the session continues")
 
-    def _problem(self, error: OSError) -> str:
-        name = "standard output" if self.to_stdout else self._path
-        return f"{name}: cannot write: {error.strerror}"
+    def _problem(self, error: OSError) -> InputError:
+        return cannot_write(self._name, error)

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli import output
-from gcs_sysid.cli.health_command import given_of
+from gcs_sysid.cli.health_command import flights_of
 from gcs_sysid.cli.output import TEXT_WIDTH
-from gcs_sysid.cli.program import OneByOne
-from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import (
     Proposal,
     check_suffix,
@@ -20,7 +18,7 @@ from gcs_sysid.health.autopilot_parameters import (
     excluded,
     proposal_file,
 )
-from gcs_sysid.health.vehicle_health import Health, against_first
+from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.results.words import rounded
 
 _SCHEMA = "gcs-sysid-params/1"
@@ -29,18 +27,11 @@ _ROW = "{:<22}{:>10}{:>10}{:>10}  {}"
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no flight of one vehicle counts."""
-    given = given_of(options)
     targets = options.json, options.output
     output.check_outputs(*targets, force=options.force, sources=options.logs)
     if options.output is not None:
         check_suffix(Path(options.output), cli=True)
-    flights: list[Health] = []
-    one_by_one = OneByOne(options.logs)
-    for log in options.logs:
-        with one_by_one.attempt(log):
-            health = health_of_log(Path(log), given, options.vehicle)
-            flights.append(health)
-            given = against_first(given, health)
+    flights, failed = flights_of(options)
     if not flights:
         return 2
     found = determined(flights)
@@ -51,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         suffix = Path(options.output).suffix.lower()
         files.append((options.output, lambda: proposal_file(flights, found, suffix)))
     output.deliver("\n".join(_text(flights, found)), *files, force=options.force)
-    if one_by_one.failed:
+    if failed:
         return 2
     return 0 if found else 1
 

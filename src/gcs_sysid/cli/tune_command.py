@@ -151,7 +151,7 @@ def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int
 
 def _parameters(
     options: argparse.Namespace, vehicle: ExportedVehicle
-) -> tuple[Mapping[str, float], str, Iterator[SampleBlock] | None]:
+) -> tuple[Mapping[str, float], str, list[SampleBlock] | None]:
     """The autopilot's parameters from a file of them or a log; of a log its name and samples."""
     if options.parameters is None:
         return {}, "", None
@@ -163,18 +163,15 @@ def _parameters(
     from gcs_sysid.telemetry.logs import open_log
 
     log = open_log(path, options.vehicle)
-    for _ in log.blocks():
-        pass
+    named = beside_result(options)
+    airframe = Airframe("result", vehicle.rotors) if named is None else named
+    # The loop by the autopilot's parameters makes torques of the log's commands.
+    samples = [*aligned_samples(log, replace(airframe, rotor_input=RotorInput.COMMAND))]
     if not log.parameters:
         raise InputError(
             f"{path}: holds no parameters of the autopilot: give a .params or .param file saved "
             "by the ground station"
         )
-    named = beside_result(options)
-    airframe = Airframe("result", vehicle.rotors) if named is None else named
-    commanded = replace(airframe, rotor_input=RotorInput.COMMAND)
-    # Opened again: the loop by its parameters makes torques of the log's commands.
-    samples = aligned_samples(open_log(path, options.vehicle), commanded)
     return log.parameters, "" if log.vehicle is None else log.vehicle.key, samples
 
 

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import cannot_write
 from gcs_sysid.model.airframe import (
     ANCHORS,
     Airframe,
@@ -300,9 +301,7 @@ def check_new(path: Path) -> None:
     try:
         there, folder = path.exists(), path.parent.is_dir()
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path}: cannot write: {getattr(error, 'strerror', None) or error}"
-        ) from error
+        raise cannot_write(path, error) from error
     if there:
         raise InputError(f"{path} exists already and is not overwritten")
     if not folder:
@@ -320,9 +319,8 @@ def write_new(path: Path, text: str) -> None:
             file.write(text)
     except FileExistsError as error:
         raise InputError(f"{path} exists already and is not overwritten") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot write: {reason}") from error
+    except (OSError, ValueError) as error:
+        raise cannot_write(path, error) from error
 
 
 _USUAL = {"arm": (0.03, 2.0), "mass": (0.02, 100.0), "k_T": (1e-9, 1e-2), "T_max": (0.05, 1000.0)}
