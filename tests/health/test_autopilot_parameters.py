@@ -85,6 +85,9 @@ def test_flights_of_one_vehicle_agree_and_show_that_voltage_is_made_up_for_twice
     found = by_name(determined(quiver))
     assert found["MOT_BAT_VOLT_MAX"].verdict == "set"
     assert found["MOT_BAT_VOLT_MAX"].quantity.value == 0.0
+    # Its notch follows no lower than 80 Hz, and the rotors turn with 68.
+    assert found["INS_HNTCH_FREQ"].verdict == found["INS_HNTCH_BW"].verdict == "set"
+    assert 40.0 < found["INS_HNTCH_FREQ"].new < 68.0
     hover = found["MOT_THST_HOVER"].quantity
     low, high = hover.ci95
     alone = [by_name(determined([one, quiver[0]]))["MOT_THST_HOVER"] for one in quiver[1:]]
@@ -193,3 +196,35 @@ def test_emulated_vehicles_get_what_is_true_and_keep_what_is_right(tmp_path):
             if one.verdict == "set":
                 assert abs(one.new - truth[one.name]) < abs(one.now - truth[one.name])
     assert np.mean(held) > 0.85
+
+
+def of_notch(autopilot, **now):
+    """Proposals for a vehicle whose rotors turn with 100 Hz at a throttle of 0.25."""
+    still = Estimate(0.0, 1e-3, "m")
+    health = Health(
+        "a.bin", autopilot=autopilot, airframe=load_airframe("betaflight-quad-x"),
+        cg=(still, still), hover_command=HoverCommand(0.25, 0.0625, 0.01, throttle=0.25),
+        hover_frequency=Estimate(100.0, 0.5, "Hz"), parameters={"MOT_THST_EXPO": 0.0, **now},
+    )  # fmt: skip
+    return by_name(determined([health]))
+
+
+def test_a_notch_is_set_where_the_rotors_are_and_one_for_something_else_is_left():
+    def harmonic(**now):
+        named = {f"INS_HNTCH_{name}": value for name, value in now.items()}
+        found = of_notch("ardupilot", INS_HNTCH_ENABLE=1.0, INS_HNTCH_BW=40.0, **named)
+        return found["INS_HNTCH_FREQ"], found.get("INS_HNTCH_BW")
+
+    by_throttle, width = harmonic(MODE=1.0, REF=1.0, FREQ=80.0)
+    assert by_throttle.verdict == "set"
+    assert by_throttle.new * np.sqrt(0.25) == pytest.approx(100.0, rel=0.01)
+    assert width.new / by_throttle.new == pytest.approx(0.5)
+    follows, _ = harmonic(MODE=3.0, REF=1.0, FREQ=120.0)
+    assert follows.verdict == "set"
+    assert follows.new == pytest.approx(100.0 * np.sqrt(0.5))
+    for low in (harmonic(MODE=3.0, REF=1.0, FREQ=60.0), harmonic(MODE=0.0, REF=0.0, FREQ=40.0)):
+        assert low[0].verdict == "leave"
+        assert low[1] is None
+    assert of_notch("generic", dshot_bidir=1.0, rpm_filter_harmonics=3.0, rpm_filter_min_hz=130.0)[
+        "rpm_filter_min_hz"
+    ].verdict == "set"  # fmt: skip

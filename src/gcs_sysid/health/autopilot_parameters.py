@@ -16,6 +16,10 @@ Conventions, by the autopilots' own sources and parameter descriptions:
 - PX4 multiplies its thrust by 1 / v where MC_BAT_SCALE_EN is set; Betaflight takes off
   vbat_sag_compensation percent of what a full battery gives beyond an empty one (mixer.c).
 - Betaflight's output is u (1 + k (1 - u)^2), k thrust_linear in percent (pid.c).
+- A notch follows the throttle by INS_HNTCH_FREQ sqrt(throttle / INS_HNTCH_REF) in mode 1
+  (AP_Vehicle::update_throttle_notch, ArduPilot 4.6). In modes 2 to 5 it follows rotors or a
+  spectrum, and INS_HNTCH_FREQ is the least frequency that it goes to, as IMU_GYRO_DNF_MIN and
+  rpm_filter_min_hz are.
 
 QGroundControl loads lines of vehicle, component, name, value and MAV_PARAM_TYPE between tabs;
 Mission Planner lines of NAME,VALUE; Betaflight's command line `set name = value`. All skip lines
@@ -163,6 +167,8 @@ _CLIMB = (
     "hover for 60 s with climbs and descents of 2 m, ESC telemetry logged: the rotors' speeds over "
     "a range of commands"
 )
+_SPEEDS = "log the rotors' speeds: ESC telemetry, or bidirectional DShot"
+_FOLLOWS = ", and this is the least that the notch goes to: judge the gains again (tune)"
 _LEGS = "fly legs of 20 s at 3 m/s and at 10 m/s, north, east, south and west, in calm air"
 _STEADY = "hover for 60 s, in calm air and with one load"
 _DISCHARGE = "hover from a full battery until it is low, with the voltage logged"
@@ -355,6 +361,8 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
         then=_then(flight, "MPC_THR_HOVER", "THR_MDL_FAC", c, (1.0, 1.0)),
     )
     yield _by_voltage(flight, "MC_BAT_SCALE_EN", 1.0, "")
+    if int(flight.now("IMU_GYRO_DNF_EN") or 0) & 1:
+        yield _notch(flight, "IMU_GYRO_DNF_MIN", None, _FOLLOWS)
     assert health.airframe is not None
     assert health.cg is not None
     if any(name.startswith("CA_ROTOR") for name in health.parameters) or health.arm_known:
@@ -383,7 +391,10 @@ def _ardupilot(flight: _HoverFlight) -> Iterator[Proposal]:
     health = flight.health
     yield flight.of_curve("MOT_THST_EXPO")
     yield from _battery(flight)
-    yield _thrust_hover(flight)
+    yield (hover := _thrust_hover(flight))
+    for name in ("INS_HNTCH", "INS_HNTC2"):
+        if flight.now(f"{name}_ENABLE"):
+            yield from _harmonic_notch(flight, name, hover.quantity)
     idle = _spin_min(health)
     if idle is not None:
         note = "0.03 above the least output at which all rotors were measured turning"
@@ -464,6 +475,53 @@ def _thrust_hover(flight: _HoverFlight) -> Proposal:
     )  # fmt: skip
 
 
+def _notch(flight: _HoverFlight, name: str, of_hover: float | None, why: str) -> Proposal:
+    """A notch's frequency.
+
+    Args:
+        flight: with rotor speeds, else there is no proposal.
+        name: of the parameter.
+        of_hover: what it is over the rotors' frequency in hover; None: the least that a notch goes
+            to which follows the rotors, those of half of the thrust. Below the hover it is left:
+            lower costs phase, higher costs the notch.
+        why: behind the rotors' frequency.
+    """
+    hertz, now = flight.health.hover_frequency, flight.now(name) or 0.0
+    if hertz is None or hertz.value is None or hertz.std is None:
+        lacks = "no measured speeds of the rotors"
+        return flight.propose(name, None, lacks=lacks, fly=_SPEEDS)
+    keep = ""
+    if of_hover is None:
+        of_hover, keep = math.sqrt(0.5), "below that" if now < hertz.value else ""
+    # The thrust of flights to come differs, as does the air; it goes with the speed squared.
+    given = 0.5 * TUNING.common_command * of_hover * hertz.value
+    std = math.hypot(of_hover * hertz.std, given)
+    note = f"rotors turn with {hertz.value:.0f} Hz in hover{why}"
+    found = Estimate(of_hover * hertz.value, std, "Hz", std_given=given)
+    return flight.propose(name, found, note, keep=keep and f"{note}; it is {keep}")
+
+
+def _harmonic_notch(
+    flight: _HoverFlight, name: str, throttle: Estimate | None
+) -> Iterator[Proposal]:
+    """ArduPilot's, by the throttle of a hover once all is set; as wide for its frequency as now."""
+    reference, mode = flight.now(f"{name}_REF"), flight.now(f"{name}_MODE") or 0.0
+    used = None if throttle is None else throttle.value
+    if mode > 1.0 and reference:
+        found = _notch(flight, f"{name}_FREQ", None, _FOLLOWS)
+    elif mode == 1.0 and reference and used:
+        ratio = math.sqrt(reference / used)
+        found = _notch(flight, f"{name}_FREQ", ratio, f", at a throttle of {used:.2f}")
+    else:
+        found = _notch(flight, f"{name}_FREQ", 1.0, "")
+        found = replace(found, keep="it stands still, and may be there for something else")
+    yield found
+    width = flight.now(f"{name}_BW")
+    if found.verdict == "set" and width and found.now and found.new:
+        size = Estimate(width * found.new / found.now, 0.0, "Hz")
+        yield flight.propose(f"{name}_BW", size, "as wide for its frequency as now")
+
+
 def _by_voltage(flight: _HoverFlight, name: str, full: float, unit: str) -> Proposal:
     """A parameter that makes up for the voltage, in full where it is `full`."""
     falls, power = flight.falls, flight.voltage
@@ -506,6 +564,8 @@ def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
     """Of Betaflight, whose logs have its parameters by the names of its command line."""
     if "vbat_sag_compensation" in flight.health.parameters:
         yield _by_voltage(flight, "vbat_sag_compensation", 100.0, "%")
+    if flight.now("dshot_bidir") and flight.now("rpm_filter_harmonics"):
+        yield _notch(flight, "rpm_filter_min_hz", None, _FOLLOWS)
     if "motor_poles" in flight.health.parameters:
         yield flight.propose(
             "motor_poles", None,

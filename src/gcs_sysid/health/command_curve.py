@@ -98,14 +98,18 @@ def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
         rows.append(np.column_stack([u, uu, u * t / span])[there])
         noises.append(noise[there])
         targets.append(w[there] / w[there].mean())
-    fits = [robust_fit(a, y, None, d) for a, d, y in zip(rows, noises, targets, strict=True)]
+    fits = [
+        robust_fit(a, y, None, d, between=windows.half)
+        for a, d, y in zip(rows, noises, targets, strict=True)
+    ]
     values = np.array([_ratio(fit) for fit in fits])
     weight = 1.0 / values[:, 1] ** 2
     mean = float(weight @ values[:, 0] / weight.sum())
-    # Rotors differ in more than noise: their scatter counts.
-    scatter = float(weight @ (values[:, 0] - mean) ** 2 / weight.sum() / max(rotors - 1, 1))
-    std = math.sqrt(max(1.0 / float(weight.sum()), scatter))
-    return mean, math.hypot(std, TUNING.curve_floor), "speeds over commands"
+    # Rotors differ in more than noise: their scatter counts. What their own deviations have beyond
+    # it is common to all of them, as the battery is, and their mean has it too.
+    own, apart = 1.0 / weight.sum(), weight @ (values[:, 0] - mean) ** 2 / weight.sum()
+    variance = max(own, apart / max(rotors - 1, 1), rotors * own - apart)
+    return mean, math.hypot(math.sqrt(variance), TUNING.curve_floor), "speeds over commands"
 
 
 def _by_lift(windows: Windows) -> tuple[float, float, str] | None:

@@ -80,6 +80,10 @@ def with_throttle(
     if float(np.ptp(minutes)) < TUNING.shortest_drift / 60.0:
         drift = Estimate(None, None, "1/min")
     health = replace(health, drift=drift)
+    if (turning := complete_rows(hover.speeds)).any():
+        squares = hover.speeds[turning].mean(axis=1) * GRAVITY / lift[turning]
+        hertz = balance.mean_of(np.sqrt(squares) / (2.0 * math.pi), hover.half)
+        health = replace(health, hover_frequency=replace(hertz, unit="Hz"))
     u = hover.commands
     if streams.commands is None or curve is None or curve.c.value is None:
         return health

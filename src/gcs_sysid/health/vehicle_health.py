@@ -154,6 +154,7 @@ class Health:
         hover_throttle: mean command in hover, 0 to 1; None without commands.
         hover_thrust: thrust in hover over full thrust; None without commands.
         hover_command: of which that is; None without commands.
+        hover_frequency: Hz, of the mean rotor in hover; None without measured speeds.
         by_voltage: power of the battery's voltage that a command is multiplied by: 1 where rotors
             slow down with the battery, 0 where the ESC makes up for it; None: not logged.
         thrust_to_weight: full thrust over weight; None without commands.
@@ -201,6 +202,7 @@ class Health:
     hover_throttle: Estimate | None = None
     hover_thrust: Estimate | None = None
     hover_command: HoverCommand | None = None
+    hover_frequency: Estimate | None = None
     by_voltage: Estimate | None = None
     thrust_to_weight: Estimate | None = None
     scale: tuple[str, Estimate] | None = None
