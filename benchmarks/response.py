@@ -33,7 +33,7 @@ from gcs_sysid.control.frequency_response import (
     measured_margins,
     smooth_ratio,
 )
-from gcs_sysid.control.loop_margins import HoverDynamics, hover_dynamics, margins_of
+from gcs_sysid.control.loop_margins import HoverDynamics, hover_dynamics
 from gcs_sysid.control.rate_loops import AUTOPILOTS, RateLoop
 from gcs_sysid.control.tuning_study import LIMITS, propose
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, KnownEstimate, drawn_vehicles
@@ -156,10 +156,7 @@ def one_vehicle(seed: int) -> dict:
         hover_dynamics([v, *drawn_vehicles(v, 50, 1)], loop, (DELAY, 0.001)) for v in (true, wrong)
     ]
     loop = propose(both[0].first(1), loop)
-    sweeps = []
-    for axis in range(3):
-        tones, transfer = measured_loop(drawn, loop, axis, 10.0)
-        sweeps.append(float(margins_of(tones, transfer[None]).phase[0]))
+    sweeps = [float(measured_loop(drawn, loop, axis, 10.0).phase[0]) for axis in range(3)]
     flights = {
         name: outcome(flown_by_pilot(drawn, loop, gusts, seed), both, loop, sweeps)
         for name, gusts in (("calm", 0.0), ("gusts", GUSTS))

@@ -1,4 +1,4 @@
-"""The rate controllers of PX4, ArduPilot and Betaflight, as their sources document them.
+"""The rate controllers of PX4, ArduPilot, Betaflight and INAV, as their sources document them.
 
 They replace the torque loop of `controller.Controller`; position and attitude set-points stay
 those of the mission. A loop runs at the controller's period, the gyro's filters at every step of
@@ -8,7 +8,8 @@ stays within 0 to 1, and the integrators stop growing.
 PX4: `RateControl::update`, `VehicleAngularVelocity`, `ControlAllocationPseudoInverse`, THR_MDL_FAC.
 ArduPilot: `AC_PID::update_all`, `AC_AttitudeControl_Multi`, `AP_MotorsMatrix`, MOT_THST_EXPO.
 Betaflight: `pidController`, `gyroFiltering`, `rpm_filter`, `mixTable`; set-points come from the
-attitude, as its angle mode has them.
+attitude, as its angle mode has them. INAV (`pid.c`, `filter.c`): the same with other units and
+filters.
 The first two filter the gyro by a second-order Butterworth low-pass, bilinear with prewarping
 (`LowPassFilter2p`), and other signals by y += dt / (dt + 1 / (2 pi f)) (x - y).
 """
@@ -57,6 +58,15 @@ BETAFLIGHT_DEFAULTS: dict[str, float] = {
 }  # fmt: skip
 DEFAULTS = {
     "px4": PX4_DEFAULTS, "ardupilot": ARDUPILOT_DEFAULTS, "betaflight": BETAFLIGHT_DEFAULTS,
+    "inav": {
+        **{f"mc_{x}_{a}": v for a in ("roll", "pitch")
+           for x, v in zip("pid", (40.0, 30.0, 23.0), strict=True)},
+        "mc_p_yaw": 85.0, "mc_i_yaw": 45.0, "mc_d_yaw": 0.0,
+        "gyro_lpf_hz": 60.0, "gyro_anti_aliasing_lpf_hz": 250.0, "dterm_lpf_hz": 110.0,
+        "yaw_lpf_hz": 0.0, "mc_p_level": 20.0, "rpm_gyro_filter_enabled": 0.0,
+        "rpm_gyro_harmonics": 1.0, "rpm_gyro_q": 500.0, "rpm_gyro_min_hz": 100.0,
+        "thrust_curve": 0.0,
+    },
 }  # fmt: skip
 """Of each autopilot; an ensemble may have arrays of shape (N,) in their place."""
 
@@ -352,6 +362,14 @@ class BetaflightRateController(RateController):
     autopilot = "betaflight"
     curve_name = "thrust_curve"
     names = ("roll", "pitch", "yaw")
+    _gain = "{}_{}"
+    _units = (0.032029, 0.244381, 0.000529)
+    _yaw_integral = 2.5
+    _level = ("p_level", 10.0)
+    _gyro_low_passes = ("gyro_lpf1_static_hz", "gyro_lpf2_static_hz")
+    _slope_low_passes = (("dterm_lpf1_static_hz", 1.0), ("dterm_lpf2_static_hz", 1.0))
+    _yaw_low_pass = "yaw_lowpass_hz"
+    _notched = ("dshot_bidir", "rpm_filter_{}")
 
     def _begin(self) -> None:
         self._low: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
@@ -368,25 +386,28 @@ class BetaflightRateController(RateController):
         signals = list(state.rates)
         for notch in self._notches:
             signals = notch(signals)
-        for held, name in zip(self._low, ("gyro_lpf1", "gyro_lpf2"), strict=True):
-            share = _share(self._get(f"{name}_static_hz"), step)
+        for held, name in zip(self._low, self._gyro_low_passes, strict=True):
+            share = _share(self._get(name), step)
             held[:] = [y + share * (x - y) for x, y in zip(signals, held, strict=True)]
             signals = list(held)
         self._gyro = signals
 
     def _at_harmonics(self, step: float) -> list[Notch]:
         """A notch at each harmonic of each rotor in hover."""
-        if not self._get("dshot_bidir"):
+        enabled, of_notch = self._notched
+        if not self._get(enabled):
             return []
+        harmonics, least, quality = (
+            float(self._get(of_notch.format(name))) for name in ("harmonics", "min_hz", "q")
+        )
         v = self._model
         out = []
         for thrust in hover_thrusts(v):
             first = float(np.mean((thrust / v.k_T) ** 0.5)) / (2.0 * math.pi)
-            for n in range(1, round(float(self._get("rpm_filter_harmonics"))) + 1):
+            for n in range(1, round(harmonics) + 1):
                 # At its least frequency a notch has faded out.
-                if float(self._get("rpm_filter_min_hz")) < n * first < 0.45 / step:
-                    quality = float(self._get("rpm_filter_q")) / 100.0
-                    out.append(Notch(n * first, quality, step))
+                if least < n * first < 0.45 / step:
+                    out.append(Notch(n * first, quality / 100.0, step))
         return out
 
     @property
@@ -394,7 +415,8 @@ class BetaflightRateController(RateController):
         return "angle", "angle", "angle"
 
     def _get(self, name: str) -> Value:
-        return self._settings["p_level"] / 10.0 if name == "angle" else super()._get(name)
+        level, unit = self._level
+        return self._settings[level] / unit if name == "angle" else super()._get(name)
 
     def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
         factors = np.array([[-r.y, r.x, float(r.spin)] for r in vehicle.rotors])
@@ -404,31 +426,47 @@ class BetaflightRateController(RateController):
         step, out = self.period, []
         sum_of_one = math.degrees(1.0) / 1000.0
         for i, name in enumerate(self.names):
-            P, Ki, D = (self._get(f"{x}_{name}") * sum_of_one for x in "pid")
+            P, Ki, D = (
+                self._get(self._gain.format(x, name)) * sum_of_one * unit
+                for x, unit in zip("pid", self._units, strict=True)
+            )
             error = targets[i] - self._gyro[i]
             slope = -(self._gyro[i] - self._before[i]) / step
-            for held, low_pass in zip(self._slow, ("dterm_lpf1", "dterm_lpf2"), strict=True):
-                share = _share(self._get(f"{low_pass}_static_hz"), step)
+            for held, (low_pass, times) in zip(self._slow, self._slope_low_passes, strict=True):
+                share = _share(self._get(low_pass) * times, step)
                 held[i] = held[i] + share * (slope - held[i])
                 slope = held[i]
             self._before[i] = self._gyro[i]
-            faster = 2.5 if name == "yaw" else 1.0
-            self._integral[i] = clip(
-                self._integral[i] + 0.244381 * Ki * faster * error * step, -0.4, 0.4
-            )
-            proportional = 0.032029 * P * error
+            faster = self._yaw_integral if name == "yaw" else 1.0
+            self._integral[i] = clip(self._integral[i] + Ki * faster * error * step, -0.4, 0.4)
+            proportional = P * error
             if name == "yaw":
-                share = _share(self._get("yaw_lowpass_hz"), step)
+                share = _share(self._get(self._yaw_low_pass), step)
                 self._yaw = self._yaw + share * (proportional - self._yaw)
                 proportional = self._yaw
-            out.append(proportional + self._integral[i] + 0.000529 * D * slope)
+            out.append(proportional + self._integral[i] + D * slope)
         return out
+
+
+class InavRateController(BetaflightRateController):
+    """INAV's `pidApplyMulticopterRateController` without control derivative; D behind a PT2."""
+
+    autopilot = "inav"
+    _gain = "mc_{}_{}"
+    _units = (1.0 / 31.0, 1.0 / 4.0, 1.0 / 1905.0)
+    _yaw_integral = 1.0
+    _level = ("mc_p_level", 6.56)
+    _gyro_low_passes = ("gyro_lpf_hz", "gyro_anti_aliasing_lpf_hz")
+    _slope_low_passes = (("dterm_lpf_hz", 1.553773974), ("dterm_lpf_hz", 1.553773974))
+    _yaw_low_pass = "yaw_lpf_hz"
+    _notched = ("rpm_gyro_filter_enabled", "rpm_gyro_{}")
 
 
 CONTROLLERS: dict[str, type[RateController]] = {
     "px4": Px4RateController,
     "ardupilot": ArduPilotRateController,
     "betaflight": BetaflightRateController,
+    "inav": InavRateController,
 }
 
 

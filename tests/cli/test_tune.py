@@ -129,17 +129,18 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
 
 
 @pytest.mark.slow
-def test_lines_for_betaflights_cli(files, capsys):
-    own = ["--autopilot", "betaflight", "--to", "betaflight-cli", "-o", "g.txt"]
+@pytest.mark.parametrize(("name", "gain"), [("betaflight", "{}_{}"), ("inav", "mc_{}_{}")])
+def test_lines_for_a_cli(name, gain, files, capsys):
+    own = ["--autopilot", name, "--to", f"{name}-cli", "-o", "g.txt"]
     assert run(["tune", "command.json", *own, *FEW]) == 0
     lines = (files / "g.txt").read_text().splitlines()
     settings = dict(line[4:].split(" = ") for line in lines if line.startswith("set "))
-    assert {"p_roll", "i_pitch", "d_roll", "p_yaw"} <= settings.keys()
+    assert {gain.format(x, axis) for x in "pid" for axis in ("roll", "pitch")} <= settings.keys()
     assert all(value.isdigit() for value in settings.values())
-    assert settings["d_yaw"] == "0"
+    assert settings[gain.format("d", "yaw")] == "0"
     assert lines[-1] == "save"
     out = capsys.readouterr().out
-    assert "betaflight, rate loop 8000 Hz" in out
+    assert f"{name}, rate loop {8000 if name == 'betaflight' else 2000} Hz" in out
     assert "rotor_inertia" not in out or "rotor inertia is not identified" in out
 
 

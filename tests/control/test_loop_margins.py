@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.tune import SLOW_BETAFLIGHT
+from benchmarks.tune import RATE_MODE, SLOW
 from gcs_sysid.control.loop_margins import (
     HoverDynamics,
     frequencies,
@@ -135,16 +135,15 @@ def test_proposed_gains_keep_the_margins_on_every_draw():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot", "betaflight"])
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot", "betaflight", "inav"])
 def test_the_predicted_loop_is_that_measured_in_the_emulator(autopilot):
     """Tones on the roll torque of the flying emulator: the loop transfer at each."""
     truth, vehicle = known_vehicle()
-    slow = SLOW_BETAFLIGHT if autopilot == "betaflight" else {}
-    loop = read_loop(autopilot, slow, vehicle.rotors)
+    loop = read_loop(autopilot, SLOW, vehicle.rotors)
     dynamics = hover_dynamics([vehicle], loop, (0.005, 0.0))
     loop = propose(dynamics, loop)
     tones = 2.0 * np.pi * np.array([2.0, 3.5, 5.0, 8.0, 12.0])
-    settings = {**loop.as_parameters(), "p_level": 0.0}
+    settings = {**loop.as_parameters(), **RATE_MODE}
     zero, level = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
     class Hover:

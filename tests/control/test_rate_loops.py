@@ -28,6 +28,9 @@ SETTINGS = {
                    "gyro_lpf1_static_hz": 250.0, "dterm_lpf1_static_hz": 75.0,
                    "rpm_filter_harmonics": 3.0, "rpm_filter_q": 500.0,
                    "rpm_filter_fade_range_hz": 0.0},
+    "inav": {"mc_p_roll": 60.0, "mc_i_roll": 200.0, "mc_d_roll": 40.0, "looptime": 2500.0,
+             "gyro_lpf_hz": 90.0, "dterm_lpf_hz": 70.0, "rpm_gyro_filter_enabled": 1.0,
+             "rpm_gyro_min_hz": 30.0, "rpm_gyro_harmonics": 2.0},
 }  # fmt: skip
 
 
@@ -147,3 +150,6 @@ def test_betaflight_gains_by_its_header_and_back():
     # What is judged is the lower D: a proposal switches off that it rises.
     assert gains["d_min_roll"] == 0.0
     assert not read_loop("betaflight", {}, QUAD).gains_known
+    inav = read_loop("inav", {"yawPID[1]": 84.0}, QUAD)
+    assert inav.as_parameters()["mc_i_yaw"] == 84
+    assert pytest.approx(84.0 / 4.0 * math.degrees(1.0) / 1000.0) == inav.gains[2].I

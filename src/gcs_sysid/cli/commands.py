@@ -636,9 +636,9 @@ COMMANDS = (
     Command(
         "tune",
         "show margins of the autopilot's gains, and propose gains",
-        "Shows phase and gain margins of the present gains of PX4, ArduPilot or Betaflight, over "
-        "the uncertainty of the result, and proposes gains, as a file for QGroundControl or "
-        "Mission Planner, or for Betaflight's CLI. Nothing is sent to a vehicle.",
+        "Shows phase and gain margins of the present gains of PX4, ArduPilot, Betaflight or INAV, "
+        "over the uncertainty of the result, and proposes gains, as a file for QGroundControl or "
+        "Mission Planner, or for a CLI. Nothing is sent to a vehicle.",
         (
             RESULT,
             option(
@@ -659,7 +659,7 @@ COMMANDS = (
                 "--autopilot",
                 None,
                 "default: the vehicle's",
-                choices=("px4", "ardupilot", "betaflight"),
+                choices=("px4", "ardupilot", "betaflight", "inav"),
             ),
             option(
                 "--delay",
@@ -678,6 +678,7 @@ COMMANDS = (
                     "px4-params",
                     "ardupilot-param",
                     "betaflight-cli",
+                    "inav-cli",
                     "indi",
                     "paparazzi",
                     "frequency-response",

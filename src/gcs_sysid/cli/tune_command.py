@@ -46,11 +46,12 @@ from gcs_sysid.signals.sampling import SampleBlock
 
 _OF_TARGET = {
     "px4-params": "px4", "ardupilot-param": "ardupilot", "betaflight-cli": "betaflight",
+    "inav-cli": "inav",
 }  # fmt: skip
-_SUFFIX = {"px4": ".params", "ardupilot": ".param", "betaflight": ".txt"}
-_OWN = "pid_process_denom"
-"""A line of Betaflight's headers that INAV, whose law is another one, does not write."""
-_PREFIX = {"px4": "MC_", "ardupilot": "ATC_", "betaflight": _OWN}
+_SUFFIX = {"px4": ".params", "ardupilot": ".param", "betaflight": ".txt", "inav": ".txt"}
+_OWN = {"betaflight": "pid_process_denom", "inav": "dterm_lpf_hz"}
+"""Lines of blackbox headers that the other does not write."""
+_PREFIX = {"px4": "MC_", "ardupilot": "ATC_", **_OWN}
 """That parameters of an autopilot begin with."""
 _RESPONSE = "frequency-response"
 _INDI = {"indi": "indiflight", "paparazzi": "paparazzi"}
@@ -85,7 +86,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
         raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {
         "px4-params": (".params",), "ardupilot-param": (".param", ".parm"),
-        "betaflight-cli": (".txt",), _RESPONSE: (".csv",),
+        "betaflight-cli": (".txt",), "inav-cli": (".txt",), _RESPONSE: (".csv",),
     }.get(options.to)  # fmt: skip
     if wanted is None or options.output == "-" or is_device(options.output):
         return
@@ -182,13 +183,12 @@ def _autopilot(
     parameters: Mapping[str, Any],
 ) -> Autopilot:
     wanted = _OF_TARGET.get(options.to)
-    if _OWN in parameters:
-        received = "betaflight"
+    received = next((name for name, line in _OWN.items() if line in parameters), received)
     named = options.autopilot or wanted or received or vehicle.result.vehicle.get("autopilot")
     if options.autopilot and wanted and options.autopilot != wanted:
         raise InputError(f"--to {options.to} is not for --autopilot {options.autopilot}")
     if named not in AUTOPILOTS:
-        raise InputError("which autopilot? Give --autopilot px4, ardupilot or betaflight")
+        raise InputError(f"which autopilot? Give --autopilot, of {', '.join(AUTOPILOTS)}")
     prefix = _PREFIX[named]
     if parameters and not any(name.startswith(prefix) for name in parameters):
         raise InputError(

@@ -1,4 +1,4 @@
-"""The rate and attitude loops of PX4, ArduPilot and Betaflight, as their parameters set them.
+"""The rate and attitude loops of PX4, ArduPilot, Betaflight and INAV, as their parameters set them.
 
 PX4 (`lib/rate_control`, `sensors/vehicle_angular_velocity`, `control_allocator`), with K, P, I, D
 of MC_*RATE_*, angular acceleration from the filtered gyro behind IMU_DGYRO_CUTOFF, and the rate
@@ -17,6 +17,10 @@ alone:
 
     torque = P e + I sum(e) dt - D w'_f,   e = w_sp - w_f
 
+INAV (`pid.c`: pidApplyMulticopterRateController, `mixer.c`; 4 to 9) has Betaflight's law in units
+of its own, with a low-pass each of gyro, derivative and yaw's P; its control derivative is of
+set-points alone.
+
 The first two act on the gyro behind a second-order Butterworth low-pass (IMU_GYRO_CUTOFF,
 INS_GYRO_FILTER), and all of them behind notches at the rotors' frequency.
 Torques are normalized; a rotor's thrust command is the sum of its column of the mixer times them,
@@ -24,7 +28,7 @@ and goes through the inverse of the thrust curve THR_MDL_FAC or MOT_THST_EXPO.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -35,11 +39,11 @@ from gcs_sysid.control.signal_filters import SignalFilter, chain_response
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 
-Autopilot = Literal["px4", "ardupilot", "betaflight"]
-AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot", "betaflight")
+Autopilot = Literal["px4", "ardupilot", "betaflight", "inav"]
+AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot", "betaflight", "inav")
 _AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
     "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
-    "betaflight": ("roll", "pitch", "yaw"),
+    "betaflight": ("roll", "pitch", "yaw"), "inav": ("roll", "pitch", "yaw"),
 }  # fmt: skip
 _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
     "px4": {
@@ -51,6 +55,7 @@ _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
         "attitude": "ATC_ANG_{}_P",
     },
     "betaflight": {"P": "p_{}", "I": "i_{}", "D": "d_{}"},
+    "inav": {"P": "mc_p_{}", "I": "mc_i_{}", "D": "mc_d_{}"},
 }  # fmt: skip
 """Fields of `AxisGains` -> the parameter of an axis."""
 _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
@@ -60,10 +65,14 @@ _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
         (0.18, 0.018, 0.0, 0.0, 4.5),
     ),
     "betaflight": ((45.0, 80.0, 30.0), (47.0, 84.0, 34.0), (45.0, 80.0, 0.0)),
+    "inav": ((40.0, 30.0, 23.0), (40.0, 30.0, 23.0), (85.0, 45.0, 0.0)),
 }  # fmt: skip
 """Defaults of the same, in the same order, on each axis."""
-_BETAFLIGHT_UNITS = {"P": 0.032029, "I": 0.244381, "D": 0.000529, "I of yaw": 2.5 * 0.244381}
-"""PTERM_SCALE, ITERM_SCALE and DTERM_SCALE, of errors in deg/s; a sum of 1000 is full torque."""
+_PID_SUM_UNITS = {
+    "betaflight": {"P": 0.032029, "I": 0.244381, "D": 0.000529, "I of yaw": 2.5 * 0.244381},
+    "inav": {"P": 1.0 / 31.0, "I": 1.0 / 4.0, "D": 1.0 / 1905.0, "I of yaw": 1.0 / 4.0},
+}
+"""PTERM_SCALE, ..., FP_PID_RATE_P_MULTIPLIER, ...; of errors in deg/s. 1000 is full torque."""
 _NEGLIGIBLE = 1e-3
 """Entries of PX4's mixer below are zero."""
 
@@ -96,8 +105,8 @@ class RateLoop:
         rate: Hz, of the rate loop.
         gyro_cutoff: Hz, second-order low-pass of the gyro; 0: none.
         derivative_cutoff: Hz on each axis, first-order low-pass of the derivative; 0: none.
-        error_cutoff: Hz on each axis, of the error (ArduPilot), or of what P acts on (Betaflight);
-            0: none.
+        error_cutoff: Hz on each axis, of the error (ArduPilot), or of what P acts on
+            (Betaflight, INAV); 0: none.
         target_cutoff: Hz on each axis, of the rate set-point (ArduPilot); 0: none.
         torque_cutoff: Hz on each axis, of the torque (PX4, yaw); 0: none.
         curve: c of T/T_max = (1 - c) u + c u^2 that the autopilot inverts.
@@ -146,12 +155,12 @@ class RateLoop:
             for field, name in _GAIN_NAMES[self.autopilot].items():
                 unit = _unit(self.autopilot, field, axis)
                 value = getattr(gains, field) / unit
-                out[name.format(axis)] = round(value) if self.autopilot == "betaflight" else value
+                out[name.format(axis)] = round(value) if self.autopilot in _PID_SUM_UNITS else value
         return out | dict(self.besides)
 
     @property
     def holds_attitude(self) -> bool:
-        """Whether an attitude loop is judged and tuned too; Betaflight's is left alone."""
+        """Whether an attitude loop is judged and tuned too; Betaflight's and INAV's are left."""
         return "attitude" in _GAIN_NAMES[self.autopilot]
 
     @property
@@ -200,7 +209,7 @@ class RateLoop:
             lag = np.where(cutoff > 0.0, 1.0 / (2.0 * np.pi * np.maximum(cutoff, 1e-9)), 0.0)
             rate = gyro * (PI + D * s / (1.0 + lag * s))
             reference = PI + FF
-        elif self.autopilot == "betaflight":
+        elif self.autopilot in _PID_SUM_UNITS:
             PI = P * self._first_order(self.error_cutoff, z_inverse)
             PI = PI + Ki * self.period / (1.0 - z_inverse)
             slope = (1.0 - z_inverse) / self.period
@@ -245,18 +254,17 @@ def read_loop(
 
     Args:
         autopilot: whose.
-        parameters: name -> value; of Betaflight by the lines of a blackbox header.
+        parameters: name -> value; of Betaflight and INAV by the lines of a blackbox header.
         rotors: of the airframe, in the autopilot's motor order.
         hover: that filters which follow throttle or rotors stand at.
 
     Raises:
         InputError: a parameter makes no sense.
     """
-    if autopilot == "betaflight":
-        parameters = _by_cli_name(parameters)
+    if autopilot in _PID_SUM_UNITS:
+        parameters = _by_cli_name(autopilot, parameters)
     reader = _ParameterReader(parameters, hover)
-    read = {"px4": _px4, "ardupilot": _ardupilot, "betaflight": _betaflight}[autopilot]
-    loop = read(reader, rotors)
+    loop = _READERS[autopilot](reader, rotors)
     return replace(loop, assumed=tuple(reader.assumed), notes=tuple(reader.notes))
 
 
@@ -302,10 +310,10 @@ def _gains(
 
 def _unit(autopilot: Autopilot, field: str, axis: str) -> float:
     """A gain whose parameter is one."""
-    if autopilot != "betaflight":
+    if autopilot not in _PID_SUM_UNITS:
         return 1.0
     name = "I of yaw" if (field, axis) == ("I", "yaw") else field
-    return _BETAFLIGHT_UNITS[name] * math.degrees(1.0) / 1000.0
+    return _PID_SUM_UNITS[autopilot][name] * math.degrees(1.0) / 1000.0
 
 
 def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
@@ -413,20 +421,21 @@ def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[Signal
 _HEADER_AXES = ("rollPID", "pitchPID", "yawPID")
 
 
-def _by_cli_name(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Lines of a blackbox header, with gains by the names that Betaflight's CLI has.
+def _by_cli_name(autopilot: Autopilot, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Lines of a blackbox header, with gains by the names that the firmware's CLI has.
 
     Where D rises with quick motion (`d_min` up to 4.5), it is the lower one that holds the hover.
     """
     out = dict(parameters)
-    for i, (line, axis) in enumerate(zip(_HEADER_AXES, _AXIS_NAMES["betaflight"], strict=True)):
-        for place, gain in enumerate("pid"):
+    names = _GAIN_NAMES[autopilot]
+    for i, (line, axis) in enumerate(zip(_HEADER_AXES, _AXIS_NAMES[autopilot], strict=True)):
+        for place, gain in enumerate("PID"):
             value = parameters.get(f"{line}[{place}]")
             if value is not None:
-                out.setdefault(f"{gain}_{axis}", value)
-        least = parameters.get(f"d_min[{i}]", 0.0)
-        if 0.0 < least < out.get(f"d_{axis}", 0.0):
-            out[f"d_{axis}"] = least
+                out.setdefault(names[gain].format(axis), value)
+        least, D = parameters.get(f"d_min[{i}]", 0.0), names["D"].format(axis)
+        if 0.0 < least < out.get(D, 0.0):
+            out[D] = least
     return out
 
 
@@ -473,6 +482,45 @@ def _betaflight(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop
         tuple(derivative),
         tuple(rising),
     )
+
+
+def _inav(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
+    """By names of its header, which does not say whether dynamic notches act: it is assumed."""
+    cutoffs = (reader.get("gyro_lpf_hz", 60.0), reader.get("gyro_anti_aliasing_lpf_hz", 250.0))
+    gyro = [SignalFilter("first", cutoff) for cutoff in cutoffs if cutoff > 0.0]
+    if reader.optional("rpm_gyro_filter_enabled"):
+        least = reader.optional("rpm_gyro_min_hz", 100.0)
+        quality = max(reader.optional("rpm_gyro_q", 500.0), 1.0) / 100.0
+        numbers = range(1, int(reader.optional("rpm_gyro_harmonics", 1.0)) + 1)
+        for middle in _harmonics(reader, least, numbers):
+            gyro += [SignalFilter("notch", max(middle, least), quality)] * len(rotors)
+    least = reader.optional("dynamicGyroNotchMinHz")
+    if least:
+        reader.notes.append(f"dynamic notches are taken at their lowest, {least:g} Hz")
+        quality = max(reader.optional("dynamicGyroNotchQ", 250.0), 1.0) / 100.0
+        gyro += [SignalFilter("notch", least, quality)] * 3
+    kind = _KINDS[min(int(reader.optional("dterm_lpf_type", 2.0)), len(_KINDS) - 1)]
+    cutoff = reader.get("dterm_lpf_hz", 110.0)
+    off = (0.0, 0.0, 0.0)
+    return RateLoop(
+        "inav",
+        1e6 / max(reader.get("looptime", 500.0), 1.0),
+        0.0,
+        off,
+        (0.0, 0.0, reader.get("yaw_lpf_hz", 0.0)),
+        off,
+        off,
+        0.0,
+        2.0 * ardupilot_mixer(rotors),
+        _gains(reader, "inav"),
+        tuple(gyro),
+        (SignalFilter(kind, cutoff),) if cutoff > 0.0 else (),
+    )
+
+
+_READERS: dict[Autopilot, Callable[[_ParameterReader, tuple[Rotor, ...]], RateLoop]] = {
+    "px4": _px4, "ardupilot": _ardupilot, "betaflight": _betaflight, "inav": _inav,
+}  # fmt: skip
 
 
 def _low_passes(

@@ -178,7 +178,7 @@ def stepped(loop: RateLoop, now: RateLoop) -> RateLoop:
     return loop
 
 
-def _proposal(
+def sure_proposal(
     dynamics: HoverDynamics,
     loop: RateLoop,
     now: RateLoop | None,
@@ -461,7 +461,7 @@ def study(
     now = replace(loop, besides=()) if loop.gains_known else None
     proposed, said = None, tuple(each.words for each in objections)
     if not objections:
-        proposed, said = _proposal(dynamics, loop, now, measured)
+        proposed, said = sure_proposal(dynamics, loop, now, measured)
     if proposed is not None:
         notes += said
     loops = {"now": now, "proposed": proposed}
@@ -490,7 +490,7 @@ def _delay(
         late = -found.value - 0.5 * loop.period
         if -loop.period < late < 0.05:  # beyond, it is one of telemetry
             return (max(late, 0.0), found.std or 0.0), IDENTIFIED_DELAY
-    if loop.autopilot == "betaflight":  # whose protocols take next to no time
+    if not loop.holds_attitude:  # Betaflight and INAV, whose protocols take next to no time
         return (2.0 * loop.period, 0.6 * loop.period), "assumed"
     return ASSUMED_DELAY, "assumed"
 

@@ -53,8 +53,8 @@ _ARRAYS = {
     "gyroADC": 3, "gyroData": 3, "gyroADCafterRpm": 3, "accSmooth": 3, "accUnfiltered": 3,
     "motor": _MOST_MOTORS, "eRPM": _MOST_MOTORS, "omegaUnfiltered": _MOST_MOTORS, "quat": 4,
     "imuQuaternion": 3, "attitude": 3, "extPos": 3, "extVel": 3, "pos": 3, "vel": 3, "navPos": 3,
-    "navVel": 3, "setpoint": 3, "gyroSp": 3, "axisP": 3, "axisI": 3, "axisD": 3, "axisF": 3,
-    "axisS": 3,
+    "navVel": 3, "setpoint": 3, "axisRate": 3, "gyroSp": 3, "axisP": 3, "axisI": 3, "axisD": 3,
+    "axisF": 3, "axisS": 3,
 }  # fmt: skip
 _WANTED = {f"{name}[{i}]" for name, count in _ARRAYS.items() for i in range(count)} | {
     "vbatLatest",
@@ -319,6 +319,7 @@ class _SessionReader:
     def _add_extras(self, recording: Recording) -> None:
         """Setpoints of the rate loop, and the battery."""
         asked = self._fields("setpoint", 3)
+        asked = self._fields("axisRate", 3) if asked is None else asked  # INAV
         turns = self._fields("gyroSp", 3)
         if asked is not None:
             recording.add(Stream.RATE_SETPOINT, self._t, asked * self._degrees * _FRD)
