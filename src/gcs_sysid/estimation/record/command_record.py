@@ -10,6 +10,7 @@ estimates are requested.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from typing import Any
 
@@ -126,6 +127,11 @@ class TunedRows:
         """Whether they explain roll and pitch at all."""
         return float(self.fit.rotation.r_squared[:2].min()) >= _BELIEVED
 
+    @property
+    def shocks(self) -> Sequence[bool]:
+        """Which short batches hold one, as far as rows about other motors need not judge them."""
+        return self.white.judged if self.samples and self.trusted else ()
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self.maker.restart()
@@ -136,7 +142,20 @@ class TunedRows:
         """The less, the more it is to be believed."""
         return not self.trusted, self.cost
 
-    @property
+    def is_far_likelier_than(self, other: "TunedRows", *, tried: bool) -> bool:
+        """Whether rows about its motors would not make another place of the lag a rival, nor change
+        how far it is from one.
+
+        Args:
+            other: on its way to its motors.
+            tried: whether its rows have been made again as often as those of one that is no rival.
+        """
+        worse = other.cost - self.cost
+        if tried:
+            return worse > _RIVAL
+        return other.is_within(_CLOSE) and worse > _NO_RIVAL * other.white.rows
+
+    @cached_property
     def cost(self) -> float:
         """Nats of all samples, shocks included: what is left out differs from one to another.
 
@@ -145,7 +164,7 @@ class TunedRows:
         rows = self.samples / self.maker.samples_a_row
         return 0.5 * rows * float(np.log(self._power.min(axis=0) / self.white.rows).sum())
 
-    @property
+    @cached_property
     def near(self) -> list[Whitener]:
         """Whiteners of which some axis' innovations are nearly as weak as of the likeliest."""
         power, whiteners = self._power, self.white.whiteners
@@ -161,33 +180,6 @@ class TunedRows:
         fit = self.fit.rotation
         TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
         return axis_power(TP, self.white.total[:, None])
-
-
-@dataclass(frozen=True)
-class FirstPlace:
-    """The place of the lag that others are compared with.
-
-    Attributes:
-        made: rows about its motors.
-        whiteners: that are enough for it.
-        cost: nats.
-    """
-
-    made: TunedRows
-    whiteners: Sequence[Whitener]
-    cost: float
-
-    def is_enough(self, other: TunedRows, *, tried: bool) -> bool:
-        """Whether rows about the motors found would not change which is likelier, nor how far.
-
-        Args:
-            other: place of the lag, on its way.
-            tried: whether its rows have been made again as often as those of one that is no rival.
-        """
-        worse = other.cost - self.cost
-        if tried:
-            return worse > _RIVAL
-        return other.is_within(_CLOSE) and worse > _NO_RIVAL * other.white.rows
 
 
 FIRST, LAST = 6.0, 120.0
@@ -460,10 +452,9 @@ class CommandRecord:
         if not places:
             return first, self.doubt
         found, start = [first], first.fit.rotation.coordinates
-        leading = FirstPlace(first, first.near, first.cost)
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, leading)
+                tuned = self._converged(start, other, hover, first)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
@@ -500,7 +491,7 @@ class CommandRecord:
         return found[best], doubt
 
     def _converged(
-        self, at: Array, of: LagOf, hover: float, leading: FirstPlace | None = None
+        self, at: Array, of: LagOf, hover: float, leading: TunedRows | None = None
     ) -> TunedRows | None:
         """Rows about the motors of one place of the lag; None while there is no fit.
 
@@ -508,14 +499,14 @@ class CommandRecord:
             at: motors to start from.
             of: what lags.
             hover: mean command.
-            leading: place that this one is but compared with.
+            leading: rows of the place that this one is but compared with.
         """
         tuned, now = None, self._now
-        alike = now if leading is None else leading.made
+        alike = now if leading is None else leading
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
             if leading is not None:
-                maker, white = self._made(basis, hover, leading.whiteners, alike)
+                maker, white = self._made(basis, hover, leading.near, alike)
             elif now is not None and self._holds(now, basis, hover):
                 basis, maker, white = now.basis, now.maker, now.white
             else:
@@ -532,7 +523,7 @@ class CommandRecord:
                 away = found.rotation.unknowns - before.fit.rotation.unknowns
                 tuned = replace(tuned, away=away)
             tried = round_ + 1 >= _ROUNDS_OF_OTHERS
-            if leading is not None and leading.is_enough(tuned, tried=tried):
+            if leading is not None and leading.is_far_likelier_than(tuned, tried=tried):
                 break
             at = tuned.next_at
         return tuned
@@ -597,8 +588,7 @@ class CommandRecord:
         step = step_of(self._dt)
         bank = bank_for_commands(step.time) if whiteners is None else whiteners
         maker = MotorRows(self._geometry, self._dt, basis, hover)
-        known = alike is not None and alike.samples > 0 and alike.trusted
-        judged = alike.white.judged if alike is not None and known else ()
+        judged = () if alike is None else alike.shocks
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time, judged)
         # A stretch of which nothing could be used has no samples.
         latest = next((p for p in reversed(self._kept) if p is not None and len(p[3])), None)
