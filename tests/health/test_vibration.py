@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gcs_sysid.health.drive_health import _squares_of
-from gcs_sysid.health.hover_tuning import TUNING
 
 RATE = 1000.0
 
@@ -28,18 +27,3 @@ def test_a_tone_has_its_amplitude_and_noise_has_none(tone: float) -> None:
     squares = _squares_of(t, force, phase, np.arange(2.0, 18.0), RATE)
     assert len(squares) == 16
     assert np.mean(squares) == pytest.approx(1.25 * tone**2, rel=0.01, abs=2e-4)
-
-
-def test_a_stretch_is_the_sum_of_its_products_with_the_carrier() -> None:
-    t, force, phase = flight(0.4)
-    (square,) = _squares_of(t, force, phase, np.array([9.0]), RATE)
-    half = 0.5 * TUNING.phase_stretch
-    here = slice(*np.searchsorted(t, (9.0 - half, 9.0 + half)))
-    taper = np.hanning(len(t[here]))
-    levels = []
-    for beside in (0.0, *TUNING.floor_beside):
-        turns = phase[here] + 2.0 * math.pi * beside * (t[here] - t[here][0])
-        part = (force[here] - force[here].mean(axis=0)) * taper[:, None]
-        levels.append((np.abs((part * np.exp(-1j * turns)[:, None]).sum(axis=0)) ** 2).sum())
-    expected = 4.0 / taper.sum() ** 2 * (levels[0] - np.median(levels[1:]))
-    assert square == pytest.approx(expected, rel=1e-11)

@@ -2,7 +2,6 @@
 
 import argparse
 from dataclasses import replace
-from importlib import resources
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from gcs_sysid.cli import airframe_choice
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe, Rotor, builtin_names, load_airframe
+from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.reported_layout import (
     airframe_of_layout,
@@ -271,30 +270,6 @@ def test_the_first_error_names_all_that_is_missing(tmp_path, capsys, given, lack
     assert said.count("\n") == 1
     for option in ("--airframe betaflight-quad-x", ARM, MASS):
         assert (option in said) is (option in named), option
-
-
-@pytest.mark.parametrize(
-    ("layout", "lacking"),
-    [
-        (None, ["layout", "size", "mass"]),
-        (reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}), ["size", "mass"]),
-        (px4(QUAD.rotors), ["mass"]),
-    ],
-)
-def test_what_other_logs_lack(layout, lacking):
-    nothing = argparse.Namespace(airframe="auto", arm=None, mass=None, k_t=None, t_max=None)
-    found = airframe_choice._lacking(layout, nothing, None)
-    assert [one.what for one in found] == lacking
-    said = " and ".join(one.words for one in found)
-    assert ("--airframe FILE.toml or one of" in said) is ("layout" in lacking)
-    assert ("--arm M" in said) is ("size" in lacking)
-
-
-def test_the_page_preselects_the_suggestion_and_no_layout_of_its_own():
-    script = (resources.files("gcs_sysid.web") / "assets" / "analysis.js").read_text("utf-8")
-    assert 'byId("builtin").value = found.suggestion || "";' in script
-    assert 'make("option", { value: "" }, "choose a layout")' in script
-    assert not [name for name in builtin_names() if name in script]
 
 
 def test_canted_rotors_of_px4_are_taken_over():

@@ -225,17 +225,6 @@ def test_an_accelerometer_that_never_read_one_g_tells_no_fall(rest):
     assert len(sensed(0.0 * T, force, 0.01 + 0.0 * T)) == 0
 
 
-def test_the_least_force_over_thrust_is_forgotten_in_a_minute():
-    """By e, however the samples are grouped."""
-    ratio = np.full((181, 2), 5.0)
-    ratio[10, 0] = -2.0
-    t = np.arange(181.0)
-    detector = FlightDetector()
-    least = np.vstack([detector._least(t[k], ratio[k]) for k in (slice(0, 50), slice(50, 181))])
-    np.testing.assert_allclose(least[10:, 0], np.minimum(-2.0 + (t[10:] - 10.0) / 60.0, 5.0))
-    np.testing.assert_allclose(least[:, 1], 5.0)
-
-
 def test_hops_are_flights_of_their_own():
     height = between(5.0, 12.0, 1.0) + between(14.0, 20.0, 1.0)
     found = sensed(between(3.0, 22.0, HOVER), height=height)
