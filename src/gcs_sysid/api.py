@@ -23,7 +23,7 @@ from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
-from gcs_sysid.report.data import Recorder, predicted
+from gcs_sysid.report.data import predicted
 from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
@@ -31,6 +31,7 @@ from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight
 
 __all__ = [
@@ -264,14 +265,16 @@ def analyze(
     whole = _as_known(airframe, known)
     if not history:
         return analyze_log(Path(log), whole, vehicle, options)
-    with closing(Recorder(len(whole.rotors))) as recorder:
+    with closing(FlightRecorder()) as recorder:
         result = analyze_log(Path(log), whole, vehicle, options, observers=[recorder])
         return replace(
             result, history=recorder.history, prediction=_prediction(recorder, result, whole)
         )
 
 
-def _prediction(recorder: Recorder, result: Result, airframe: Airframe) -> Acceleration | None:
+def _prediction(
+    recorder: FlightRecorder, result: Result, airframe: Airframe
+) -> Acceleration | None:
     """Angular acceleration of the part that the validation held out; None: none was."""
     if recorder.validation is None:
         return None

@@ -13,9 +13,10 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.data import Provenance, Recorder, gather, predict, residual_spectrum
+from gcs_sysid.report.data import Provenance, gather, predict, residual_spectrum
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
 def agreement(prediction):
@@ -32,7 +33,7 @@ MADE = Provenance(("gcs-sysid",), {}, 0, "")
 
 
 def analyzed(path, airframe):
-    recorder = Recorder(len(airframe.rotors))
+    recorder = FlightRecorder()
     result = analyze_log(Path(path), airframe, options=ChainOptions(), observers=[recorder])
     data = gather(result, recorder, {}, airframe, MADE)
     recorder.close()

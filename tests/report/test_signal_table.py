@@ -2,6 +2,7 @@
 
 import io
 import json
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.report.data import SignalRecorder, writer_of
+from gcs_sysid.report.data import signal_table, writer_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.twin.measured_flight import FlightRecorder
 
 MAPPING = """
 time = "t"
@@ -28,9 +30,9 @@ in_air = "flying"
 @pytest.fixture(scope="module")
 def analyzed(paper_flight):
     airframe = load_airframe("paper").with_anchor("mass", 1.5)
-    recorder = SignalRecorder(4)
-    result = analyze_log(paper_flight.tlog, airframe, observers=[recorder])
-    return recorder.table(result, airframe), result
+    with closing(FlightRecorder()) as recorder:
+        result = analyze_log(paper_flight.tlog, airframe, observers=[recorder])
+        return signal_table(result, recorder, airframe), result
 
 
 @pytest.mark.slow

@@ -275,6 +275,8 @@ def test_a_recorder_keeps_no_more_than_it_is_asked_for():
     analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observers=[both])
     flown = whole.record(0.0, "log").flown()
     kept = half.record(0.0, "log").flown()
+    whole.close()
+    half.close()
     assert flown[-1] - flown[0] > 50.0
     assert 19.0 < kept[-1] - kept[0] < 22.0
     assert np.array_equal(kept, flown[: len(kept)])

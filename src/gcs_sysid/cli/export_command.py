@@ -1,6 +1,7 @@
 """`gcs-sysid export`: an identified vehicle as a file that a simulator loads."""
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 
 from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
@@ -15,9 +16,10 @@ from gcs_sysid.exports.exported_vehicle import (
 )
 from gcs_sysid.exports.file_format import Format
 from gcs_sysid.files import check_target, log_file, write_whole
-from gcs_sysid.report.data import SignalRecorder, writer_of
+from gcs_sysid.report.data import signal_table, writer_of
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
 def run(options: argparse.Namespace) -> int:
@@ -56,11 +58,11 @@ def _signals(options: argparse.Namespace) -> int:
     write = writer_of(target)
     check_target(target, replace=options.force, sources=(log_file(log),))
     airframe = airframe_of(options)
-    recorder = SignalRecorder(len(airframe.rotors))
-    result = analyze_log(
-        log, airframe, options.vehicle, progress=progress_bar(str(log)), observers=[recorder]
-    )
-    table = recorder.table(result, airframe)
+    with closing(FlightRecorder()) as recorder:
+        result = analyze_log(
+            log, airframe, options.vehicle, progress=progress_bar(str(log)), observers=[recorder]
+        )
+        table = signal_table(result, recorder, airframe)
     if not len(table["t"]):
         why = "; ".join(result.reasons)
         say(f"gcs-sysid: {log}: no signals to write: {why}")

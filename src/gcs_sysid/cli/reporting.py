@@ -24,7 +24,7 @@ from gcs_sysid.errors import GcsSysidError, InputError, NoAnswerError
 from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.data import Recorder, gather, provenance_of
+from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer, analyze_log
@@ -89,12 +89,11 @@ class Reporter:
 
     def __init__(self, job: ReportJob) -> None:
         self._job = job
-        self._recorder = Recorder(len(job.airframe.rotors))
-        # Half an hour at 250 Hz takes 30 MB.
-        self._flight = FlightRecorder(longest=1800.0)
+        # Half an hour at 250 Hz takes 80 MB in the twin.
+        self._recorder = FlightRecorder(longest=1800.0)
 
     def __enter__(self) -> Sequence[Observer]:
-        return self._recorder, self._flight
+        return (self._recorder,)
 
     def __exit__(
         self,
@@ -134,7 +133,7 @@ class Reporter:
         job = self._job
         try:
             return fly_own_flight(
-                result, self._flight, job.log, job.airframe, job.vehicle, job.start
+                result, self._recorder, job.log, job.airframe, job.vehicle, job.start
             )
         except (NoAnswerError, InputError):
             return None

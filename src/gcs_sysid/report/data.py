@@ -12,8 +12,7 @@ an empty field in CSV, where a signal is missing.
 import io
 import json
 import platform
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -25,7 +24,6 @@ import scipy
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import digest_of, log_file
 from gcs_sysid.live.acceleration_prediction import Model, Predictor, RotationSamples, half_window
@@ -36,9 +34,8 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import History
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.session.chain import Chain
-from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.signals.smoothers import cosine_window
+from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
 @dataclass(frozen=True)
@@ -167,73 +164,6 @@ def residual_spectrum(
     return Spectrum(frequency[seen], density[seen], white[seen])
 
 
-NO_COURSE = History(np.empty(0), {}, {})
-
-
-class Recorder:
-    """An observer of `analyze_log`: the samples, the estimate's history and the validation.
-
-    Args:
-        rotors: how many the airframe has.
-    """
-
-    def __init__(self, rotors: int) -> None:
-        self.history = NO_COURSE
-        self.validation: Validation | None = None
-        self.notes: tuple[Event, ...] = ()
-        """What the analysis noted on the way."""
-        self.dt: float | None = None
-        """s between samples."""
-        self._row = np.dtype([("t", "<f8"), ("x", "<f4", (6 + rotors,))])
-        # More samples go to a temporary file.
-        self._file = tempfile.SpooledTemporaryFile(max_size=64 << 20)  # noqa: SIM115
-        self._input: object = None
-
-    def begin(self) -> None:
-        """A reading of the log begins; one before it does not count."""
-        self.history, self.validation, self.notes = NO_COURSE, None, ()
-        self._restart(None, None)
-
-    def take(self, block: SampleBlock) -> None:
-        """The next block of samples."""
-        if block.rotors is None:
-            return
-        if block.dt != self.dt or block.rotors is not self._input:
-            if not np.isfinite(block.samples.gyro).any():
-                return  # nothing flies: the estimate keeps what it has
-            # The estimate does so too.
-            self._restart(block.dt, block.rotors)
-        s = block.samples
-        gap = int(block.fresh)
-        rows = np.full(len(block.t) + gap, np.nan, self._row)
-        rows["x"][:gap] = np.nan
-        rows["t"][gap:] = block.t
-        rows["x"][gap:] = np.column_stack([s.gyro, s.rates, s.speeds])
-        self._file.write(rows.tobytes())
-
-    def end(self, chain: Chain) -> None:
-        """All is read, and the estimate final."""
-        self.history, self.validation = chain.history, chain.fit.validation
-        self.notes = chain.events
-
-    def samples(self, at_once: int = 8192) -> Iterator[RotationSamples]:
-        """What was taken, in pieces; a gap is a sample that is missing."""
-        self._file.seek(0)
-        while data := self._file.read(at_once * self._row.itemsize):
-            rows = np.frombuffer(data, self._row)
-            x = rows["x"].astype(float)
-            yield RotationSamples(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])
-
-    def close(self) -> None:
-        """Drop the samples."""
-        self._file.close()
-
-    def _restart(self, dt: float | None, rotors: object) -> None:
-        self._file.seek(0)
-        self._file.truncate()
-        self.dt, self._input = dt, rotors
-
-
 @dataclass(frozen=True)
 class Provenance:
     """What reproduces a report.
@@ -303,7 +233,7 @@ class ReportData:
 
 def gather(
     result: Result,
-    recorder: Recorder,
+    recorder: FlightRecorder,
     inspection: Mapping[str, Any],
     airframe: Airframe,
     provenance: Provenance,
@@ -339,7 +269,7 @@ def gather(
     )
 
 
-def predicted(result: Result, recorder: Recorder, airframe: Airframe) -> Prediction | None:
+def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> Prediction | None:
     """Measured and predicted angular acceleration of the flight; None where nothing flew.
 
     Args:
@@ -364,7 +294,11 @@ def predicted(result: Result, recorder: Recorder, airframe: Airframe) -> Predict
     failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
     until = min((t for t in failures if t > since), default=float("inf"))
     share = 0.0 if validation is None else validation.fitted_share
-    return predict(recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input)
+    pieces = (
+        RotationSamples(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 18:])
+        for rows in recorder.rows()
+    )
+    return predict(pieces, recorder.dt, model, since, until, share, result.rotor_input)
 
 
 Table = Mapping[str, Array]
@@ -374,50 +308,31 @@ _FIXED = (
 )  # fmt: skip
 
 
-class SignalRecorder(Recorder):
-    """Keeps the aligned signals too."""
+def signal_table(result: Result, recorder: FlightRecorder, airframe: Airframe) -> Table:
+    """Column -> (n,) values.
 
-    def __init__(self, rotors: int) -> None:
-        super().__init__(rotors)
-        self._rotors = rotors
-        self._pieces: list[Array] = []
-
-    def begin(self) -> None:
-        """A reading of the log begins; one before it does not count."""
-        super().begin()
-        self._pieces = []
-
-    def take(self, block: SampleBlock) -> None:
-        """The next block of samples."""
-        super().take(block)
-        s = block.samples
-        columns = [block.t, s.gyro, s.rates, s.force, s.attitude, s.velocity, block.flying]
-        self._pieces.append(np.column_stack([*columns, s.speeds]))
-
-    def table(self, result: Result, airframe: Airframe) -> Table:
-        """Column -> (n,) values.
-
-        Args:
-            result: of the analysis that this looked at.
-            airframe: that it was made with.
-        """
-        what = result.rotor_input
-        names = [*_FIXED, *(f"rotor_{what}_{i}" for i in range(1, self._rotors + 1))]
-        rows = np.vstack([np.empty((0, len(names))), *self._pieces])
-        table = dict(zip(names, rows.T, strict=True))
-        found = predicted(result, self, airframe)
-        self.close()
-        for i, axis in enumerate(AXES):
-            measured = model = np.full(len(rows), np.nan)
-            if found is not None and len(found.t) > 1:
-                measured, model = (
-                    _on_grid(table["t"], found.t, values[:, i], found.step)
-                    for values in (found.measured, found.predicted)
-                )
-            table[f"{axis}_acceleration"] = measured
-            table[f"{axis}_acceleration_predicted"] = model
-            table[f"{axis}_residual"] = measured - model
-        return table
+    Args:
+        result: of the analysis that the recorder looked at.
+        recorder: its samples are read twice more.
+        airframe: that the analysis was made with.
+    """
+    what = result.rotor_input
+    names = [*_FIXED, *(f"rotor_{what}_{i}" for i in range(1, len(airframe.rotors) + 1))]
+    rows = np.vstack([np.empty((0, len(names))), *recorder.rows(whole=True)])
+    rows = rows[np.isfinite(rows[:, 0])]
+    table = dict(zip(names, rows.T, strict=True))
+    found = predicted(result, recorder, airframe)
+    for i, axis in enumerate(AXES):
+        measured = model = np.full(len(rows), np.nan)
+        if found is not None and len(found.t) > 1:
+            measured, model = (
+                _on_grid(table["t"], found.t, values[:, i], found.step)
+                for values in (found.measured, found.predicted)
+            )
+        table[f"{axis}_acceleration"] = measured
+        table[f"{axis}_acceleration_predicted"] = model
+        table[f"{axis}_residual"] = measured - model
+    return table
 
 
 def _on_grid(t: Array, times: Array, values: Array, step: float) -> Array:

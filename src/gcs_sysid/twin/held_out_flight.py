@@ -8,6 +8,7 @@ again, to the first part of the flight as in the validation, and judged on the r
 
 import filecmp
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -63,17 +64,17 @@ def fly_held_out(
     # The other kind of input would need other coefficients.
     vehicle = replace(vehicle, rotor_input=result.rotor_input)
     on_progress = progress or (lambda _: None)
-    recorder = FlightRecorder()
-    whole = analyze_log(
-        log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observers=[recorder]
-    )
-    if whole.rotor_input != result.rotor_input:
-        raise InputError(
-            f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified "
-            "from: analyze this log by itself"
+    with closing(FlightRecorder()) as recorder:
+        whole = analyze_log(
+            log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observers=[recorder]
         )
-    same = is_same_flight(result, whole, log)
-    return _flown(result, whole, recorder, log, (vehicle, wanted), on_progress, seed, same=same)
+        if whole.rotor_input != result.rotor_input:
+            raise InputError(
+                f"{log}: has no {result.rotor_input}s of the rotors, which the result was "
+                "identified from: analyze this log by itself"
+            )
+        same = is_same_flight(result, whole, log)
+        return _flown(result, whole, recorder, log, (vehicle, wanted), on_progress, seed, same=same)
 
 
 def fly_own_flight(

@@ -1,22 +1,29 @@
 """What a log holds of flight, as the twin takes it: measured motion and the rotors' inputs."""
 
 import math
+import sys
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.rows.rotor_signals import butterworth, steady_state
 from gcs_sysid.model import attitude as quaternions
 from gcs_sysid.model.flight_model import FlightModel, MotionState
 from gcs_sysid.model.rotor_input import RotorInput
+from gcs_sysid.results.history import History
+from gcs_sysid.results.snapshot import Event
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock
 
+_NO_HISTORY = History(np.empty(0), {}, {})
 _BIAS_LAG = 60.0
 """s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that
 while the vehicle turns fast; what is left of an error after this time is a tenth, about."""
@@ -90,50 +97,86 @@ class MeasuredFlight:
 
 
 class FlightRecorder:
-    """An observer of `analyze_log` that keeps the flight, in single precision but for times.
+    """An observer of `analyze_log` that keeps the samples, and of the estimate what figures need.
+
+    Samples beyond 64 MB are in a temporary file, until it is closed.
 
     Args:
-        longest: s of flight, beyond which it keeps none: what is left of memory is others'.
+        longest: s of flight that `record` gives at most: what is left of memory is others'.
+
+    Attributes:
+        dt: s between samples; None: nothing flew with rotors.
+        history: of the estimates.
+        validation: of the last fit.
+        notes: what the analysis noted on the way.
     """
 
     def __init__(self, longest: float = math.inf) -> None:
+        self.dt: float | None = None
+        self.history = _NO_HISTORY
+        self.validation: Validation | None = None
+        self.notes: tuple[Event, ...] = ()
         self._longest = longest
-        self._rows: list[Array] = []
-        self._t: list[Array] = []
-        self._dt: float | None = None
+        self._file = tempfile.SpooledTemporaryFile(max_size=64 << 20)  # noqa: SIM115
+        self._width = 0
+        self._flights: list[tuple[int, int]] = []
         self._source: RotorSource | None = None
-        self.gyro_cutoff: float | None = None
-        self.delay = 0.0
-        self.rotor_input = RotorInput.SPEED
+        self._cutoff: float | None = None
+        self._delay = 0.0
+        self._rotor_input = RotorInput.SPEED
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
-        self._rows, self._t, self._dt, self._source = [], [], None, None
+        self._file.seek(0)
+        self._file.truncate()
+        self.dt, self._source, self._flights = None, None, []
+        self.history, self.validation, self.notes = _NO_HISTORY, None, ()
 
     def take(self, block: SampleBlock) -> None:
         """The next block of samples."""
         s = block.samples
-        if block.rotors is None or not np.isfinite(s.gyro).any():
-            return
-        if block.dt != self._dt or block.rotors is not self._source:
-            self.begin()
-            self._dt, self._source = block.dt, block.rotors
-        joins = bool(self._t) and not block.fresh and block.t[0] - self._t[-1][-1] < 1.5 * block.dt
-        signals = s.rates, s.attitude, s.velocity, s.gyro, s.speeds
-        rows = np.column_stack(signals).astype(np.float32)
-        if self._t and not joins and self._dt * sum(map(len, self._t)) < self._longest:
-            self._t.append(self._t[-1][-1:] + block.dt)
-            self._rows.append(np.full((1, rows.shape[1]), np.nan, np.float32))
-        room = int(min(self._longest / block.dt - sum(map(len, self._t)), len(rows)))
-        if room > 0:
-            self._t.append(block.t[:room])
-            self._rows.append(rows[:room])
+        # While nothing flies the estimate keeps what it has.
+        flies = block.rotors is not None and bool(np.isfinite(s.gyro).any())
+        if flies and (block.dt != self.dt or block.rotors is not self._source):
+            self.dt, self._source, self._flights = block.dt, block.rotors, []
+        signals = s.gyro, s.rates, s.force, s.attitude, s.velocity, block.flying, s.speeds
+        rows = np.column_stack([block.t, *signals]).astype(float)
+        self._width = rows.shape[1]
+        if block.fresh:
+            self._file.write(np.full(self._width, np.nan).tobytes())
+        begin = self._file.tell()
+        self._file.write(rows.tobytes())
+        if flies and self._flights and self._flights[-1][1] == begin:
+            begin = self._flights.pop()[0]
+        if flies:
+            self._flights.append((begin, self._file.tell()))
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
-        self.gyro_cutoff, self.rotor_input = chain.cutoffs[0], chain.rotor_input
+        self.history, self.validation = chain.history, chain.fit.validation
+        self.notes = chain.events
+        self._cutoff, self._rotor_input = chain.cutoffs[0], chain.rotor_input
         fit = chain.fit.rotation
-        self.delay = 0.0 if fit is None else fit.delay
+        self._delay = 0.0 if fit is None else fit.delay
+
+    def close(self) -> None:
+        """Drop the samples."""
+        self._file.close()
+
+    def rows(self, *, whole: bool = False, at_once: int = 8192) -> Iterator[Array]:
+        """What was taken, in pieces.
+
+        Args:
+            whole: all of it; else only from where step and rotors' stream are those of the end.
+            at_once: rows of a piece at most.
+
+        Yields:
+            (n, 18 + rotors) in SI: time, gyro, rates without bias, specific force, attitude,
+            velocity, whether it flies, rotors. A row without any number is a gap.
+        """
+        self._file.seek(0 if whole or not self._flights else self._flights[0][0])
+        while data := self._file.read(8 * self._width * at_once):
+            yield np.frombuffer(data).reshape(-1, self._width)
 
     def record(self, motor_lag: float, where: str) -> MeasuredFlight:
         """What was flown.
@@ -145,20 +188,34 @@ class FlightRecorder:
         Raises:
             InputError: nothing flies in the log, or it has no rotor speeds or commands.
         """
-        if self._dt is None:
+        if self.dt is None:
             raise InputError(
                 f"{where}: no flight with rotor speeds or commands in it: see gcs-sysid inspect"
             )
-        t, x = np.concatenate(self._t), np.concatenate(self._rows).astype(np.float64)
-        rates, attitude = _with_later_bias(t, x[:, 10:13], x[:, :3], x[:, 3:7], self._dt)
-        rotors = _acting(t, x[:, 13:], self._dt, self.delay, self.gyro_cutoff)
+        pieces: list[Array] = []
+        room = int(min(self._longest / self.dt, sys.maxsize))
+        for begin, end in self._flights:
+            if pieces and room > 0:
+                gap = np.full((1, self._width), np.nan)
+                gap[0, 0] = pieces[-1][-1, 0] + self.dt
+                pieces.append(gap)
+                room -= 1
+            self._file.seek(begin)
+            rows = np.frombuffer(self._file.read(min(end - begin, 8 * self._width * room)))
+            if len(rows):
+                pieces.append(rows.reshape(-1, self._width))
+                room -= len(pieces[-1])
+        x = np.concatenate(pieces)
+        t, gyro, rates, attitude = x[:, 0], x[:, 1:4], x[:, 4:7], x[:, 10:14]
+        rates, attitude = _with_later_bias(t, gyro, rates, attitude, self.dt)
+        rotors = _acting(t, x[:, 18:], self.dt, self._delay, self._cutoff)
         # A motor's past is forgotten after five time constants, that of the gyro's low-pass after
         # one and a half periods of its cutoff.
-        settling = 5.0 * motor_lag if self.rotor_input.motors else 0.0
-        if self.gyro_cutoff is not None:
-            settling += 1.5 / self.gyro_cutoff
+        settling = 5.0 * motor_lag if self._rotor_input.motors else 0.0
+        if self._cutoff is not None:
+            settling += 1.5 / self._cutoff
         return MeasuredFlight(
-            t, rates, attitude, x[:, 7:10], rotors, self._dt, self.rotor_input, settling
+            t, rates, attitude, x[:, 14:17], rotors, self.dt, self._rotor_input, settling
         )
 
 

@@ -16,12 +16,13 @@ from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
-from gcs_sysid.report.data import Recorder, gather, provenance_of
+from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import health_picture, render
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
 
 HISTORY_INTERVAL = 0.5
@@ -64,7 +65,7 @@ def analyze(
         InputError: the log cannot be read, or the request makes no sense.
     """
     airframe = airframe_of(request, log)
-    recorder = Recorder(len(airframe.rotors))
+    recorder = FlightRecorder()
     try:
         options = ChainOptions(history_interval=HISTORY_INTERVAL)
         found = analyze_whole(
