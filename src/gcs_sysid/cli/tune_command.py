@@ -54,7 +54,9 @@ _OWN = {"betaflight": "pid_process_denom", "inav": "dterm_lpf_hz"}
 _PREFIX = {"px4": "MC_", "ardupilot": "ATC_", **_OWN}
 """That parameters of an autopilot begin with."""
 _RESPONSE = "frequency-response"
-_INDI = {"indi": "indiflight", "paparazzi": "paparazzi"}
+_EFFECTIVENESS = {
+    "indi": "indiflight", "paparazzi": "paparazzi", "betaflight-adrc": "betaflight-adrc",
+}  # fmt: skip
 _COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
 _LOW, _HIGH = 0.5, 300.0
 """rad/s, shown."""
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     _check_outputs(options)
     vehicle = _vehicle(options)
     try:
-        if options.to in _INDI:
+        if options.to in _EFFECTIVENESS:
             return _effectiveness(options, vehicle)
         return _gains(options, vehicle)
     except MissingError as error:
@@ -140,10 +142,10 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
 
 
 def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
-    """G1 and G2, which INDI has in place of gains."""
+    """What INDI and ADRC have in place of gains."""
     if options.json is not None or options.bode is not None:
-        raise InputError("--json and --bode apply to gains: leave them out with INDI")
-    target = FORMATS[_INDI[options.to]]
+        raise InputError("--json and --bode apply to gains: leave them out with INDI and ADRC")
+    target = FORMATS[_EFFECTIVENESS[options.to]]
     write_text(options.output, target.write(vehicle), force=options.force)
     for note in target.notes(vehicle):
         say(f"gcs-sysid: note: {note}")

@@ -1,4 +1,4 @@
-"""Control effectiveness G1 and G2 of INDI, as Indiflight and Paparazzi want them.
+"""Control effectiveness: G1 and G2 of INDI for Indiflight and Paparazzi, b0 of Betaflight's ADRC.
 
     [f_z, p', q', r'] = G1 u + G2 u',   axes forward, right, down
 
@@ -9,6 +9,9 @@ Indiflight (`flight/indi.h`, `indi_init.c`): u is a rotor's thrust over its full
 (m/s^2) * 100 and (rad/s^2) * 10, G2 in (rad/s^2) / (rad/s^2) * 1e5, integers.
 Paparazzi (`stabilization_indi.c`; Smeur et al. 2016): u is a command of 0 to 9600, its effect that
 around hover, scaled by 1000; G2 is that of the change of u from one period to the next, at 512 Hz.
+Betaflight (pull request 15400, July 2026, in no release): w'' = f + b0 u of each axis in deg/s^3, u
+the PID sum, of which 1000 is full torque, at adrc_hover_throttle. Behind a motor's lag that is the
+angular acceleration for u over the lag.
 """
 
 import math
@@ -82,20 +85,39 @@ def _integers(values: Array, most: int = 32767) -> str:
     return ",".join(str(int(v)) for v in np.clip(np.rint(values), -most, most))
 
 
+def _around_hover(vehicle: ExportedVehicle) -> tuple[float, float]:
+    """Command in hover, and slope there of thrust over full thrust by command."""
+    c = vehicle.get("thrust_curve") or 0.0
+    u = thrust_command(vehicle.hover_load, c)
+    return u, 1.0 - c + 2.0 * c * u
+
+
+def _adrc_text(vehicle: ExportedVehicle, head: list[str]) -> str:
+    """Lines for Betaflight's CLI; bandwidths are the pilot's."""
+    command, slope = _around_hover(vehicle)
+    factors = np.array([[-r.y, r.x, float(r.spin)] for r in vehicle.rotors])
+    factors = factors / np.abs(factors).max(axis=0)
+    turning = np.diag(g1(vehicle)[1:] * slope @ factors)
+    b0 = np.degrees(turning) / 1000.0 / max(vehicle["motor_lag"], 1e-3)
+    rows = [
+        f"set adrc_b0_{axis} = {round(float(np.clip(value, 100.0, 65535.0)))}"
+        for axis, value in zip(AXES, b0, strict=True)
+    ]
+    rows.append(f"set adrc_hover_throttle = {round(100.0 * command)}")
+    return commented(head, "#") + "\n".join(rows) + "\n"
+
+
 def _paparazzi_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     """A section of Paparazzi's airframe file."""
     n = len(vehicle.rotors)
-    c = vehicle.get("thrust_curve") or 0.0
-    share = vehicle.hover_load
-    u = thrust_command(share, c)
     # Thrust over full thrust per command, around hover.
-    slope = (1.0 - c + 2.0 * c * u) / _PPRZ * _SCALE
+    slope = _around_hover(vehicle)[1] / _PPRZ * _SCALE
     force, *angular = g1(vehicle) * slope
     k_T = vehicle.get("k_T")
     yaw = np.zeros(n)
     if k_T is not None:
         # Omega goes with the root of thrust: dOmega = dT / (2 k_T Omega).
-        speed = math.sqrt(share * vehicle["T_max"] / k_T)
+        speed = math.sqrt(vehicle.hover_load * vehicle["T_max"] / k_T)
         yaw = g2(vehicle)[2] * vehicle["T_max"] * slope / (2.0 * k_T * speed) * _RATE
     rows = [
         *zip(("G1_ROLL", "G1_PITCH", "G1_YAW"), angular, strict=True),
@@ -144,4 +166,14 @@ PAPARAZZI_FORMAT = replace(
     remarks=lambda _: [
         f"commands of 0 to {_PPRZ:g} span the range of outputs; G2 is for {_RATE:g} Hz"
     ],
+)
+ADRC_FORMAT = replace(
+    INDIFLIGHT_FORMAT,
+    name="betaflight-adrc",
+    title="b0 of Betaflight's experimental ADRC, lines of its CLI",
+    owner="ADRC has",
+    text=_adrc_text,
+    uses=("thrust_curve",),
+    absent={},
+    remarks=lambda _: ["wc and wo are left alone; too high a b0 is soft, too low a b0 unstable"],
 )
