@@ -74,6 +74,7 @@ class DesignLimits:
         required: deg and dB, what the proposal keeps for sure, on all draws, a loop period later
             than modeled and at `battery`; what is above of the other margins is for finding it.
         battery: share of the thrust that is left.
+        payload: of the mass, that may be taken on besides: rotors turn faster, and react less.
         step: largest change of a gain at once.
         unmodeled: share of the response that the model may lack: the 7 deg, in rad, by which
             `phase_margin` is above the requirement. 2 dB of gain are more.
@@ -92,6 +93,7 @@ class DesignLimits:
     draws: int = 25
     required: tuple[float, float] = (45.0, 6.0)
     battery: float = 0.8
+    payload: float = 0.2
     step: float = 2.0
     unmodeled: float = 0.12
 
@@ -146,7 +148,8 @@ def sure_margins(
     low = replace(
         later,
         effectiveness=LIMITS.battery * later.effectiveness,
-        reaction=LIMITS.battery * later.reaction,
+        # J_r dT / (2 k_T Omega), of speeds that carry the payload too.
+        reaction=LIMITS.battery * later.reaction / np.sqrt(1.0 + LIMITS.payload),
     )
     loops = [
         open_loops(each, loop, omega, attitude=attitude)
