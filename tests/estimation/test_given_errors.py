@@ -1,6 +1,7 @@
 """What wrong rotor positions, scale and IMU place do to an estimate whose truth is known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,3 +96,16 @@ def test_exactly_given_adds_nothing():
     }
     stds = given_stds(values, fit, Given(EXACT, ScaleReference("mass", 1.5), RotorInput.SPEED, {}))
     assert not any(stds.values())
+
+
+@pytest.mark.parametrize(("rotors", "seen"), [(4, True), (6, False), (8, False)])
+def test_unlike_rotors_of_six_and_more_may_shift_the_cg_and_do_nothing_else(rotors, seen):
+    angles = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
+    ring = tuple(Rotor(math.cos(a), math.sin(a), (-1) ** i) for i, a in enumerate(angles))
+    frame = replace(EXACT, rotors=ring).with_uncertainty({"rotor_thrust": "3%"}, "here")
+    values = {name: Estimate(0.01, 1e-4) for name in ("cg_x", "cg_y")}
+    given = Given(frame, ScaleReference("mass", 1.5), RotorInput.SPEED, {})
+    stds = given_stds(values, Fit(None, MOTION, 30.0), given)
+    # By thrusts (1 + e_i) of the mean the center of thrust moves by sum e_i r_i / n.
+    expected = 0.0 if seen else 0.03 / math.sqrt(2.0 * rotors)
+    assert list(stds.values()) == pytest.approx([expected] * 2, abs=1e-12)

@@ -18,12 +18,13 @@ from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import judge, judged
 from gcs_sysid.judgement.plausibility import (
     RANGES,
+    aged_readings,
     assumed_unit,
+    differing_rotors,
     edge_of_bodies,
     implausible,
     placeholder_arm,
     reread_speeds,
-    unlike_rotors,
 )
 from gcs_sysid.judgement.status import NOTHING, by_interval
 from gcs_sysid.model import rigid_body as rb
@@ -297,33 +298,68 @@ def test_with_commands_neighboring_rotors_bound_the_propellers():
         assert len(objections(evidence(command, x8, RotorInput.COMMAND))) == objected
 
 
+def turning(k_T, ages=()):
+    """Evidence of rotors of these thrust coefficients, known to a thousandth of the mean."""
+    k_T = np.asarray(k_T)
+    rotors, n = len(k_T), rb.N_THETA
+    apart = np.linalg.svd(np.ones((1, rotors)))[2][1:]
+    m = len(apart)
+    own = np.zeros((N_UNKNOWNS + m, N_UNKNOWNS + m))
+    own[N_UNKNOWNS:, N_UNKNOWNS:] = 1e-6 * np.eye(m)
+    rotation = RotationFit(
+        np.zeros(n), np.zeros((n, n)), np.eye(3), np.ones(3), 1000, True,
+        deviations=apart @ (k_T / k_T.mean() - 1.0), extended_covariance=own, ages=np.array(ages),
+        deviating=Deviations(np.zeros((m, 3, rb.N_SIGNALS)), np.full(m, 0.1), apart, 0.0 * apart,
+                             *np.zeros((2, m, 3)), sized=np.zeros(m, dtype=bool)),
+    )  # fmt: skip
+    spun = evidence(values() | {"rotor_inertia": Estimate(3e-5, 1e-6)})
+    airframe = replace(QUAD, rotors=QUAD.rotors[:1] * rotors)
+    return replace(spun, fit=Fit(rotation, None, 0.0), airframe=airframe)
+
+
 @pytest.mark.parametrize(
     ("speed", "shown"), [(1.0, False), (1.03, False), (14 / 12, True), (12 / 14, True)]
 )
-def test_a_rotor_that_reads_otherwise_leaves_the_mean_uncertain(speed, shown):
+def test_a_rotor_that_reads_otherwise_is_named_and_leaves_the_mean_uncertain(speed, shown):
     """Thrust for the speed read is off by its square; k_T was 7 to 9 half widths off."""
     k_T = np.array([1.0, 1.0, speed**-2.0, 1.0])
     mean = float(4.0 / (1.0 / k_T).sum())
-    one = np.zeros((1, 3, rb.N_SIGNALS))
-    apart = (k_T / k_T.mean() - 1.0)[None]
-    n = rb.N_THETA
-    rotation = RotationFit(
-        np.zeros(n), np.zeros((n, n)), np.eye(3), np.ones(3), 1000, True, deviations=np.ones(1),
-        deviating=Deviations(one, np.array([0.1]), apart, 0.0 * apart, *np.zeros((2, 1, 3)),
-        sized=np.zeros(1, dtype=bool)),
-        extended_covariance=np.zeros((N_UNKNOWNS + 1, N_UNKNOWNS + 1)),
-    )  # fmt: skip
-    spun = evidence(values() | {"rotor_inertia": Estimate(3e-5, 1e-6)})
-    found = list(unlike_rotors(replace(spun, fit=Fit(rotation, None, 0.0))))
+    found = list(differing_rotors(turning(k_T)))
     assert [each.parameters for each in found] == (
-        [{"k_T", "k_M"}, {"rotor_inertia"}] if shown else []
+        [{"k_T", "k_M"}, {"rotor_inertia", "Ixz", "Iyz"}] if shown else []
     )
     if shown:
-        assert found[1].cap == "weak"
+        assert {each.cap for each in found} == {"weak"}
         assert found[0].words.endswith("check its propeller, and the pole count of its ESC")
-        assert f"rotor 3 by {100.0 * apart[0, 2]:+.0f} %" in found[0].reason
+        assert f"rotor 3 by {100.0 * (k_T[2] - 1.0):+.0f} % of the others" in found[0].reason
         own = found[0].widening["k_T"] / SOUND["k_T"]
         assert abs(mean - 1.0) < Z95 * own < 2.0 * abs(mean - 1.0)
+
+
+def test_none_is_named_where_several_rotors_differ():
+    (found, _) = differing_rotors(turning([1.25, 1.0, 1.25, 1.0]))
+    assert "by up to 11 % of the mean" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("ages", "k_T", "named"),
+    [
+        ((-0.005, 0.015, -0.005, -0.005), np.ones(4), "rotor 2"),
+        ((-0.003, 0.017, -0.003, -0.003, -0.003, -0.003), np.ones(6), "one rotor"),
+        ((0.001, -0.001, 0.001, -0.001), np.ones(4), ""),
+        ((), np.ones(4), ""),
+        # Its speeds are read wrong, which spoils what they say of time.
+        ((-0.005, 0.015, -0.005, -0.005), (1.0, 1.4, 1.0, 1.0), ""),
+    ],
+)
+def test_readings_of_another_age_identify_no_rotation(ages, k_T, named):
+    found = list(aged_readings(turning(k_T, ages)))
+    assert bool(found) is bool(named)
+    for one in found:
+        assert f"the readings of {named} are" in one.reason
+        assert "by some 20 ms" in one.reason
+        assert {"Ixx", "k_M", "rotor_inertia"} <= one.parameters
+        assert "k_T" not in one.parameters
 
 
 @pytest.mark.parametrize(("Izz", "named"), [(0.03, False), (2e-4, True)])

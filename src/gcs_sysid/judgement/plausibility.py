@@ -12,14 +12,14 @@ from itertools import combinations
 
 import numpy as np
 
-from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients
+from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients, unlike_rotors
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
-from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
+from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.signals.rotor_readings import APART
+from gcs_sysid.signals.rotor_readings import AGE, APART
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -106,7 +106,7 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
 
 
-def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
+def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
     """Rotors whose thrust at the speed that they read differs more than that of propellers does.
 
     Where that is an ESC's reading (pole count), the vehicle flies alike, and the mean over the
@@ -115,15 +115,21 @@ def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
     rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
     if rotation is None or evidence.rotor_input.motors or not rotation.deviating.thrusts.any():
         return
+    likely, share = unlike_rotors(rotation, rotors)
     apart = rotor_coefficients(rotation, rotors)[0] - 1.0
+    if likely:
+        apart = share * (np.eye(rotors)[likely[0]] - 1.0 / rotors) / (1.0 + share / rotors)
+        which = " or ".join(str(i + 1) for i in sorted(likely))
+        what = f"rotor {which} by {100.0 * share:+.0f} % of the others"
+    else:
+        what = f"by up to {100.0 * np.abs(apart).max():.0f} % of the mean"
     excess = float(np.mean(apart**2)) - (0.5 * APART) ** 2
     if excess > 0.0:
         share = math.sqrt(excess / rotors)
-        most = int(np.abs(apart).argmax())
         yield Objection(
-            f"rotors differ in thrust for the speed that they read, rotor {most + 1} by "
-            f"{100.0 * apart[most]:+.0f} % of the mean",
+            f"rotors differ in thrust for the speed that they read, {what}",
             frozenset({"k_T", "k_M"}),
+            cap="weak",
             verdict="identified",
             widening={
                 name: share * abs(e.value)
@@ -133,16 +139,41 @@ def unlike_rotors(evidence: Evidence) -> Iterator[Objection]:
             evidence={"share": share},
             how="check its propeller, and the pole count of its ESC",
         )
-        # Thrust and torque of each rotor are fitted; what its own inertia does goes with the speed.
+        # Thrust and torque of each rotor are fitted; what its own inertia does goes with the speed,
+        # and looks like yaw with roll and pitch.
         own = evidence.estimates.get("rotor_inertia")
         if own is not None and own.value is not None:
             yield Objection(
-                "rotor inertia comes from speeds that one of the rotors may read wrong",
-                frozenset({"rotor_inertia"}),
+                "rotor inertia, Ixz and Iyz come from speeds that one of the rotors may read wrong",
+                frozenset({"rotor_inertia", "Ixz", "Iyz"}),
                 cap="weak",
                 verdict="identified",
                 by="spin-up",
             )
+
+
+def aged_readings(evidence: Evidence) -> Iterator[Objection]:
+    """Rotors whose readings are older than those of others: the fit has one delay for all.
+
+    A speed that is read wrong looks so, too.
+    """
+    rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
+    if rotation is None or not len(rotation.ages) or unlike_rotors(rotation, rotors)[0]:
+        return
+    ages = rotation.ages - float(np.median(rotation.ages))
+    rotor = int(np.abs(ages).argmax())
+    if abs(ages[rotor]) > AGE:
+        # Six and more share four signals, by which several look alike.
+        which = f"rotor {rotor + 1}" if rotors <= _FEW else "one rotor"
+        yield Objection(
+            f"the readings of {which} are older or younger than those of the others, by some "
+            f"{1e3 * abs(ages[rotor]):.0f} ms",
+            frozenset(name for name in evidence.estimates if REGISTRY[name].fit == "rotation"),
+            cap="weak",
+            verdict="partial",
+            evidence={f"rotor {i}": age for i, age in enumerate(rotation.ages.tolist(), 1)},
+            how="have all ESCs read at once, or each with its own time",
+        )
 
 
 def unseen_spins(evidence: Evidence) -> Iterator[Objection]:

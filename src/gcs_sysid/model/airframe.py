@@ -74,6 +74,8 @@ class GivenUncertainty:
             to 1 mm, and whether it was held to the motor's axis matters as much.
         rotor_position: x and y of each rotor by itself; m or share of the arm. Plates and tubes are
             cut to a few tenths of a millimeter.
+        rotor_thrust: of each rotor at a speed, or a command, as a share of the mean: propellers of
+            one make scatter by a few percent, motors on commands by more.
         mass: kg or share; kitchen scales read to a few grams, and batteries differ.
         k_T: N s^2 or share; thrust benches are good to a percent or two, and air density changes.
         T_max: N or share; the same.
@@ -84,6 +86,7 @@ class GivenUncertainty:
 
     arm: Sigma = Sigma(0.01, relative=True)
     rotor_position: Sigma = Sigma(0.002, relative=True)
+    rotor_thrust: Sigma = Sigma(0.03, relative=True)
     mass: Sigma = Sigma(0.005, relative=True)
     k_T: Sigma = Sigma(0.02, relative=True)
     T_max: Sigma = Sigma(0.02, relative=True)

@@ -17,6 +17,9 @@ from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
 APART = 0.1
 """Share by which a speed differs from what its command gives the others: motors of one make scatter
 by 3 %; pole counts of 12 and 14 make 15 %."""
+AGE = 0.005
+"""s by which the readings of one rotor are older than the others', on the average, from which they
+are not those of its rotor: 8 ms cost inertia 4 %."""
 _HOLDS, _FEWEST, _HELD = 0.1, 5, 0.2
 """s and repeats for which a rotor's reading stays the same while most others change, and the share
 of time in such holds from which its readings are not those of its rotor."""

@@ -28,6 +28,7 @@ from gcs_sysid.signals.motor_order import (
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_readings import (
+    AGE,
     OddReading,
     held_reading,
     moved_columns,
@@ -50,9 +51,6 @@ MIN_RATE = 15.0
 """Hz. Slower streams do not follow the rotors."""
 _LAGS = 0.5
 """Share of the others' new readings, below which those of one rotor are old."""
-_AGE = 0.005
-"""s by which the readings of one rotor are older than the others', on the average, from which they
-are not those of its rotor: 8 ms cost inertia 4 %."""
 _MOST = 2048
 """Samples of a source kept in a stretch."""
 _MOVES = 0.01
@@ -323,7 +321,7 @@ class RotorSourceSelector:
                 rotor = min(known, key=known.__getitem__)
                 least, usual = known[rotor], float(np.median([*known.values()]))
                 # Whole rpm repeat by chance, but not every other time.
-                if least < _LAGS * usual and 0.5 / least - 0.5 / usual > _AGE:
+                if least < _LAGS * usual and 0.5 / least - 0.5 / usual > AGE:
                     return (
                         f"repeats old readings of rotor {rotor + 1}, {least:.0f} new ones a second"
                     )

@@ -208,6 +208,11 @@ class DeviationChoice:
         own = self._signal.T[:, None, :] * rb.mixer(self._geometry)[:, :, None]
         return np.tensordot(self._contrasts, own, 1)
 
+    def of_rotors(self, contrasts: Array) -> Array:
+        """(rotors,) whose mean is zero, of (rotors - 1,) as those of `older`."""
+        apart: Array = contrasts @ self._contrasts
+        return apart
+
     @property
     def has_given(self) -> bool:
         """Whether rotors or IMU may not be where they are given."""

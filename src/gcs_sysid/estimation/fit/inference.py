@@ -92,6 +92,7 @@ def follow_rotation(
             whiteners=start.whiteners,
             disturbance=start.disturbance,
             deviating=start.deviating,
+            ages=start.ages,
         )
         for fit in fits
     ]

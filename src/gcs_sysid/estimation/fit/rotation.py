@@ -61,6 +61,8 @@ class RotationFit:
         deviations: (m,) values of those that were fitted, see `estimation.fit.deviations`.
         extended_covariance: (N_UNKNOWNS + m, N_UNKNOWNS + m) with theirs.
         deviating: which these are.
+        ages: (rotors,) s by which the readings of each are older than the mean of all, beyond
+            chance; empty where that was not asked.
         lag_place: what was taken to lag, of commands; None where nothing does.
         lag_doubt: (N_UNKNOWNS, N_UNKNOWNS) part of the covariance that stems from not knowing that;
             empty where there is none.
@@ -82,6 +84,7 @@ class RotationFit:
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     extended_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     deviating: Deviations = NO_DEVIATIONS
+    ages: Array = field(default_factory=lambda: np.empty(0))
     lag_place: LagPlace | None = None
     lag_doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
 

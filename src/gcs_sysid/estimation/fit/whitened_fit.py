@@ -255,8 +255,8 @@ def fit_whitened(
     bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged], [0])[0]
     fit = bound
     if scatter:
-        older = None if choice is None or basis.motors else choice.older
-        fit = _with_scatter(bank, solved, outcome, batches, doubt, hover, only, older)
+        apart = None if basis.motors else choice
+        fit = _with_scatter(bank, solved, outcome, batches, doubt, hover, only, apart)
         if data.judges:
             r_squared = _explained(solved, data.total(kept), data.judges)
             fit = replace(fit, r_squared=r_squared)
@@ -285,7 +285,7 @@ def _with_scatter(
     doubt: float,
     hover: float,
     only: Mask | None,
-    older: Array | None,
+    apart: DeviationChoice | None,
 ) -> RotationFit:
     """The fit with standard deviations from the scatter of its batches, and what that hides.
 
@@ -297,7 +297,7 @@ def _with_scatter(
         doubt: as of `fit_whitened`.
         hover: likewise.
         only: likewise.
-        older: see `DeviationChoice.older`; None: rotors are read together.
+        apart: of rotors that may not be read together; None: they are.
     """
     data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
     noise = data.noise[list(solved.pick)]
@@ -333,12 +333,16 @@ def _with_scatter(
     ways += list(fit.imitated_turns(1.0 if disturbed else 0.0)[:, problem.free] / widening[0])
     if disturbed and basis.motors and only is None:
         ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
-    if older is not None and Unknown.DELAY in problem.free:
+    if apart is not None and Unknown.DELAY in problem.free:
         excess = float(np.trace(spread[0])) / problem.p
-        ways.append(unlike_delays(problem, point, older, excess) / widening[0])
+        way, delays = unlike_delays(problem, point, apart.older, excess)
+        fit = replace(fit, ages=apart.of_rotors(delays))
+        ways.append(way / widening[0])
     for way in ways:
         spread = spread + outcome.spread_of(way[None] @ point.hessian[0])
-    return outcome.fits(spread, widening, [solved.converged], [0])[0] if ways else fit
+    if not ways:
+        return fit
+    return replace(outcome.fits(spread, widening, [solved.converged], [0])[0], ages=fit.ages)
 
 
 def curve_scatter(
@@ -384,8 +388,11 @@ def curve_scatter(
     return along(own, at, float(np.sqrt(max(variance, 0.0))))
 
 
-def unlike_delays(problem: AxisProblem, point: Evaluation, older: Array, excess: float) -> Array:
-    """(p,) what all that is fitted errs by where some rotors' readings are older than others'.
+def unlike_delays(
+    problem: AxisProblem, point: Evaluation, older: Array, excess: float
+) -> tuple[Array, Array]:
+    """(p,) what all that is fitted errs by where some rotors' readings are older than others', and
+    (k,) s by which they are, beyond chance.
 
     By how much is found in one step, as a delay of all is. What stands out of chance is an error.
 
@@ -415,8 +422,8 @@ def unlike_delays(problem: AxisProblem, point: Evaluation, older: Array, excess:
     likelier = float((along_seen**2 / values[seen]).sum())
     chance = excess * float(chdtri(int(seen.sum()), FALSE_ALARM_RATE))
     delays = vectors[:, seen] @ (along_seen / values[seen])
-    beyond = 1.0 - chance / likelier if likelier > chance else 0.0
-    return answer @ (-beyond * delays)
+    delays *= 1.0 - chance / likelier if likelier > chance else 0.0
+    return -answer @ delays, delays
 
 
 def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:

@@ -6,6 +6,9 @@ by e. A share e of all arms moves theta as a whole by e: inertia, CG, moment rat
 rotor inertia, all over k_T. The CG is counted from the middle. These errors are the same in all
 flights of a vehicle.
 
+Nor are rotors that are unlike in a way that shifts the center of thrust and does nothing else; none
+of four are, whose control of one axis then turns another, too.
+
 How rotors lie otherwise, and how the IMU is turned and where it is, a flight shows: these are
 unknowns of the fits (`estimation.fit.deviations`, `estimation.fit.translation`).
 """
@@ -45,7 +48,7 @@ class Given:
 
 CAUSES = ("scale", "arm", "cant", "center_x", "center_y")
 """What is given and may be off, each by itself: the scale reference, the scale of all arms, what
-canted rotors add with these, and the middle of the rotors."""
+canted rotors add with these, and the center of thrust along each axis."""
 _SCALE, _ARM, _CANT, _CENTER = range(4)
 
 
@@ -66,6 +69,7 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
     scale = resolve_scale(given.anchor, fit.translation, given.priors)
     airframe = given.airframe
     arm, middle = _common_errors(airframe)
+    center = np.hypot(middle, _unseen_shift(airframe))
     of_mass, of_thrust = np.zeros((2, len(CAUSES)))
     of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
     weight = np.ones(rb.N_THETA)
@@ -84,7 +88,8 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
             effect[_ARM] = arm * entry.value
             at = rb.THETA.index(p.theta)
             if p.mean_torque:
-                effect[_CENTER + (at == rb.CG_Y)] = middle
+                axis = int(at == rb.CG_Y)
+                effect[_CENTER + axis] = center[axis]
             if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
                 effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
             out[name] = float(weight[at]) * effect
@@ -115,3 +120,19 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
     reach = float(np.linalg.norm(places - places.mean(axis=1, keepdims=True)))
     arm = math.hypot(sigma.arm.of(airframe.arm) / airframe.arm, single / reach)
     return arm, single / math.sqrt(n)
+
+
+def _unseen_shift(airframe: Airframe) -> Array:
+    """(2,) standard deviations, m, of the center of thrust by rotors that are unlike and no more.
+
+    With thrusts (1 + e_i) of the mean torque e_i (-y_i, x_i) O_i is added, O_i of the four signals
+    as in `estimation.fit.deviations`. What is in proportion to thrust is a shift, what roll and
+    pitch do to each other alike is inertia. A flight shows what yaw does to both, and what they do
+    to each other otherwise.
+    """
+    x, y, _ = geometry = airframe.geometry
+    roll, pitch, _, yaw = np.linalg.pinv(rb.mixer(geometry))
+    shown = np.array([np.ones(len(x)), y * yaw, x * yaw, y * pitch + x * roll])
+    unseen = np.linalg.svd(shown)[2][np.linalg.matrix_rank(shown) :]
+    each = airframe.uncertainty.rotor_thrust.of(1.0) / len(x)
+    return each * np.linalg.norm(unseen @ np.array([x, y]).T, axis=0)

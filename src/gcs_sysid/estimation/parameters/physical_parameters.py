@@ -8,8 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.deviations import SURE
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
@@ -22,6 +24,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
+from gcs_sysid.significance import FALSE_ALARM_RATE
 
 Raw = dict[str, tuple[float, float]]
 """Values and standard deviations by name."""
@@ -400,6 +403,43 @@ def rotor_coefficients(fit: RotationFit, rotors: int) -> tuple[Array, Array, Arr
         ratio[:, N_UNKNOWNS:] = deviating.ratios.T
     k_T, k_T_std = _linear(fit, thrust)
     return 1.0 + k_T, k_T_std, *_linear(fit, ratio)
+
+
+def unlike_rotors(fit: RotationFit, rotors: int) -> tuple[list[int], float]:
+    """The rotor that alone makes the differences between rotors, and by what share of the others.
+
+    One that reads its speed wrong, or whose propeller is another, differs in thrust and torque. Six
+    and more share four signals: theirs alone are seen, and others may look as it does.
+
+    Args:
+        fit: with deviations.
+        rotors: how many there are.
+
+    Returns:
+        Those that it may be, the likeliest first; none where none alone is likely. And the change
+        of thrust for the speed that it reads.
+    """
+    deviating = fit.deviating
+    if not deviating.thrusts.any():
+        return [], 0.0
+    alone = np.eye(rotors) - 1.0 / rotors
+    ways = (deviating.thrusts + fit.theta[rb.MOMENT_RATIO] * deviating.ratios) @ alone
+    own = ways.any(axis=1)
+    ways = ways[own]
+    inverse = np.linalg.pinv(fit.deviations_covariance[np.ix_(own, own)], hermitian=True)
+    information = inverse - np.diag(deviating.information[own])
+    score = inverse @ fit.deviations[own]
+    pulls, known = ways.T @ score, np.einsum("ki,kl,li->i", ways, information, ways)
+    gains = np.where(known > 0.0, 0.5 * pulls**2 / np.maximum(known, 1e-300), 0.0)
+    order = np.argsort(-gains)
+    best = int(order[0])
+    every = 0.5 * float(score @ np.linalg.pinv(information, hermitian=True) @ score)
+    left = 2.0 * (every - float(gains[best]))
+    if not gains[best] > 0.0 or left > chdtri(len(score) - 1, FALSE_ALARM_RATE):
+        return [], 0.0
+    likely = [int(i) for i in order if gains[i] > gains[best] - SURE]
+    e = float(pulls[best] / known[best])  # of the mean
+    return likely, e / (1.0 - e / rotors)
 
 
 def _linear(fit: RotationFit, maps: Array, bend: float = 0.0) -> tuple[Array, Array]:
