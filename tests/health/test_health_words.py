@@ -35,20 +35,38 @@ def loaded(*shares, gain=None):
     )
 
 
+SIDES = "the rotors of one side unlike those of the other"
+
+
 @pytest.mark.parametrize(
-    ("shares", "rotors"),
+    ("shares", "unlike", "where"),
     [
-        ((0.2, 0.3, 0.2, 0.3), "rotors 2 and 4"),
-        ((0.26, 0.27, 0.2, 0.27), "rotor 3"),
-        ((0.24, 0.23, 0.3, 0.23), "rotor 3"),
+        ((0.2, 0.3, 0.2, 0.3), SIDES, "all rotors"),
+        ((0.26, 0.27, 0.2, 0.27), "rotor 3 unlike the others", "rotor 3"),
+        ((0.24, 0.23, 0.3, 0.23), "rotor 3 unlike the others", "rotor 3"),
     ],
 )
-def test_loads_that_unlike_rotors_explain_as_well_as_a_cg_name_both(shares, rotors):
+def test_loads_that_unlike_rotors_explain_as_well_as_a_cg_name_both(shares, unlike, where):
     """Four loads have no more to say than a CG, the yaw trim and their sum."""
     found = advised(replace(HEALTH, rotors=loaded(*shares))).findings[0]
-    assert found.what == f"100.0 mm aft of the center, or {rotors} unlike the others"
+    assert found.what == f"100.0 mm aft of the center, or {unlike}"
     assert "if it tips that way, shift the CG 100.0 ± 6.7 mm forward; if not, look at " in found.do
-    assert f"look at {rotors}: propeller and pole count" in found.do
+    assert f"look at {where}: propeller and pole count" in found.do
+
+
+@pytest.mark.parametrize(("speed", "way"), [(0.86, "less"), (1.17, "more")])
+def test_a_rotor_of_six_that_no_cg_explains_is_named_in_place_of_a_cg(speed, way):
+    airframe = load_airframe("px4-hexa-x").with_arm(0.25)
+    x, y, _ = airframe.geometry
+    loads = 1.0 + 0.3 * x - 0.2 * y
+    shifted = advised(replace(HEALTH, airframe=airframe, rotors=loaded(*loads / loads.sum())))
+    assert shifted.findings[0].at == "the CG"
+    loads[2] *= speed**2
+    found = advised(replace(HEALTH, airframe=airframe, rotors=loaded(*loads / loads.sum())))
+    (finding,) = found.findings
+    assert finding.at == "rotor 3"
+    assert f"% {way} than balances the others" in finding.what
+    assert not any("shift" in text for text in found.advice)
 
 
 IDENTIFIED = {
@@ -62,7 +80,7 @@ def test_a_cg_that_an_analysis_only_guesses_decides_nothing():
     hovered = replace(HEALTH, cg=by_hover, rotors=loaded(0.2, 0.3, 0.2, 0.3))
     weak = {name: replace(e, status="weak") for name, e in IDENTIFIED.items()}
     shown = beside_analysis(hovered, result_of(weak, verdict="partial"))
-    assert "or rotors 2 and 4 unlike the others" in shown.findings[0].what
+    assert SIDES in shown.findings[0].what
 
 
 def test_speeds_beside_commands_or_moments_decide_between_cg_and_rotors():

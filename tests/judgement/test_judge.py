@@ -249,3 +249,9 @@ def test_a_gyro_that_contradicts_the_attitude_limits_what_rests_on_it():
         np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
     )
     assert judge(flight(gyro=sound)) == judge(flight())
+    # One that turns where nothing does tilts the attitude, and thrust with it.
+    biased = replace(sound, bias=np.array([0.01, 0.5, -0.02]))
+    found = judge(flight(gyro=biased))
+    assert any("pitch axis reads +0.50 rad/s beside what" in reason for reason in found.reasons)
+    assert {found.estimates[name].status for name in ("Iyy", "k_T")} == {"weak"}
+    assert found.estimates["Ixx"].status == "identified"

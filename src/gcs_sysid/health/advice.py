@@ -11,6 +11,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
 from gcs_sysid.results.health_view import OF_THE_DATA, READINGS, WAYS, cg_length
 from gcs_sysid.results.words import PLAIN, decimals_for
+from gcs_sysid.signals.rotor_readings import unlike_load
 
 _BY_BATTERY = (
     "Battery travel = shift × vehicle mass / battery mass (computed with --mass and --battery-mass)"
@@ -22,7 +23,7 @@ _PARTS = ("propeller and pole count of the ESC", "propeller, motor and ESC")
 def advised(health: Health) -> Health:
     """The health with what is found in it and all that is worth doing, the most important first."""
     at_full = _at_full_command(health)
-    rotors = [*_weak(health), *_unlike_motors(health)]
+    rotors = [*_weak(health), *_unlike_motors(health), *_unlike_loads(health)]
     # Where rotors differ, their loads show neither the CG nor what holds the heading.
     unlike = (
         bool(health.misread)
@@ -97,30 +98,29 @@ def _weak(health: Health) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _perhaps_unlike(health: Health) -> str:
-    """The rotors that would carry what they carry wherever the CG is, if they were unlike.
+def _perhaps_unlike(health: Health) -> tuple[str, str] | None:
+    """What else than a CG the loads may show: the rotors that are unlike, and those to look at.
 
     The balance of a hover has four equations: every load is that of some CG and yaw trim, and of
     one rotor, or those of one side, that lift another amount for their speed or command. Moments
     in flight decide (an analysis), speeds beside commands, and flights before.
 
     Returns:
-        Their names; empty where that is decided, or nothing is known of them.
+        None where that is decided, or nothing is known of them.
     """
     gains = all(rotor.motor_gain is not None for rotor in health.rotors)
     moved = health.condition is not None and health.condition.verdict == "cg"
     shares = [rotor.thrust_share.value for rotor in health.rotors]
     if gains or moved or health.cg_of_hover is not None or None in shares:
-        return ""
+        return None
     apart = np.array(shares, dtype=float)
     apart -= np.median(apart)
-    large = np.abs(apart) >= 0.5 * np.abs(apart).max()
-    # Of two sides that differ, the weaker one is what is usually wrong.
-    named = np.flatnonzero(large & (apart > 0.0) if (large & (apart > 0.0)).any() else large)
-    first, *others = (str(i + 1) for i in named)
-    if not others:
-        return f"rotor {first}"
-    return f"rotors {', '.join([first, *others[:-1]])} and {others[-1]}"
+    large = np.flatnonzero(np.abs(apart) >= 0.5 * np.abs(apart).max())
+    if len(large) == 1:
+        rotor = f"rotor {large[0] + 1}"
+        return f"{rotor} unlike the others", rotor
+    # Either side may be the one that is wrong.
+    return "the rotors of one side unlike those of the other", "all rotors"
 
 
 def _cg(health: Health) -> Iterator[Finding]:
@@ -146,9 +146,10 @@ def _cg(health: Health) -> Iterator[Finding]:
     if battery is not None and mass is not None:
         do = f"move the battery {' and '.join(moves)}"
     if rotors := _perhaps_unlike(health):
-        what += f", or {rotors} unlike the others"
+        unlike, where = rotors
+        what += f", or {unlike}"
         do = (
-            f"hold it at its center: if it tips that way, {do}; if not, look at {rotors}: "
+            f"hold it at its center: if it tips that way, {do}; if not, look at {where}: "
             f"{_PARTS[health.through_motors]}"
         )
     if battery is None or mass is None:
@@ -168,7 +169,7 @@ def _yaw(health: Health) -> Iterator[Finding]:
         more, less = less, more
     percent = 100.0 * abs(share.value)
     rotors = _perhaps_unlike(health)
-    or_rotors = f", or for what is wrong with {rotors}" if rotors else ""
+    or_rotors = f", or for what is wrong with {rotors[1]}" if rotors else ""
     yield Finding(
         "the motors' angles",
         f"{more} rotors carry {percent:.0f} % of the load more",
@@ -200,6 +201,27 @@ def _unlike_motors(health: Health) -> list[Finding]:
         "is clear"
     )
     return [Finding(f"motor {i}", what, do, spoils=True) for i, what in off]
+
+
+def _unlike_loads(health: Health) -> Iterator[Finding]:
+    """A rotor of six or more that carries what no CG asks of it: CG and yaw are open then."""
+    shares = [rotor.thrust_share.value for rotor in health.rotors]
+    if health.airframe is None or health.cg_of_hover is not None or None in shares:
+        return
+    loads = np.array(shares, dtype=float)
+    scatter = health.airframe.uncertainty.rotor_thrust.of(1.0) or TUNING.rotor_scatter
+    likely, over = unlike_load(loads, health.airframe.geometry, scatter)
+    if not likely:
+        return
+    name = "rotor " + " or ".join(str(i + 1) for i in likely)
+    by = ("speed", "command")[health.through_motors]
+    way = "more" if over > 1.0 else "less"
+    what = f"by its {by} carries {100.0 * abs(over - 1.0):.0f} % {way} than balances the others"
+    do = (
+        f"{name} {what}: look at {_PARTS[health.through_motors]}. What the CG and yaw are, and "
+        "whether to move anything, shows once that is clear"
+    )
+    yield Finding(name, what, do, spoils=True)
 
 
 def _margins(health: Health) -> Iterator[Finding]:

@@ -28,10 +28,18 @@ _NO_ACCELEROMETER = 1.0
 """Betaflight's acc_hardware = NONE."""
 _DEAD = 0.1
 """Share of a turn that a dead axis reads at most."""
+_MOST_BIAS = 0.15
+"""rad/s, to which autopilots' filters follow a gyro's bias (EKF2_GYR_B_LIM)."""
 
 
 def misread_axes(check: GyroAgainstAttitude) -> Mask:
     """(3,) which axes certainly do not read what the attitude turns."""
+    wrong = _misscaled(check)
+    return wrong if wrong.any() else np.abs(check.bias) > _MOST_BIAS
+
+
+def _misscaled(check: GyroAgainstAttitude) -> Mask:
+    """(3,) which certainly read another multiple of it."""
     std = np.hypot(np.diag(check.std), _SYSTEMATIC)
     scale = np.diag(check.gain)
     moved: Mask = check.turned > _MOVED
@@ -51,6 +59,14 @@ def gyro_fault(check: GyroAgainstAttitude) -> tuple[str, str] | None:
     gain = check.gain
     scale = np.diag(gain)
     mean = float(scale[wrong].mean())
+    if not _misscaled(check).any():
+        words = " and ".join(
+            f"{AXES[i]} axis reads {check.bias[i]:+.2f}" for i in np.flatnonzero(wrong)
+        )
+        return (
+            f"the gyro's {words} rad/s beside what the attitude turns",
+            "check the IMU, and have the one recorded that the autopilot flies by",
+        )
     if (check.turned > _MOVED).all() and (angles := _turned_by(gain)):
         words = " ".join(f"{axis} {angle}" for axis, angle in angles.items())
         return (
@@ -105,19 +121,20 @@ def _turned_by(gain: Array) -> dict[str, int]:
 def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
     """All that rests on an axis which the gyro does not read as the attitude turns.
 
-    Drag too: the attitude that it is found with is filtered with the gyro.
+    Drag too: the attitude that it is found with is filtered with the gyro. A bias tilts it, and so
+    concerns thrust.
     """
     if evidence.gyro is None or (fault := gyro_fault(evidence.gyro)) is None:
         return
     reason, how = fault
     axes = misread_axes(evidence.gyro)
+    forces = ("translation",) if _misscaled(evidence.gyro).any() else ("translation", "scale")
     yield Objection(
         reason,
         frozenset(
             name
             for name in evidence.estimates
-            if any(axes[axis] for axis in REGISTRY[name].axes)
-            or REGISTRY[name].fit == "translation"
+            if any(axes[axis] for axis in REGISTRY[name].axes) or REGISTRY[name].fit in forces
         ),
         cap="weak",
         verdict="partial",

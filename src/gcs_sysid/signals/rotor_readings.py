@@ -6,8 +6,9 @@ torque balances in hover, so that the stream by which it does not is the wrong o
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
 
 import numpy as np
 
@@ -118,35 +119,83 @@ def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
 
 def _unbalanced(speeds: Array, geometry: Array) -> OddReading | None:
     """The same of one stretch."""
-    rotors = speeds.shape[1]
     squares = np.nanmean(speeds**2, axis=0)
     if not (np.isfinite(squares).all() and squares.min() > 0.0):
         return None
-    loads = squares / squares.mean()
+    gains, over = _alone(squares / squares.mean(), geometry, 0.5 * APART)
+    rotor = int(np.argmax(gains))
+    sure = gains[rotor] > math.log(len(gains) / FALSE_ALARM_RATE)
+    # Less than half of its thrust no propeller gives that flies.
+    if not sure or abs(math.log(over[rotor])) < math.log(2.0):
+        return None
+    return OddReading(rotor, math.sqrt(over[rotor]), by_command=False)
+
+
+def unlike_load(loads: Array, geometry: Array, scatter: float) -> tuple[tuple[int, ...], float]:
+    """The rotor whose load no CG and no yaw trim explains beside those of the others.
+
+    Of four rotors any loads are those of a CG and a yaw trim, or of several rotors.
+
+    Args:
+        loads: (rotors,) squared speeds or thrusts by commands, in any unit.
+        geometry: (3, rotors) as of the airframe.
+        scatter: of rotors that are alike, 1 sigma.
+
+    Returns:
+        Which it may be, none where all may be alike, and the load over what balances the others.
+    """
+    if len(loads) <= 4 or not loads.min() > 0.0:
+        return (), 1.0
+    gains, over = _alone(loads / loads.mean(), geometry, scatter)
+    rotor = int(np.argmax(gains))
+    if gains[rotor] < math.log(len(gains) / FALSE_ALARM_RATE):
+        return (), 1.0
+    rivals = gains > gains[rotor] + math.log(FALSE_ALARM_RATE)
+    return tuple(int(i) for i in np.flatnonzero(rivals)), float(over[rotor])
+
+
+def _alone(loads: Array, geometry: Array, scatter: float) -> tuple[Array, Array]:
+    """(rotors,) nats by which the others' loads are likelier where one may carry anything, and its
+    load over what balances theirs; (rotors,) loads are relative to their mean.
+    """
+    rotors = len(loads)
     # Evenly within half of the arm, where a rotor of four would stand still, a CG has a standard
     # deviation of a quarter of it, which shifts half of the load. Motors' tilts shift less to yaw.
-    arm = np.hypot(*geometry[:2]).mean()
+    arm = float(np.hypot(*geometry[:2]).mean())
     modes = np.vstack([0.5 * geometry[:2] / arm, 0.25 * APART * geometry[2]])
-    covariance = modes.T @ modes + (0.5 * APART) ** 2 * np.eye(rotors)
-    keeps = [np.arange(rotors) != rotor for rotor in range(rotors)]
-    # The reading itself may be anything from a quarter to four times.
-    gains = [
-        _likelihood(loads[keep], covariance[np.ix_(keep, keep)]) - math.log(2.0 * math.log(16.0))
-        for keep in keeps
+    alike, own, over = -math.inf, np.full(rotors, -np.inf), np.ones(rotors)
+    for pattern in _coaxial_patterns(geometry, 0.2 * arm):
+        every = np.vstack([modes, 0.15 * pattern])
+        covariance = every.T @ every + scatter**2 * np.eye(rotors)
+        alike = max(alike, _likelihood(loads, covariance))
+        for rotor in range(rotors):
+            keep = np.arange(rotors) != rotor
+            of_others = covariance[np.ix_(keep, keep)]
+            # The load itself may be anything from a quarter to four times.
+            likely = _likelihood(loads[keep], of_others) - math.log(2.0 * math.log(16.0))
+            others = loads[keep] / loads[keep].mean()
+            weights = np.linalg.solve(of_others, covariance[keep, rotor])
+            balancing = float(loads[keep].mean()) * (1.0 + float(weights @ (others - 1.0)))
+            if likely > own[rotor] and balancing > 0.0:
+                own[rotor], over[rotor] = likely, loads[rotor] / balancing
+    return own - alike, over
+
+
+def _coaxial_patterns(geometry: Array, near: float) -> Iterator[Array]:
+    """(rotors,) 1 and -1 of the two rotors of each arm, in all ways: one is in the wash of the
+    other, on all arms alike. Zeros where there are no such pairs.
+    """
+    rotors = geometry.shape[1]
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(rotors), 2)
+        if math.hypot(*(geometry[:2, i] - geometry[:2, j])) < near
     ]
-    rotor = int(np.argmax(gains))
-    keep = keeps[rotor]
-    others = loads[keep] / loads[keep].mean()
-    weights = np.linalg.solve(covariance[np.ix_(keep, keep)], covariance[keep, rotor])
-    balancing = loads[keep].mean() * (1.0 + float(weights @ (others - 1.0)))
-    if balancing <= 0.0:
-        return None
-    factor = math.sqrt(loads[rotor] / balancing)
-    sure = gains[rotor] - _likelihood(loads, covariance) > math.log(rotors / FALSE_ALARM_RATE)
-    # Less than half of its thrust no propeller gives that flies.
-    if not sure or abs(math.log(factor)) < 0.5 * math.log(2.0):
-        return None
-    return OddReading(rotor, factor, by_command=False)
+    for signs in product((1.0, -1.0), repeat=max(len(pairs) - 1, 0)):
+        pattern = np.zeros(rotors)
+        for (i, j), sign in zip(pairs, (1.0, *signs), strict=False):
+            pattern[i], pattern[j] = sign, -sign
+        yield pattern
 
 
 def _likelihood(values: Array, covariance: Array) -> float:

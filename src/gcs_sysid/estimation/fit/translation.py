@@ -27,9 +27,6 @@ from gcs_sysid.model.parameters import GRAVITY
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
-ACCELEROMETER_WIDTH = 6
-"""Of the accelerometer [sum O, what a place in x, y and z adds, 1, output]."""
-
 ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, and a level calibration of
 a degree or two."""
@@ -207,7 +204,7 @@ def fit_accelerometer(
     """Fit thrust over mass to the accelerometer's z axis alone.
 
     Args:
-        batches: (k, ACCELEROMETER_WIDTH, ACCELEROMETER_WIDTH) moments of rows.
+        batches: (k, 6, 6) moments of rows [sum O, what a place in x, y and z adds, 1, output].
         counts: (k,) rows in each.
         gain: of this accelerometer against momentum balance, where that is known.
         place: m, standard deviation of each coordinate of where it is; 0: as it is believed.
@@ -265,7 +262,7 @@ def _layouts() -> tuple[Array, Array, Array]:
     momentum[:2, 0, 2] = 1.0
     momentum[0, 2, 3] = momentum[1, 2, 4] = 1.0
     # Unknowns: -kappa; then place and bias.
-    biased = np.eye(ACCELEROMETER_WIDTH - 1)[None]
+    biased = np.eye(5)[None]
     return momentum, biased[..., :1], biased
 
 
