@@ -188,6 +188,7 @@ def fit_whitened(
     only: Mask | None = None,
     *,
     scatter: bool = True,
+    others: bool = True,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -202,6 +203,7 @@ def fit_whitened(
         only: (k,) batches to fit; None: all.
         scatter: whether standard deviations count how far batches scatter; else, at three quarters
             of the cost, they are the bound.
+        others: whether deviations are chosen beside those given.
 
     Returns:
         The fit, or None while the data cannot even start one.
@@ -240,7 +242,7 @@ def fit_whitened(
         bank = replace(bank, data=weighed)
         solved = bank.solve(solved.trial)
         batches = weighed.of_axes(solved.pick)
-    for _ in range(_CHOSEN if choice is not None else 0):
+    for _ in range(_CHOSEN if choice is not None and others else 0):
         assert choice is not None
         chosen = bank.choose_deviations(solved, choice)
         if chosen.like(bank.deviations):

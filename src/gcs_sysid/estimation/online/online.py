@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
 from gcs_sysid.estimation.checks.validation import Validation
-from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
@@ -76,12 +75,7 @@ class OnlineEstimator:
         """Renews the prior with each warm start and full fit, by what the flight alone shows."""
         self._alone: RotationFit | None = None
         self._record = FlightRecord(geometry, dt, tuning)
-        self.choice = DeviationChoice(
-            geometry,
-            commands=tuning.rotor_input.motors,
-            place=tuning.rotor_place,
-            turn=tuning.imu_turn,
-        )
+        self.choice = self._record.choice
         """Of deviations from the model."""
         whitening = WhitenedEstimator(self._record, geometry, self.choice)
         self._thrust = ThrustEstimator(self._record, whitening, tuning.imu_place)

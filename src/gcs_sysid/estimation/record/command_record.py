@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.disturbance import RULES
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
@@ -231,6 +232,7 @@ class CommandRecord:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         batch_time: s, of long batches.
+        choice: of deviations, of which those given are unknowns.
         curve: thrust curve that is given; None: it is unknown.
         gyro_cutoff: Hz of the autopilot's second-order low-pass of its gyro; None: there is none.
     """
@@ -240,6 +242,7 @@ class CommandRecord:
         geometry: Array,
         dt: float,
         batch_time: float,
+        choice: DeviationChoice | None = None,
         curve: float | None = None,
         gyro_cutoff: float | None = None,
     ) -> None:
@@ -250,6 +253,7 @@ class CommandRecord:
         """Samples that wait for those they are averaged with."""
         self._dt = dt = self._together * dt
         self._geometry, self._batch_time, self._curve = geometry, batch_time, curve
+        self._choice = choice
         self._kept: list[_Samples | None] | None = []
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
@@ -545,7 +549,9 @@ class CommandRecord:
             start: what rows about other motors showed; None: from the data alone.
         """
         data = white.moments(white.silence)
-        return fit_whitened(data, basis, start, scatter=self._dt > _BETWEEN)
+        return fit_whitened(
+            data, basis, start, choice=self._choice, scatter=self._dt > _BETWEEN, others=False
+        )
 
     def _rounded(self, at: Array) -> Array:
         rounded: Array = np.rint(at / _GRID) * _GRID

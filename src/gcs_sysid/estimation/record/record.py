@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.whitener_choice import explained_by
 from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
 from gcs_sysid.estimation.noise.whitening import bank_for
@@ -79,6 +80,7 @@ class FlightRecord:
         commands: maker of whitened rows of commands; None where not requested.
         input_noise: of the rotors' stream.
         half_width: s, of the window.
+        choice: of deviations from the model.
     """
 
     def __init__(
@@ -122,11 +124,14 @@ class FlightRecord:
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
         self._of_speeds: WhitenedRecord | None = None
         self.commands: CommandRecord | None = None
+        self.choice = DeviationChoice(
+            geometry, commands=commands, place=tuning.rotor_place, turn=tuning.imu_turn
+        )
         steps = None
         if tuning.whitens(dt) and commands:
             given = tuning.curves[0] if len(tuning.curves) == 1 else None
             self.commands = CommandRecord(
-                geometry, dt, tuning.batch_time, given, tuning.gyro_cutoff
+                geometry, dt, tuning.batch_time, self.choice, given, tuning.gyro_cutoff
             )
         elif tuning.whitens(dt):
             step = step_for(dt)
