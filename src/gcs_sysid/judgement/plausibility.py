@@ -160,14 +160,12 @@ def aged_readings(evidence: Evidence) -> Iterator[Objection]:
     rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
     if rotation is None or not len(rotation.ages) or unlike_rotors(rotation, rotors)[0]:
         return
-    ages = rotation.ages - float(np.median(rotation.ages))
-    rotor = int(np.abs(ages).argmax())
-    if abs(ages[rotor]) > AGE:
-        # Six and more share four signals, by which several look alike.
-        which = f"rotor {rotor + 1}" if rotors <= _FEW else "one rotor"
+    apart = float(np.abs(rotation.ages - np.median(rotation.ages)).max())
+    if apart > AGE:
+        # Whose they are does not show: what rotors differ by otherwise looks much the same.
         yield Objection(
-            f"the readings of {which} are older or younger than those of the others, by some "
-            f"{1e3 * abs(ages[rotor]):.0f} ms",
+            "the readings of one rotor are older or younger than those of the others, by some "
+            f"{1e3 * apart:.0f} ms",
             frozenset(name for name in evidence.estimates if REGISTRY[name].fit == "rotation"),
             cap="weak",
             verdict="partial",
