@@ -210,6 +210,8 @@ def _unlike_loads(health: Health) -> Iterator[Finding]:
         return
     loads = np.array(shares, dtype=float)
     scatter = health.airframe.uncertainty.rotor_thrust.of(1.0) or TUNING.rotor_scatter
+    if health.through_motors:  # which scatter, too
+        scatter = math.hypot(scatter, TUNING.motor_scatter)
     likely, over = unlike_load(loads, health.airframe.geometry, scatter)
     if not likely:
         return
