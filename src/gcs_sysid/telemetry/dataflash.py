@@ -42,10 +42,6 @@ _FRAME_CLASSES = {
 _CHANNEL = re.compile(r"(?:C|Ch|Chan)(\d+)")
 
 
-def _from_degrees(angles: Array) -> Array:
-    return from_angles(np.radians(angles))
-
-
 _Q = ("Q1", "Q2", "Q3", "Q4")
 _NED = ("VN", "VE", "VD", "PN", "PE", "PD")
 ENTRIES = (
