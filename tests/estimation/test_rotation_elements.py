@@ -58,9 +58,10 @@ def test_what_is_left_is_twice_the_rise_of_the_likelihood(prior, index):
     assert Outcome(problem, best).left < 1e-6
 
 
-def astray(unknowns):
-    """A search that says it ended at these unknowns of each leak."""
-    return lambda problem, starts: (problem.evaluate(unknowns), np.ones(len(unknowns), bool))
+def astray(unknowns, *, converged=True):
+    """A search that ended at these unknowns of each leak."""
+    ended = np.full(len(unknowns), converged)
+    return lambda problem, starts: (problem.evaluate(unknowns), ended)
 
 
 def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
@@ -68,7 +69,7 @@ def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
     fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     off = fit.warm_start.unknowns.copy()
     off[0] *= 1.1
-    monkeypatch.setattr(window_fit, "search", astray(off[None]))
+    monkeypatch.setattr(window_fit, "search", astray(off[None], converged=False))
     again = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
     assert again.converged
     assert not again.warm_start.stuck

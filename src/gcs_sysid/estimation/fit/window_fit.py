@@ -237,25 +237,27 @@ def axis_damping_doubt(
     """
     theta = fit.theta
     W = np.linalg.inv(fit.residual_covariance)
+    n = rb.N_THETA
     Q, G = fit.deviating.jacobian(theta, fit.deviations)
-    G = G[: rb.N_THETA]
     D = np.linalg.inv(rb.inertia_matrix(theta)) @ OF_AXES
     inputs = rows[:N_X, :N_X]
     left = W @ (residual_maker(Q) @ rows)[:, :N_X]  # W r x'
     weighted = W @ G @ inputs
     H = np.einsum("kaz,laz->kl", weighted, G)
+    H[range(n, len(H)), range(n, len(H))] += fit.deviating.information
     C = np.einsum("kaz,saz->ks", weighted, D)
     inverse = _inverse(H)
     pull = np.einsum("kax,ax->k", G, left)
+    pull[n:] -= fit.deviating.information * fit.deviations
     S = inverse @ C
     if prior is not None:
-        n = rb.N_THETA
-        S = _inverse(H + prior.information[:n, :n]) @ C
-        pull = pull + prior.pull(fit.unknowns)[:n]
+        H[:n, :n] += prior.information[:n, :n]
+        S = _inverse(H) @ C
+        pull[:n] += prior.pull(fit.unknowns)[:n]
     own = np.einsum("saz,taz->st", W @ D @ inputs, D) - C.T @ S
     g = np.einsum("sax,ax->s", D, left) - S.T @ pull
     moments = np.abs(theta[rb.MOMENTS])
-    white = np.sqrt(np.diag(inverse))
+    white = np.sqrt(np.diag(inverse)[:n])
     known = np.zeros(rb.N_THETA, dtype=bool)
     known[rb.MOMENTS] = fit.data_std[rb.MOMENTS] < _KNOWN_TO * moments
     if not known.any():
@@ -273,6 +275,7 @@ def axis_damping_doubt(
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     P = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T * np.outer(sigma, sigma)
     phi = P @ g / f
+    S = S[:n]
     return S @ (P + np.outer(phi, phi)) @ S.T
 
 
