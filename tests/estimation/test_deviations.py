@@ -218,7 +218,8 @@ def test_intervals_hold_where_one_rotor_is_read_later_than_the_others():
 def test_a_turned_imu_is_no_rotor_of_another_torque():
     """What roll and pitch do is seen in yaw then, as if rotors differed in torque."""
     unknowns = unknowns_of()
-    every = DeviationChoice(QUAD, turn=np.radians(1.0)).every(unknowns)
+    choice = DeviationChoice(QUAD, turn=np.radians(1.0))
+    every = choice.every(unknowns)
     _, by_each = every.jacobian(unknowns, np.zeros(len(every.std)))
     by_each = by_each[rb.N_THETA :]
     turned = np.tensordot([1.0, -0.8, 0.0], by_each[-3:], 1)
@@ -234,7 +235,7 @@ def test_a_turned_imu_is_no_rotor_of_another_torque():
     exact, m = DeviationChoice(QUAD), len(every.std) - 3
     alone = exact.choose(exact.every(unknowns), unknowns, score[:m], information[:m, :m])
     assert np.abs(alone.ratios).any()
-    competing = exact.choose(every, unknowns, score, information)
+    competing = choice.choose(every, unknowns, score, information)
     assert not competing.ratios.any()
 
 

@@ -269,6 +269,23 @@ class DeviationChoice:
         trim = np.array([-unknowns[rb.CG_Y], unknowns[rb.CG_X], 1.0, 0.0])
         return trim @ self._signal
 
+    def _units(self, unknowns: Array) -> Array:
+        """(m,) of what sizes are shares of, then standard deviations of what is given."""
+        kinds = self._kind
+        return np.concatenate(
+            [
+                np.abs(unknowns[rb.MOMENTS]),
+                np.ones((kinds == _THRUST).sum()),
+                np.full((kinds == _TORQUE).sum(), max(abs(float(unknowns[rb.MOMENT_RATIO])), 1e-6)),
+                self.given.std,
+            ]
+        )
+
+    def largest(self, unknowns: Array) -> Array:
+        """(m,) the largest standard deviations that are tried, or given."""
+        largest = np.array([max(sizes) for sizes in SIZES.values()])[self._kind]
+        return self._units(unknowns) * np.append(largest, np.ones(len(self.given.std)))
+
     def choose(
         self, every: Deviations, unknowns: Array, score: Array, information: Array
     ) -> Deviations:
@@ -282,15 +299,8 @@ class DeviationChoice:
             information: (m, m) of the same.
         """
         kinds = self._kind
-        given = every.std[len(kinds) :]
-        units = np.concatenate(
-            [
-                np.abs(unknowns[rb.MOMENTS]),
-                np.ones((kinds == _THRUST).sum()),
-                np.full((kinds == _TORQUE).sum(), max(abs(float(unknowns[rb.MOMENT_RATIO])), 1e-6)),
-                given,
-            ]
-        )
+        units = self._units(unknowns)
+        given = units[len(kinds) :]
         g, H = score * units, information * np.outer(units, units)
         found, last = list(self._least), np.ones(len(given))
         best = evidence_for(g, H, np.concatenate([np.array(found)[kinds], last]))

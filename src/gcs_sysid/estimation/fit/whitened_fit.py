@@ -29,7 +29,7 @@ from gcs_sysid.estimation.fit.problem import (
 )
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
-from gcs_sysid.estimation.fit.whitener_choice import TRY, AxisFit, BankProblem
+from gcs_sysid.estimation.fit.whitener_choice import REACH, TRY, AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
@@ -56,8 +56,6 @@ _JUDGED = 3
 """Rounds of judging batches, each by the fit without those found before."""
 _CHOSEN = 3
 """Times that deviations from the model are chosen again."""
-_REACH = 2
-"""Neighbors of a batch with correlated scores: innovations have little memory."""
 _STRETCHES, _STEPS = 3, 10
 """A minute has about as many kinds of maneuver; iterations without one of them."""
 
@@ -244,7 +242,7 @@ def fit_whitened(
         batches = weighed.of_axes(solved.pick)
     for _ in range(_CHOSEN if choice is not None and others else 0):
         assert choice is not None
-        chosen = bank.choose_deviations(solved, choice)
+        chosen = bank.choose_deviations(solved, choice, *_of_motion(bank, solved, batches))
         if chosen.like(bank.deviations):
             break
         # Whiteners too: what the model lacked looked like a disturbance.
@@ -279,6 +277,14 @@ def fit_whitened(
     )
 
 
+def _of_motion(bank: BankProblem, solved: AxisFit, batches: Array) -> tuple[Array, Array]:
+    """The batches kept, grouped, without the noise that is known; and their rows."""
+    data = bank.data
+    own, counts = grouped(batches[bank.kept], data.counts[bank.kept], data.grouped)
+    own -= NOISE_SHARE * counts[:, None, None, None] * data.noise[list(solved.pick)]
+    return own, counts
+
+
 def _with_scatter(
     bank: BankProblem,
     solved: AxisFit,
@@ -303,18 +309,17 @@ def _with_scatter(
     """
     data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
     noise = data.noise[list(solved.pick)]
-    batches, counts = grouped(batches[bank.kept], data.counts[bank.kept], data.grouped)
-    batches -= NOISE_SHARE * counts[:, None, None, None] * noise
+    batches, counts = _of_motion(bank, solved, batches)
     scores = outcome.scores(0, batches, counts)
     inverse_root = outcome.roots[1][0]
-    spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
+    spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
     disturbed = solved.trial.detected.max() > RULES.detected
     if disturbed or bank.deviations.shown:
         # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
         # all scatter counts, proved or not.
-        spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))
+        spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
     spread = spread[None]
-    widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
+    widening = student_factor(outcome.shares(0, batches), REACH, by_scatter)[None]
     if data.own:
         # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)

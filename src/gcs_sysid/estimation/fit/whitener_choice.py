@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.fit.disturbance import BankTrial
+from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import (
     LEAST_POWER,
@@ -24,6 +26,7 @@ from gcs_sysid.estimation.fit.problem import (
 )
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
+from gcs_sysid.estimation.noise.uncertainty import meat
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
@@ -32,6 +35,8 @@ _SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 30
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
+REACH = 2
+"""Neighbors of a batch with correlated scores: innovations have little memory."""
 _AXES = np.arange(3)
 
 
@@ -189,28 +194,46 @@ class BankProblem:
             point.power / self.rows + NOISE_SHARE * of_noise, LEAST_POWER * point.variance
         )
 
-    def choose_deviations(self, fit: AxisFit, choice: DeviationChoice) -> Deviations:
-        """The deviations for which there is evidence, from one look at all of them."""
+    def choose_deviations(
+        self, fit: AxisFit, choice: DeviationChoice, batches: Array, counts: NDArray[np.int64]
+    ) -> Deviations:
+        """The deviations for which there is evidence, from one look at all of them.
+
+        A likelihood of colored innovations counts their rows for more than they are. So it is
+        divided by the scatter of the scores, of the model with all deviations (Burnham and Anderson
+        2002, Model Selection and Multimodel Inference, section 2.5); by its median over the
+        unknowns, as a few of them scatter by chance. By commands, where errors of the motors
+        scatter too and vehicles usually deviate, all that helps is taken.
+
+        Args:
+            fit: without them, or with some.
+            choice: of them.
+            batches: (k, 3, width, width) with its whiteners, without the noise that is known.
+            counts: (k,) rows in each.
+        """
         point = fit.point
         every = choice.every(point.unknowns[0])
         n, m = rb.N_THETA, len(every.std)
         places = list(fit.pick)
-        problem = AxisProblem(
-            self.total[places][None],
-            self.rows,
-            self.basis,
-            self.prior,
-            self.data.noise[places][None],
-            replace(every, std=np.full(m, np.inf)),
+        free, bounded = (
+            AxisProblem(
+                self.total[places][None],
+                self.rows,
+                self.basis,
+                self.prior,
+                self.data.noise[places][None],
+                replace(every, std=std),
+            )
+            for std in (np.full(m, np.inf), choice.largest(point.unknowns[0]))
         )
-        unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
+        unknowns = free.extended(point.unknowns[:, :N_UNKNOWNS])
         # The fit in terms of all deviations: the same torque, the same turn.
         effect = point.unknowns[0, N_UNKNOWNS:] @ self.deviations.effects
         phi = np.linalg.lstsq(every.effects.T, effect, rcond=None)[0]
         unknowns[:, N_UNKNOWNS:] = phi
-        gradient, hessian = (part[0] for part in problem.with_prior(problem.evaluate(unknowns)))
+        gradient, hessian = (part[0] for part in free.with_prior(free.evaluate(unknowns)))
         of = np.arange(n, n + m)
-        others = np.setdiff1d(np.arange(problem.p), of)
+        others = np.setdiff1d(np.arange(free.p), of)
         d = scales(hessian[None])[0][others]
         cross = hessian[np.ix_(others, of)] / d[:, None]
         inverse = np.linalg.pinv(
@@ -218,7 +241,14 @@ class BankProblem:
         )
         information = hessian[np.ix_(of, of)] - cross.T @ inverse @ cross
         score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
-        return choice.choose(every, point.unknowns[0], score + information @ phi, information)
+        scatter = 1.0
+        if not self.basis.motors:
+            outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
+            root = outcome.roots[1][0]
+            spread = root @ meat(outcome.scores(0, batches, counts), REACH) @ root
+            scatter = max(float(np.median(np.diag(spread))), 1.0)
+        score += information @ phi
+        return choice.choose(every, point.unknowns[0], score / scatter, information / scatter)
 
 
 def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
