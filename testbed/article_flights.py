@@ -26,8 +26,6 @@ PHYSICS_RATE = 1000.0
 """Hz."""
 RPM = 2.0 * np.pi / 60.0
 """rad/s; ESC_STATUS carries whole ones."""
-MEMS_SPEED_STD = 0.5
-"""rad/s, of the rotor speeds in the "mems" noise model (`sim_bridge.sensors`)."""
 
 
 @lru_cache(maxsize=32)

@@ -168,13 +168,6 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     assert (after.rotation.std < before.rotation.std).all()
 
 
-@pytest.mark.parametrize("lag", [0.02, 0.15])
-def test_motors_are_found_however_far_the_search_starts(commands, lag):
-    found = commands._converged(np.array([0.0, lag, 0.1, 0.0, 0.0]), "speed", 0.4)
-    assert found.is_within(0.3)
-    np.testing.assert_allclose(found.fit.rotation.coordinates[1:3], [LAG, 0.0], atol=1e-3)
-
-
 def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(estimator):
     """Its lag came out twice too large, with an interval of 2 %."""
     rigid = estimator.fit().rotation

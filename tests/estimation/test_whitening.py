@@ -17,9 +17,6 @@ from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.signals.one_step import OneStep, step_for
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 
@@ -233,17 +230,3 @@ def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
         std = fit.rotation.std
         assert np.all(np.abs(piece.rotation.theta - fit.rotation.theta) < 1e-3 * std)
         assert np.all(np.abs(fit.rotation.theta[:3] - truth[:3]) < 4.0 * std[:3])
-
-
-@pytest.mark.slow
-@pytest.mark.thorough  # narrowing is shown above on a flight of a third of the time
-@pytest.mark.parametrize("start", [20.6, 21.0])
-def test_a_flight_that_begins_elsewhere_is_the_same_vehicle(start, shared_log):
-    """A poor fit to the first quarter-minute gave up the whiteners that the rest needs."""
-    log = shared_log("px4-esc-cg.tlog")
-    airframe = load_airframe("px4-quad-x").with_arm(0.2404).with_anchor("mass", 1.1)
-    found = analyze_log(log, airframe, options=ChainOptions(start=start, end=80.0)).parameters[
-        "Ixx"
-    ]
-    assert found.status == "identified"
-    assert found.value == pytest.approx(0.018, rel=0.02)

@@ -8,7 +8,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
-from testbed.recordings import airframe_of, thinned, truth_of
+from testbed.recordings import airframe_of, truth_of
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 
@@ -107,23 +107,6 @@ def test_slow_logs_are_refused_with_reasons():
     result = analyze_log(LOGS / "public" / "real-quad-mavlink1.tlog", airframe)
     assert result.verdict == "refused"
     assert any("too slow to follow the rotors" in reason for reason in result.reasons)
-
-
-@pytest.mark.thorough  # its digits are held by `make accept`
-def test_a_second_flight_on_commands_goes_on(shared_log, tmp_path):
-    """50 Hz with 5 % of the messages lost: a fifth of the time."""
-    name = "px4_quad_two_flights_unchanged"
-    log = thinned(shared_log(f"{name}.tlog"), tmp_path / f"{name}.tlog", seed=1)
-    result = analyze_log(log, load_airframe(str(LOGS / f"{name}.toml")))
-    assert result.rotor_input == "command"
-    assert not result.segments
-    assert result.parameters["T_max"].value == pytest.approx(8.2, rel=0.01)
-    for axis, true in (("Ixx", 0.03), ("Iyy", 0.024), ("Izz", 0.046)):
-        estimate = result.parameters[axis]
-        assert estimate.value == pytest.approx(true, rel=0.04)
-        assert abs(estimate.value - true) < 1.96 * estimate.std
-    # All of both flights.
-    assert result.telemetry["used_seconds"] > 105.0
 
 
 @pytest.mark.thorough
