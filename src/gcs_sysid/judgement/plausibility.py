@@ -117,7 +117,7 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
         return
     likely, share = unlike_rotors(rotation, rotors)
     apart = rotor_coefficients(rotation, rotors)[0] - 1.0
-    if likely:
+    if 0 < len(likely) < rotors:
         apart = share * (np.eye(rotors)[likely[0]] - 1.0 / rotors) / (1.0 + share / rotors)
         which = " or ".join(str(i + 1) for i in sorted(likely))
         what = f"rotor {which} by {100.0 * share:+.0f} % of the others"
