@@ -72,14 +72,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--rate", type=count(1, 1000), nargs="+", default=RATES, metavar="HZ", help="of the IMU"
     )
     parser.add_argument("--mission", choices=ALL_MISSIONS, nargs="+", default=MISSIONS)
-    parser.add_argument("--workers", type=count(1, 64), default=WORKERS, metavar="N")
     options = parser.parse_args(argv)
     head = "rate | mission | flights | held of claimed | share | worst error, half widths"
     print(*markdown(head), sep="\n")
     least = 1.0
     for cell in [(rate, mission) for rate in options.rate for mission in options.mission]:
         seeds = range(1, options.seeds + 1)
-        outcomes = in_processes(partial(fly, cell), seeds, options.workers, f"{cell[0]} {cell[1]}")
+        outcomes = in_processes(partial(fly, cell), seeds, WORKERS, f"{cell[0]} {cell[1]}")
         cells, share = row(cell, outcomes)
         least = min(least, share)
         print(f"| {' | '.join(cells)} |", flush=True)
