@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.truth import page
+from gcs_sysid.argument_types import count
 from testbed import emulated, independent, recordings
 from testbed.emulated import Recording
 from testbed.judge import judge
@@ -81,10 +82,10 @@ def make_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = arguments(__doc__)
     names = [*_BY_NAME, *independent.PLANTS, LOGS]
-    parser.add_argument("--vehicles", type=int, default=8, metavar="N", help="of each scenario")
+    parser.add_argument("--vehicles", type=count(1, 9999), default=8, help="of each scenario")
     parser.add_argument("--only", choices=names, action="append", help="may be repeated")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
-    parser.add_argument("--workers", type=int, default=WORKERS)
+    parser.add_argument("--workers", type=count(1, 64), default=WORKERS)
     parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     return parser
 
@@ -92,8 +93,6 @@ def make_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is asked for."""
     options = make_parser().parse_args(argv)
-    if options.vehicles < 1 or options.workers < 1:
-        sys.exit("--vehicles and --workers begin at 1")
     order = [*_BY_NAME, *independent.available()]
     says = {**{n: s.says for n, s in _BY_NAME.items()}, **_SAYS}
     for name in [] if options.page else order:
