@@ -218,7 +218,7 @@ class DeviationChoice:
         """Whether rotors or IMU may not be where they are given."""
         return bool(self._turn) or len(self._places) > 0
 
-    @property
+    @cached_property
     def given(self) -> Deviations:
         """Of what is given, in its standard deviations."""
         axes = np.eye(3) if self._turn else np.zeros((0, 3))

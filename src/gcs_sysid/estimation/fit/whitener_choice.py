@@ -215,8 +215,9 @@ class BankProblem:
         every = choice.every(point.unknowns[0])
         n, m = rb.N_THETA, len(every.std)
         places = list(fit.pick)
-        free, bounded = (
-            AxisProblem(
+
+        def axes(std: Array) -> AxisProblem:
+            return AxisProblem(
                 self.total[places][None],
                 self.rows,
                 self.basis,
@@ -224,8 +225,8 @@ class BankProblem:
                 self.data.noise[places][None],
                 replace(every, std=std),
             )
-            for std in (np.full(m, np.inf), choice.largest(point.unknowns[0]))
-        )
+
+        free = axes(np.full(m, np.inf))
         unknowns = free.extended(point.unknowns[:, :N_UNKNOWNS])
         # The fit in terms of all deviations: the same torque, the same turn.
         effect = point.unknowns[0, N_UNKNOWNS:] @ self.deviations.effects
@@ -243,6 +244,7 @@ class BankProblem:
         score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
         scatter = 1.0
         if not self.basis.motors:
+            bounded = axes(choice.largest(point.unknowns[0]))
             outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
             root = outcome.roots[1][0]
             spread = root @ meat(outcome.scores(0, batches, counts), REACH) @ root
