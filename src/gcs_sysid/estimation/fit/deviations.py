@@ -27,9 +27,13 @@ for sigma is
     ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
 
 (empirical Bayes). A kind without evidence stays out: undisturbed flights of equal rotors lose
-nothing by it. On commands, yaw carries little information on its damping, and on k_M only at low
-frequency, where damping matters: there damping by axis is always an unknown, with a size typical of
-multirotors, since without it moment_ratio was up to 9 % too large with no evidence of it.
+nothing by it. Only thrust comes in with torque: a rotor that leans differs in torque alone, another
+propeller or a speed that is read wrong in both, and where six rotors and more hide that in roll and
+pitch, the CG is not known better than it.
+
+On commands, yaw carries little information on its damping, and on k_M only at low frequency, where
+damping matters: there damping by axis is always an unknown, with a size typical of multirotors,
+since without it moment_ratio was up to 9 % too large with no evidence of it.
 
 An IMU turned by a degree looks much like rotors of unequal torque: roll and pitch motion then shows
 in yaw. As an unknown of its own it competes with them for the evidence.
@@ -303,20 +307,26 @@ class DeviationChoice:
         given = units[len(kinds) :]
         g, H = score * units, information * np.outer(units, units)
         found, last = list(self._least), np.ones(len(given))
-        best = evidence_for(g, H, np.concatenate([np.array(found)[kinds], last]))
+
+        def stds(sizes: list[float]) -> Array:
+            damping, thrust, torque = sizes
+            allowed = max(thrust, min(torque, max(SIZES["thrust"])))
+            return np.concatenate([np.array([damping, allowed, torque])[kinds], last])
+
+        best = evidence_for(g, H, stds(found))
         for _ in range(3):
             before = list(found)
             for kind, tried in enumerate(SIZES.values()):
                 least = self._least[kind]
                 for size in (least, *(size for size in tried if size > least)):
                     sizes = [*found[:kind], size, *found[kind + 1 :]]
-                    evidence = evidence_for(g, H, np.concatenate([np.array(sizes)[kinds], last]))
+                    evidence = evidence_for(g, H, stds(sizes))
                     evidence -= SURE * np.count_nonzero(np.greater(sizes, self._least))
                     if evidence > best:
                         best, found = evidence, sizes
             if found == before:
                 break
-        std = np.concatenate([np.array(found)[kinds], last]) * units
+        std = stds(found) * units
         use = std > 0.0
         if not use.any():
             return NO_DEVIATIONS
