@@ -28,7 +28,7 @@ $(PROGRAM_INSTALLED): pyproject.toml constraints.txt
 # The pip of Python 3.11 and 3.12 knows no dependency groups.
 $(INSTALLED): $(PROGRAM_INSTALLED)
 	$(PIP) 'pip>=25.1'
-	$(PIP) --editable '.[fleet,cluster]' --group dev
+	$(PIP) --editable '.[fleet,cluster,mcap]' --group dev
 	@touch $@
 
 demo: $(PROGRAM_INSTALLED) ## fly the emulator and identify it on the live screen
