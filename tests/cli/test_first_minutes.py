@@ -227,6 +227,9 @@ def test_the_doctor_as_json(ports, capsys):
     assert findings[f"UDP {free}"]["sign"] == "ok"
     assert findings["vehicle"]["sign"] == "warning"
     assert status == (1 if any(f["sign"] == "problem" for f in findings.values()) else 0)
+    for never in (f"udpin:127.0.0.1:{taken}", f"udpin:203.0.113.9:{free}"):
+        assert run(["doctor", "--duration", "0.1", never]) == 1
+        assert "\nready" not in capsys.readouterr().out
 
 
 def test_the_doctor_hears_a_vehicle_and_is_not_heard(ports, capsys, monkeypatch):
@@ -238,8 +241,8 @@ def test_the_doctor_hears_a_vehicle_and_is_not_heard(ports, capsys, monkeypatch)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         open_ears = listening.open_ears
 
-        def speak(urls):
-            opened = open_ears(urls)
+        def speak(*given):
+            opened = open_ears(*given)
             vehicle.sendto(bytes(beat.pack(packer)), ("127.0.0.1", free))
             return opened
 

@@ -51,6 +51,8 @@ def receive(receiver, count):
         ("udp://:14540@127.0.0.1:14557", "udpin", "0.0.0.0", 14540),
         ("udp://@10.0.0.1:14550", "udpout", "10.0.0.1", 14550),
         ("udp://127.0.0.1:14550/?ids=255,240", "udpin", "127.0.0.1", 14550),
+        ("tcp://10.0.0.1:5760?ids=1,1", "tcp", "10.0.0.1", 5760),
+        ("tcpout://10.0.0.1:5760", "tcp", "10.0.0.1", 5760),
     ],
 )
 def test_network_links_are_named_as_in_mavproxy_mavsdk_and_mavros(text, kind, host, port):
@@ -69,6 +71,7 @@ def test_network_links_are_named_as_in_mavproxy_mavsdk_and_mavros(text, kind, ho
         ("/dev/ttyACM0:57600", "/dev/ttyACM0", 57600),
         ("serial:///dev/ttyUSB0:57600", "/dev/ttyUSB0", 57600),
         ("serial:///dev/ttyUSB0:57600?ids=1,1", "/dev/ttyUSB0", 57600),
+        ("/dev/ttyACM0:57600?ids=1,240", "/dev/ttyACM0", 57600),
         ("/dev/serial/by-path/pci-0-usb-0:3:1.0", "/dev/serial/by-path/pci-0-usb-0:3:1.0", 921600),
         ("/dev/serial/by-id/usb-3D_Robotics:0", "/dev/serial/by-id/usb-3D_Robotics:0", 921600),
     ],

@@ -156,7 +156,7 @@ def test_a_log_is_read_as_it_was_packed(tmp_path, sender, ulog_file):
     ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
     (tmp_path / "a.gz").write_bytes(gzip.compress(ulog_file.bytes()))
     with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
-        archive.writestr("__MACOSX/._a", b"of a file system")
+        archive.writestr("__MACOSX/logs/._a.ulg", b"of a file system")
         archive.writestr("logs/a.ulg", ulog_file.bytes())
     for name in ("a.gz", "b.zip"):
         log = open_log(tmp_path / name)

@@ -61,10 +61,13 @@ def _links(options: argparse.Namespace) -> list[SetupFinding]:
                 f"{url}: a vehicle there answers only to messages, and doctor only listens"
             )
     findings = check_serial(serial_devices())
-    usual = listening.usual_urls()
-    extra = [url for url in asked if (url.kind, url.port) not in {(u.kind, u.port) for u in usual}]
-    ears, opened = listening.open_ears([*usual, *extra])
-    findings += opened
+    named = {url.port for url in asked if url.kind == "udpin"}
+    usual = [url for url in listening.usual_urls() if url.port not in named]
+    ears = []
+    for urls, taken in ((usual, Sign.WARNING), (asked, Sign.PROBLEM)):
+        opened, found = listening.open_ears(urls, taken)
+        ears += opened
+        findings += found
     if sys.stderr.isatty():
         print(f"listening for {options.duration:g} s ...", file=sys.stderr, flush=True)
     listening.listen(ears, options.duration)

@@ -37,8 +37,14 @@ class Ear:
         return str(self.link.url)
 
 
-def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[SetupFinding]]:
+def open_ears(
+    urls: Sequence[LinkUrl], taken: Sign = Sign.WARNING
+) -> tuple[list[Ear], list[SetupFinding]]:
     """Open links to listen on.
+
+    Args:
+        urls: of the links.
+        taken: how bad it is that another program has a port.
 
     Returns:
         Those that could be opened, and a finding on every one.
@@ -50,16 +56,16 @@ def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[SetupFinding]]:
         try:
             ears.append(Ear(open_link(url), VehicleSelector()))
         except LinkError as error:
-            findings.append(_not_open(topic, url, error))
+            findings.append(_not_open(topic, url, error, taken))
         else:
             findings.append(SetupFinding(topic, Sign.OK, f"free ({use})" if use else "open"))
     return ears, findings
 
 
-def _not_open(topic: str, url: LinkUrl, error: LinkError) -> SetupFinding:
+def _not_open(topic: str, url: LinkUrl, error: LinkError, taken: Sign) -> SetupFinding:
     # Windows calls a port that is kept exclusively a matter of permission.
-    taken = getattr(error.__cause__, "errno", None) in (errno.EADDRINUSE, errno.EACCES)
-    if not (taken and url.kind == "udpin" and url.port >= 1024):
+    in_use = getattr(error.__cause__, "errno", None) in (errno.EADDRINUSE, errno.EACCES)
+    if not (in_use and url.kind == "udpin" and url.port >= 1024):
         return SetupFinding(topic, Sign.PROBLEM, str(error))
     holder = holder_of_udp_port(url.port)
     advice = [] if holder else [_who_has(url.port)]
@@ -68,7 +74,7 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> SetupFinding:
         "QGroundControl: Application Settings, MAVLink, localhost:14445",
         "MAVProxy: output add 127.0.0.1:14445",
     ]
-    return SetupFinding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
+    return SetupFinding(topic, taken, f"in use by {holder or 'another program'}", advice)
 
 
 def _who_has(port: int) -> str:
@@ -131,7 +137,7 @@ def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
         "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
         "without a vehicle: gcs-sysid demo",
     ]
-    return [SetupFinding("vehicle", Sign.WARNING, text, advice)]
+    return [SetupFinding("vehicle", Sign.WARNING if ears else Sign.PROBLEM, text, advice)]
 
 
 def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> str:

@@ -203,7 +203,8 @@ def opened_log(path: Path) -> Iterator[IO[bytes] | gzip.GzipFile]:
 
 
 def _only_log(path: Path, archive: zipfile.ZipFile) -> str:
-    names = [name for name in archive.namelist() if not name.endswith("/")]
+    # macOS puts a hidden file beside each.
+    names = [n for n in archive.namelist() if not (n.endswith("/") or Path(n).name[:1] == ".")]
     logs = [name for name in names if Path(name).suffix.lower() in LOG_SUFFIXES]
     wanted = logs or names
     if len(wanted) != 1:

@@ -13,7 +13,11 @@ FORMS = (
     "or a serial device such as /dev/ttyUSB0 or COM3"
 )
 DEFAULT_BAUD = 115200
-_NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
+_NETWORK_KINDS = {
+    "udp": "udpin",  # as in pymavlink
+    "tcpout": "tcp",  # as of MAVSDK
+    **{kind: kind for kind in ("udpin", "udpout", "tcpin", "tcp")},
+}
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
 _RATE_BEHIND = re.compile(r"(.+[^:/]):(\d{4,})")
 """A device and its baud rate: ports of hubs, which names end in too, have fewer digits."""
@@ -76,20 +80,21 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
         raise InputError(f"no link given: use {FORMS}")
     if not text.isprintable():
         raise InputError(f"cannot understand the link {text!r}: a name is one line of text")
-    kind, colon, rest = text.partition(":")
+    plain = text.partition("?")[0]  # MAVROS has options behind
+    kind, colon, rest = plain.partition(":")
     kind, slashes, rest = kind.lower(), rest.startswith("//"), rest.removeprefix("//")
     if colon and kind in _NETWORK_KINDS:
         if slashes and "@" in rest:  # MAVROS: udp://[BIND]@[REMOTE]
             bind, _, remote = rest.partition("@")
             kind, rest = ("udpin", bind) if bind else ("udpout", remote)
-        if slashes and rest.startswith(":") and kind in ("udp", "udpin", "tcpin"):
+        kind = _NETWORK_KINDS[kind]
+        if slashes and rest.startswith(":") and kind in ("udpin", "tcpin"):
             rest = f"0.0.0.0{rest}"  # as of MAVSDK: on any address
         host, port = _host_and_port(rest.partition("/")[0] if slashes else rest, text)
-        # `udp:` listens, as in pymavlink.
-        return LinkUrl("udpin" if kind == "udp" else kind, text, host, port)
+        return LinkUrl(kind, text, host, port)
     if Path(text).suffix.lower() in ANY_SUFFIX:
         raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
-    own_text = rest.partition("?")[0] if kind == "serial" and colon else text
+    own_text = rest if kind == "serial" and colon else plain
     device, comma, own_baud = own_text.partition(",")
     if not comma and (rate := _RATE_BEHIND.fullmatch(device)) is not None:
         device, comma, own_baud = rate[1], ":", rate[2]  # as MAVSDK, MAVROS and Windows write it
@@ -107,8 +112,8 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
             baud=DEFAULT_BAUD if baud is None else baud,
             baud_chosen=baud is not None,
         )
-    if colon and text.count(":") == 1 and rest.isdecimal():
-        host, port = _host_and_port(text, text)
+    if colon and plain.count(":") == 1 and rest.isdecimal():
+        host, port = _host_and_port(plain, text)
         return LinkUrl("udpin", text, host, port)  # as in pymavlink
     raise InputError(f"cannot understand the link {text!r}: use {FORMS}")
 
