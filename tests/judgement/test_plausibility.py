@@ -25,6 +25,7 @@ from gcs_sysid.judgement.plausibility import (
     implausible,
     placeholder_arm,
     reread_speeds,
+    unseen_rotors,
 )
 from gcs_sysid.judgement.status import NOTHING, by_interval
 from gcs_sysid.model import rigid_body as rb
@@ -339,6 +340,15 @@ def test_a_rotor_that_reads_otherwise_is_named_and_leaves_the_mean_uncertain(spe
 def test_none_is_named_where_several_rotors_differ():
     (found, _) = differing_rotors(turning([1.25, 1.0, 1.25, 1.0]))
     assert "by up to 11 % of the mean" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "unlike", "shown"),
+    [("hexa", None, True), ("hexa", 0.01, False), ("hexa", 0.11, True), ("quad", 0.11, False)],
+)
+def test_where_no_flight_shows_unlike_rotors_commands_must(name, unlike, shown):
+    layout = load_airframe(f"px4-{name}-x")
+    assert shown is any(unseen_rotors(replace(turning(np.ones(6)), airframe=layout, unlike=unlike)))
 
 
 @pytest.mark.parametrize(

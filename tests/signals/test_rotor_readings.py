@@ -9,6 +9,7 @@ from gcs_sysid.signals.rotor_readings import (
     moved_columns,
     odd_reading,
     unbalanced_reading,
+    unlike_squares,
 )
 
 SPIN = np.array([1.0, 1.0, -1.0, -1.0])
@@ -111,14 +112,12 @@ def test_a_weak_motor_turns_as_fast_as_it_must():
 
 def test_motors_that_all_differ_are_no_pole_count():
     """None that read otherwise would bring yaw into balance."""
-    u, omega = flown()
-    found = odd_reading(omega * [1.25, 0.9, 1.02, 0.85], u, np.array([-1.0, 1.0, 1.0, -1.0]))
+    u, omega = flown(cg=0.02)
+    apart = [1.25, 0.9, 1.02, 0.85]
+    found = odd_reading(omega * apart, u, np.array([-1.0, 1.0, 1.0, -1.0]))
     assert found is None or not found.by_command
-
-
-def test_scatter_of_motors_is_not_odd():
-    u, omega = flown()
     assert odd_reading(omega * [1.03, 0.98, 1.04, 0.97], u, SPIN) is None
+    assert unlike_squares(omega, u) < 0.01 < 0.2 < unlike_squares(omega * apart, u)
 
 
 def test_too_few_readings_say_nothing():

@@ -93,6 +93,8 @@ class Evidence:
         filtered: whether the gyro comes through a low-pass, which colors its noise.
         given: name -> standard deviation that comes from what was given, SI.
         assumed: of the unit of the rotors' input, in words; empty where it is known.
+        unlike: share by which rotors' speeds squared are not those of their commands; None where no
+            commands show it.
         reread: whether rotor speeds declared as rpm were read as rad/s.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
@@ -122,6 +124,7 @@ class Evidence:
     filtered: bool = False
     given: Mapping[str, float] = field(default_factory=dict)
     assumed: str = ""
+    unlike: float | None = None
     reread: bool = False
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None

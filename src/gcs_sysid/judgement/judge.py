@@ -61,6 +61,7 @@ PRODUCERS = (
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer("readings", plausibility.differing_rotors, Stage.WIDENING),
+    Producer("readings", plausibility.unseen_rotors, Stage.FLIGHT),
     Producer("ages", plausibility.aged_readings, Stage.FLIGHT),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),
     Producer("spin", plausibility.unseen_spins, Stage.BELIEF),

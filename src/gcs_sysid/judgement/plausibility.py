@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from gcs_sysid.estimation.parameters.given_errors import unseen_shift
 from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients, unlike_rotors
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.model.airframe import Airframe, own_units_words
@@ -150,6 +151,30 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
                 verdict="identified",
                 by="spin-up",
             )
+
+
+def unseen_rotors(evidence: Evidence) -> Iterator[Objection]:
+    """Rotors that may be unlike as no flight shows, and whose commands do not show them alike."""
+    if (
+        evidence.rotor_input.motors
+        or evidence.fit.rotation is None
+        or np.allclose(unseen_shift(evidence.airframe), 0.0)
+        or (evidence.unlike is not None and evidence.unlike < 0.5 * APART)
+    ):
+        return
+    what, how = "no commands show that the rotors are alike", "record the commands, too"
+    if evidence.unlike is not None:
+        what = (
+            f"at their commands rotors differ by {100.0 * evidence.unlike:.0f} % in speed squared"
+        )
+        how = "check propellers, motors and the pole counts of their ESCs"
+    yield Objection(
+        f"{what}: those of one side that lift less for their speed look like a CG",
+        frozenset({"cg_x", "cg_y", "k_T", "k_M"}),
+        cap="weak",
+        verdict="partial",
+        how=how,
+    )
 
 
 def aged_readings(evidence: Evidence) -> Iterator[Objection]:

@@ -98,6 +98,26 @@ def odd_reading(speeds: Array, commands: Array, spin: Array) -> OddReading | Non
     return OddReading(rotor, ratio, bool(by_command < apart < by_speed - by_command))
 
 
+def unlike_squares(speeds: Array, commands: Array) -> float | None:
+    """Share, rms over the rotors, by which squares of speeds are not those of their commands.
+
+    Thrust goes with a power of the command between the first and the second; lag averages out.
+
+    Args:
+        speeds: (n, rotors) in any unit; NaN: no reading.
+        commands: (m, rotors) of 0 to 1, of the same stretch of flight.
+
+    Returns:
+        By the power for which it is least; None where a rotor did not turn.
+    """
+    squares, asked = np.nanmean(speeds, axis=0) ** 2, np.nanmean(commands, axis=0)
+    if not (squares.min() > 0.0 and asked.min() > 0.0):
+        return None
+    y, x = (np.log(v) - np.log(v).mean() for v in (squares, asked))
+    power = float(np.clip(x @ y / max(float(x @ x), 1e-300), 1.0, 2.0))
+    return float(np.sqrt(np.mean((y - power * x) ** 2)))
+
+
 def unbalanced_reading(speeds: Array, geometry: Array) -> OddReading | None:
     """The rotor whose speed no balance of a hover bears out, if one does; without any commands.
 

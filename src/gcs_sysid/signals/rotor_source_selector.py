@@ -35,6 +35,7 @@ from gcs_sysid.signals.rotor_readings import (
     odd_reading,
     together,
     unbalanced_reading,
+    unlike_squares,
 )
 from gcs_sysid.signals.rotor_units import (
     DEFINED_SPEEDS,
@@ -43,6 +44,7 @@ from gcs_sysid.signals.rotor_units import (
     RotorSource,
     assumed_unit,
     command_range,
+    normalized,
 )
 
 STRETCH = 2.5
@@ -392,6 +394,7 @@ class RotorSourceSelector:
                 scale=scale,
                 interval=_apart(stretch),
                 stops=_stops(stretch.rotors(count)),
+                unlike=self._unlike(measured, stretches, commands[:1]),
             )
         for name in commands if wanted in (None, RotorInput.COMMAND) else ():
             range_ = self._range(name, stretches[name])
@@ -470,6 +473,17 @@ class RotorSourceSelector:
         count = len(self._airframe.rotors)
         measured, asked = (together(stretch.rotors(count)) for stretch in (speeds, commands))
         return odd_reading(measured, asked, self._airframe.geometry[2])
+
+    def _unlike(
+        self, measured: Array, stretches: Mapping[str, Stretch], commands: Sequence[str]
+    ) -> float | None:
+        """Share by which squares of speeds are not those of the commands; None: it is not known."""
+        for name in commands:
+            range_ = self._range(name, stretches[name])
+            if not isinstance(range_, str):
+                asked = together(stretches[name].rotors(len(self._airframe.rotors)))
+                return unlike_squares(measured, normalized(asked, range_))
+        return None
 
     def _too_slow(self, stretch: Stretch) -> bool:
         """Whether rotors so slow could not carry the vehicle however large they were."""

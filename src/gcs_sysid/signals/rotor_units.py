@@ -214,6 +214,7 @@ class RotorSource:
         order: of motors among outputs, by which the stream is sorted.
         assumed: of its unit, in words; empty where that is known.
         stops: whether speeds of 0 are rotors that stand, which have been seen to slow down.
+        unlike: of speeds, see `rotor_readings.unlike_squares`; None: no commands show it.
     """
 
     kind: RotorInput
@@ -226,6 +227,7 @@ class RotorSource:
     order: MotorOrder = field(default_factory=MotorOrder)
     assumed: str = ""
     stops: bool = False
+    unlike: float | None = None
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""

@@ -69,7 +69,7 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
     scale = resolve_scale(given.anchor, fit.translation, given.priors)
     airframe = given.airframe
     arm, middle = _common_errors(airframe)
-    center = np.hypot(middle, _unseen_shift(airframe))
+    center = np.hypot(middle, unseen_shift(airframe))
     of_mass, of_thrust = np.zeros((2, len(CAUSES)))
     of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
     weight = np.ones(rb.N_THETA)
@@ -122,7 +122,7 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
     return arm, single / math.sqrt(n)
 
 
-def _unseen_shift(airframe: Airframe) -> Array:
+def unseen_shift(airframe: Airframe) -> Array:
     """(2,) standard deviations, m, of the center of thrust by rotors that are unlike and no more.
 
     With thrusts (1 + e_i) of the mean torque e_i (-y_i, x_i) O_i is added, O_i of the four signals
