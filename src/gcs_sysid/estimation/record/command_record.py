@@ -445,7 +445,7 @@ class CommandRecord:
         """
         # Starts that are rounded to the same motors lead to the same.
         unlike = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
-        every = [self._converged(at, of, hover) for at, of in unlike.values()]
+        every = [self._converged(at, of, hover, self._now) for at, of in unlike.values()]
         first = min(
             (tuned for tuned in every if tuned is not None),
             key=lambda tuned: tuned.rank,
@@ -454,11 +454,11 @@ class CommandRecord:
         if first is None:
             return None
         if not places:
-            return first, self.doubt
+            return self._with_all_whiteners(first, hover), self.doubt
         found, start = [first], first.fit.rotation.coordinates
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, first)
+                tuned = self._converged(start, other, hover, first, leading=first)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
@@ -466,7 +466,7 @@ class CommandRecord:
         cost = np.array([tuned.cost for tuned in found])
         best = int(np.argmin(cost))
         # By all whiteners it may be another one that is likeliest.
-        while len(found[best].white.whiteners) < len(first.white.whiteners):
+        while not self._has_all_whiteners(found[best]):
             found[best] = self._with_all_whiteners(found[best], hover)
             cost[best] = found[best].cost
             best = int(np.argmin(cost))
@@ -495,7 +495,14 @@ class CommandRecord:
         return found[best], doubt
 
     def _converged(
-        self, at: Array, of: LagOf, hover: float, leading: TunedRows | None = None
+        self,
+        at: Array,
+        of: LagOf,
+        hover: float,
+        alike: TunedRows | None,
+        *,
+        leading: TunedRows | None = None,
+        whole: bool = False,
     ) -> TunedRows | None:
         """Rows about the motors of one place of the lag; None while there is no fit.
 
@@ -503,18 +510,18 @@ class CommandRecord:
             at: motors to start from.
             of: what lags.
             hover: mean command.
+            alike: rows about other motors, whose likely whiteners are tried.
             leading: rows of the place that this one is but compared with.
+            whole: whether all whiteners are tried.
         """
         tuned, now = None, self._now
-        alike = now if leading is None else leading
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
-            if leading is not None:
-                maker, white = self._made(basis, hover, leading.near, alike)
-            elif now is not None and self._holds(now, basis, hover):
+            if leading is None and now is not None and self._holds(now, basis, hover):
                 basis, maker, white = now.basis, now.maker, now.white
             else:
-                maker, white = self._made(basis, hover, alike=alike)
+                whiteners = None if whole or alike is None else alike.near
+                maker, white = self._made(basis, hover, whiteners, alike)
             start = alike.fit.rotation if alike is not None and alike.trusted else None
             found = self._fitted(white, basis, start)
             if found is None:
@@ -559,10 +566,16 @@ class CommandRecord:
             rounded[Coordinate.CURVE] = self._curve
         return rounded
 
+    def _has_all_whiteners(self, tuned: TunedRows) -> bool:
+        return len(tuned.white.whiteners) == len(bank_for_commands(step_of(self._dt).time))
+
     def _with_all_whiteners(self, tuned: TunedRows, hover: float) -> TunedRows:
         """The same of rows that can be gone on with; by more whiteners motors may be others."""
+        if self._has_all_whiteners(tuned):
+            return tuned
         place = tuned.basis.lag_place.of
-        converged = self._converged(tuned.fit.rotation.coordinates, place, hover)
+        at = tuned.basis.at if tuned.stayed else tuned.next_at
+        converged = self._converged(at, place, hover, tuned, whole=True)
         if converged is not None:
             return converged
         maker, white = self._made(tuned.basis, hover, alike=tuned)
