@@ -212,14 +212,20 @@ def fit_whitened(
     bank = BankProblem(data, basis, prior, kept, deviations)
     if bank.rows < 3 * rb.N_THETA:
         return None
+    pick = None if start is None else bank.places(start.whiteners)
     if start is None:
         trial = bank.scanned()
+        if trial is None:
+            return None
+        solved = bank.solve_from(trial)
     else:
         assert start.warm_start is not None
-        trial = bank.tried(start.warm_start.unknowns)
-    if trial is None:
-        return None
-    solved = bank.solve(trial)
+        unknowns = start.warm_start.unknowns
+        solved = (
+            bank.solve_from(bank.tried(unknowns))
+            if pick is None
+            else bank.solve(pick, unknowns[None])
+        )
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         TP, variance = _innovation_maker(solved), solved.point.variance[0]
@@ -229,7 +235,7 @@ def fit_whitened(
         # The fit without the worst of them sees the rest.
         kept = wanted & ~shocks
         bank = replace(bank, kept=kept)
-        solved = bank.solve(solved.trial)
+        solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = data.of_axes(solved.pick)
     weighed = data
     if data.own:
@@ -238,7 +244,7 @@ def fit_whitened(
         relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
         weighed = data.weighed(relative)
         bank = replace(bank, data=weighed)
-        solved = bank.solve(solved.trial)
+        solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = weighed.of_axes(solved.pick)
     for _ in range(_CHOSEN if choice is not None and others else 0):
         assert choice is not None
@@ -247,7 +253,7 @@ def fit_whitened(
             break
         # Whiteners too: what the model lacked looked like a disturbance.
         bank = replace(bank, deviations=chosen)
-        solved = bank.solve(bank.tried(solved.point.unknowns[0, :N_UNKNOWNS]))
+        solved = bank.solve(solved.trial.pick, solved.point.unknowns[:, :N_UNKNOWNS])
         batches = weighed.of_axes(solved.pick)
     outcome = Outcome(solved.problem, solved.point)
     p = solved.problem.p
@@ -260,10 +266,9 @@ def fit_whitened(
         if data.judges:
             r_squared = _explained(solved, data.total(kept), data.judges)
             fit = replace(fit, r_squared=r_squared)
-    pick = list(solved.pick)
     fit = replace(
         fit,
-        whiteners=tuple(data.whiteners[i] for i in pick),
+        whiteners=tuple(data.whiteners[i] for i in solved.pick),
         disturbance=solved.trial.detected,
         deviating=bank.deviations,
     )
@@ -437,7 +442,7 @@ def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:
     """The fit to moments under every whitener, from the data alone; None: nothing to start from."""
     bank = BankProblem(data, basis)
     trial = bank.scanned()
-    return None if trial is None else bank.solve(trial)
+    return None if trial is None else bank.solve_from(trial)
 
 
 def _innovation_maker(solved: AxisFit) -> Array:

@@ -5,6 +5,7 @@ is found by the power of the innovations, within its bounds. As a free column it
 where torque predicts the motion best, which under feedback is the inverse of the controller.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +28,7 @@ from gcs_sysid.estimation.fit.problem import (
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import meat
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
@@ -102,22 +103,39 @@ class BankProblem:
         moments, noise = self.total[places][None], self.data.noise[places][None]
         return AxisProblem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
 
-    def solve(self, trial: BankTrial) -> AxisFit:
-        """Fit with the whiteners of a trial; and once more, should others be better there."""
-        pick = trial.pick
-        unknowns = trial.unknowns[list(pick)]
-        for again in (True, False):
+    def solve(self, pick: tuple[int, ...], starts: Array) -> AxisFit:
+        """Fit with a whitener for each axis, or with others, should these be better there.
+
+        Args:
+            pick: whitener of each axis.
+            starts: (n, N_UNKNOWNS or more), of which the likeliest is taken.
+        """
+        for again in (True, True, False):
             problem = self.axes(pick)
-            # From what the first axis or the others found, whichever is nearer to all of it.
-            starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
-            best = min(starts, key=lambda start: float(start.cost[0]))
-            point, converged = minimize(problem, best.unknowns, _FIT)
+            unknowns = problem.extended(starts)
+            if len(unknowns) > 1:
+                costs = [float(problem.evaluate(u[None]).cost[0]) for u in unknowns]
+                unknowns = unknowns[[int(np.argmin(costs))]]
+            point, converged = minimize(problem, unknowns, _FIT)
             trial = self.tried(point.unknowns[0])
             fit = AxisFit(problem, point, bool(converged[0]), pick, trial)
             if not again or trial.pick == pick:
                 break
-            pick, unknowns = trial.pick, point.unknowns
+            pick, starts = trial.pick, point.unknowns
         return fit
+
+    def solve_from(self, trial: BankTrial) -> AxisFit:
+        """Fit with the whiteners of a trial.
+
+        From what the first axis or the others found, whichever is nearer to all of it.
+        """
+        return self.solve(trial.pick, np.unique(trial.unknowns[list(trial.pick)], axis=0))
+
+    def places(self, whiteners: Sequence[Whitener]) -> tuple[int, ...] | None:
+        """Of those of the axes in the bank; None: it lacks one."""
+        known = {whitener.name: i for i, whitener in enumerate(self.data.whiteners)}
+        found = tuple(known[w.name] for w in whiteners if w.name in known)
+        return found if len(found) == len(_AXES) else None
 
     def tried(self, unknowns: Array, limit: int = _AGAIN) -> BankTrial:
         """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""

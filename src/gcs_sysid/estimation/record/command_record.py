@@ -297,7 +297,7 @@ class CommandRecord:
         if self._now is None or seconds < self._check:
             return False
         self._check = _CHECKED * seconds
-        found = self._fitted(self._now.white, self._now.basis)
+        found = self._fitted(self._now.white, self._now.basis, self._now.fit.rotation)
         return found is not None and not replace(self._now, fit=found).trusted
 
     def distance_doubt(self, fit: RotationFit) -> Array:
@@ -541,7 +541,8 @@ class CommandRecord:
 
     def _start_from(self, tuned: TunedRows) -> tuple[Array, LagOf]:
         """Motors that rows show by now, and what lags; those of the rows, where they stayed."""
-        found, of = self._fitted(tuned.white, tuned.basis), tuned.basis.lag_place.of
+        found = self._fitted(tuned.white, tuned.basis, tuned.fit.rotation)
+        of = tuned.basis.lag_place.of
         now = tuned if found is None else replace(tuned, fit=found)
         return (tuned.basis.at if now.stayed else now.next_at), of
 
