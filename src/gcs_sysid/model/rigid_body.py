@@ -163,7 +163,7 @@ def least_second_moment(elements: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(J)
     axis = vectors[..., -1]
     trace = np.trace(INERTIA_BASIS, axis1=1, axis2=2)
-    along = np.einsum("...i,kij,...j->...k", axis, INERTIA_BASIS, axis)
+    along = (axis[..., None, None, :] @ INERTIA_BASIS @ axis[..., None, :, None])[..., 0, 0]
     return 0.5 * values.sum(axis=-1) - values[..., -1], 0.5 * trace - along
 
 
@@ -185,12 +185,23 @@ def forward_matrix(theta: Array, torque: Array | float = 0.0) -> Array:
     return np.linalg.inv(inertia_matrix(theta)) @ (_input_matrix(theta) + torque)
 
 
-def forward_jacobian(theta: Array, torque: Array | float = 0.0) -> tuple[Array, Array]:
-    """Q(theta) and its derivative dQ/dtheta, shape (..., N_THETA, 3, N_SIGNALS); as above."""
+def forward_jacobian(
+    theta: Array, torque: Array | float = 0.0, others: Array = INPUT_SLOPE[:0]
+) -> tuple[Array, Array]:
+    """Q(theta) and its derivatives by theta and by what m other torques are multiplied with.
+
+    Args:
+        theta: (..., N_THETA).
+        torque: as above.
+        others: (m, 3, N_SIGNALS).
+
+    Returns:
+        (..., 3, N_SIGNALS) and (..., N_THETA + m, 3, N_SIGNALS).
+    """
     J_inv = np.linalg.inv(inertia_matrix(theta))
     Q = J_inv @ (_input_matrix(theta) + torque)
-    slope = np.empty((*theta.shape[:-1], N_THETA, 3, N_SIGNALS))
-    slope[...] = INPUT_SLOPE
+    slope = np.empty((*theta.shape[:-1], N_THETA + len(others), 3, N_SIGNALS))
+    slope[..., :N_THETA, :, :], slope[..., N_THETA:, :, :] = INPUT_SLOPE, others
     slope[..., :N_INERTIA, :, :] -= INERTIA_BASIS @ Q[..., None, :, :]
     return Q, J_inv[..., None, :, :] @ slope
 

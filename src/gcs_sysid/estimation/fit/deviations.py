@@ -119,9 +119,14 @@ class Deviations:
     def _turning(self) -> bool:
         return bool(self.turns.any())
 
+    @cached_property
+    def _flat(self) -> Array:
+        return self.torques.reshape(len(self.std), 3 * N_X)
+
     def torque(self, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
-        return np.tensordot(phi, self.torques, 1)
+        torque: Array = (phi @ self._flat).reshape(*phi.shape[:-1], 3, N_X)
+        return torque
 
     def forward(self, theta: Array, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) Q of w' = Q x, both as the IMU reads them.
@@ -133,30 +138,22 @@ class Deviations:
         Q = rb.forward_matrix(theta[..., : rb.N_THETA], self.torque(phi))
         if not self._turning:
             return Q
-        R, back = self._turned(phi)
-        return R @ Q @ back
+        R = rotation_by(phi @ self.turns)[0]
+        return R @ Q @ _back(R)
 
     def jacobian(self, theta: Array, phi: Array) -> tuple[Array, Array]:
         """That Q and its derivatives by theta and phi, (..., N_THETA + m, 3, N_SIGNALS)."""
-        theta = theta[..., : rb.N_THETA]
-        if not len(self.std):
-            return rb.forward_jacobian(theta)
-        Q, G = rb.forward_jacobian(theta, self.torque(phi))
-        J_inv = np.linalg.inv(rb.inertia_matrix(theta))
-        G = np.concatenate([G, J_inv[..., None, :, :] @ self.torques], axis=-3)
+        Q, G = rb.forward_jacobian(theta[..., : rb.N_THETA], self.torque(phi), self.torques)
         if not self._turning:
             return Q, G
-        R, back = self._turned(phi)
+        R, after = rotation_by(phi @ self.turns)
+        back = _back(R)
         Q, G = R @ Q @ back, R[..., None, :, :] @ G @ back[..., None, :, :]
         by_turn = missed_by(PER_TURN, Q[..., None, :, :])
-        along = self.turns @ np.swapaxes(_turn_after(phi @ self.turns), -1, -2)
-        G[..., rb.N_THETA :, :, :] += np.einsum("...mk,...kax->...max", along, by_turn)
+        along = self.turns @ np.swapaxes(after, -1, -2)
+        by_phi = along @ by_turn.reshape(*by_turn.shape[:-2], -1)
+        G[..., rb.N_THETA :, :, :] += by_phi.reshape(*by_phi.shape[:-1], 3, N_X)
         return Q, G
-
-    def _turned(self, phi: Array) -> tuple[Array, Array]:
-        """(..., 3, 3) R and what makes the body's signals of those read."""
-        R = rotation_by(phi @ self.turns)
-        return R, turned(np.swapaxes(R, -1, -2))[..., :N_X, :N_X]
 
     def like(self, other: "Deviations") -> bool:
         """Whether they are the same, of the same size, and torques differ by next to nothing."""
@@ -384,30 +381,25 @@ def evidence_for(g: Array, H: Array, std: Array) -> float:
     return 0.5 * float(np.sum(along**2 / (1.0 + values) - np.log1p(values)))
 
 
-def rotation_by(turn: Array) -> Array:
-    """(..., 3, 3) R of rates w as read by an IMU that is turned by (..., 3) rad: R w."""
-    first, second = _powers(turn)
-    size = np.linalg.norm(turn, axis=-1)[..., None, None]
-    return (
-        np.eye(_AXES)
-        + np.sinc(size / np.pi) * first
-        + 0.5 * np.sinc(0.5 * size / np.pi) ** 2 * second
-    )
+def rotation_by(turn: Array) -> tuple[Array, Array]:
+    """Of an IMU that is turned by (..., 3) rad.
 
-
-def _turn_after(turn: Array) -> Array:
-    """(..., 3, 3) small turn that follows one of (..., 3) rad, by what is added to that.
-
-    Left Jacobian of rotations, to fourth order in the turn.
+    Returns:
+        (..., 3, 3) R of rates R w that it reads of w, and A, the left Jacobian of rotations: where
+        d is added to the turn, the small turn A d follows it. A to fourth order in the turn.
     """
-    first, second = _powers(turn)
+    first = (turn @ _CROSS.reshape(3, 9)).reshape(*turn.shape[:-1], 3, 3)
+    second = first @ first
     square = (turn * turn).sum(axis=-1)[..., None, None]
-    return np.eye(_AXES) + (0.5 - square / 24.0) * first + (1.0 / 6.0 - square / 120.0) * second
+    size = np.sqrt(square) + 1e-9
+    rise, bend = np.sin(size) / size, 2.0 * (np.sin(0.5 * size) / size) ** 2
+    R = np.eye(_AXES) + rise * first + bend * second
+    return R, np.eye(_AXES) + bend * first + (1.0 / 6.0 - square / 120.0) * second
 
 
-def _powers(turn: Array) -> tuple[Array, Array]:
-    first = np.tensordot(turn, _CROSS, 1)
-    return first, first @ first
+def _back(R: Array) -> Array:
+    """(..., N_SIGNALS, N_SIGNALS) what makes the body's signals of those read."""
+    return turned(np.swapaxes(R, -1, -2))[..., :N_X, :N_X]
 
 
 def turned(R: Array) -> Array:
