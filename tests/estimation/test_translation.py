@@ -170,6 +170,14 @@ def test_a_thrust_that_varies_tells_the_bias(bias):
     assert enough.kappa != enough.unbiased
 
 
+def test_a_thrust_that_hardly_varies_does_not_show_the_bias():
+    """Drag of 3 mm/s^2 that follows thrust of 6 per mille is 5 % of its slope."""
+    rows = accelerometer_rows(sigma=0.01, variation=0.006)
+    rows[:, -1] -= 0.05 * (rows[:, -1] - rows[:, -1].mean())
+    fit = fit_accelerometer(*moments(rows))
+    assert fit.kappa == pytest.approx(KAPPA, abs=1.96 * fit.kappa_std)
+
+
 @pytest.mark.parametrize("place", [(0.22, 0.0, 0.13), (0.0, -0.1, -0.2), (0.0, 0.0, 0.0)])
 def test_rotation_shows_where_the_accelerometer_is(place):
     batches, counts = moments(accelerometer_rows(sigma=0.02, place=place))

@@ -39,7 +39,8 @@ TILT_ERROR_SHARE = 5e-4
 that is allowed for; the horizontal axes may show that it is less."""
 
 GAIN_DRIFT = 5e-4
-"""Relative change of the gain that half an hour of temperature may bring (5 mm/s^2 of bias)."""
+"""Relative change of the gain that half an hour of temperature may bring, or thrust (5 mm/s^2 of
+bias)."""
 
 _MIN_ROWS = 50
 _MIN_CALIBRATED_ROWS = 12
@@ -243,6 +244,14 @@ def _with_bias(batches: Array, rows: int, total: Array, usual: Array) -> tuple[f
     balance = _Balance(total[None, None], np.array([rows]), _BIASED[..., unknown])
     balance.converge()
     information = balance.information(balance.inflation(batches[:, None]))[0]
+    # What else pushes as thrust varies, drag or a bias that vibration shifts, tilts the line of
+    # specific force over thrust about its middle.
+    mean, output = total[[0, -1], -2] / rows
+    apart = GAIN_DRIFT * GRAVITY / np.sqrt(max(float(total[-1, -1]) / rows - output**2, _TINY))
+    tilted = np.zeros(len(information))
+    tilted[0], tilted[-1] = (apart * float(balance.estimate[0, 0])) * np.array([1.0, -mean])
+    moved = information @ tilted
+    information = information - np.outer(moved, moved) / (1.0 + tilted @ moved)
     units = np.append(1.0 / np.sqrt(information[0, 0]), usual)[unknown]
     known = information * np.outer(units, units) + np.diag([0.0, *np.ones(len(units) - 1)])
     value = np.linalg.solve(known, units * (information @ balance.estimate[0]))
