@@ -1,7 +1,7 @@
 """Rotors against an earlier flight: which one is weak, or has the CG moved?
 
 What a rotor must do in hover, lambda_i = Omega_i^2 over thrust per mass (or its commanded thrust
-over it), changes by r_i against a flight before. Three things can change it:
+over it), changes by a share r_i against a flight before. Three things can change it:
 
 - a rotor gives less thrust, with its torque or without: with four rotors it alone answers, with
   more the others take their part;
@@ -198,7 +198,7 @@ def compare_loads(
     """
     x, y, spin = airframe.geometry
     n = len(x)
-    r = np.log(now.value / before.value)
+    r: Array = now.value / before.value - 1.0
     w = before.value / before.value.sum()
     lever = np.array([x - cg[0], y - cg[1]])
     effect = np.vstack([np.ones(n), lever, spin])
@@ -254,24 +254,26 @@ def compare_loads(
         for moments in (whole, whole * (1.0, 1.0, 1.0, 0.0)):
             pattern = asked(moments)
             left, value, covariance = fitted(pattern[:, None])
-            answers.append((left, float(value[0]), math.sqrt(float(covariance[0, 0]))))
-        left, extra, std = min(answers)
-        left += each
-        if extra > 0.0:
-            best.append((left, i, extra, std))
+            lacks, std = float(value[0]), math.sqrt(float(covariance[0, 0]))
+            # What it lacks is a share of its load as it is now.
+            more = 1.0 + lacks * float(pattern[i])
+            answers.append((left + each, i, lacks / more, std / more**2))
+        likeliest = min(answers)
+        if likeliest[2] > 0.0:
+            best.append(likeliest)
     best.sort()
     margin = 0.0
     others = min(left_unchanged, left_cg, left_all, left_both, left_yaw)
-    changes: Array = np.expm1(r)
-    efficiency = _shrunk(r, noise, n)
+    changes, efficiency = r, _shrunk(np.log1p(r), noise, n)
     shift = float(moved[0]), float(moved[1])
-    large = bool(best) and best[0][2] > -math.log1p(-TUNING.least_loss)
+    large = bool(best) and best[0][2] > TUNING.least_loss
     if best:
-        left, rotor, extra, std = best[0]
+        left, rotor, lost, std = best[0]
         second = _rival(best)
         margin = min(others - left, second - left)
         if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
-            loss = Estimate(-math.expm1(-extra), std * math.exp(-extra), "1")
+            # What is answered how rests on rotors that are alike.
+            loss = Estimate(lost, math.hypot(std, TUNING.rotor_scatter * lost), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     # Where no rotor is weaker, the best weak rotor has lost nothing.
     left_best = min((entry[0] for entry in best), default=left_unchanged)
@@ -340,7 +342,8 @@ def watch_rotors(
         cg: (2,) m.
 
     Returns:
-        The first rotor named in two stretches that follow each other, and how many were judged.
+        The first rotor named in two stretches that follow each other, or beyond doubt in one; and
+        how many were judged.
     """
     first, count = (round(s / hover.half) for s in (TUNING.learned_from, TUNING.judged_by))
     if len(hover.t) < first + count:
@@ -362,7 +365,9 @@ def watch_rotors(
         judged += 1
         found = compare_loads(base, now, airframe, cg, unchanged=True)
         named = found.rotor if found.verdict == "rotor" else None
-        if named is not None and named == before:
+        # Twice the margin shows as much as two stretches do.
+        sure = named == before or found.margin > 2.0 * TUNING.named_margin
+        if named is not None and sure:
             return Weakened(float(hover.t[start + count - 1]), found), judged
         before = named
     return None, judged
