@@ -4,7 +4,7 @@ import argparse
 import functools
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,13 @@ def run(options: argparse.Namespace) -> int:
     one_by_one, deliveries = OneByOne(options.logs), output.Deliveries()
     for log in options.logs:
         with one_by_one.attempt(log):
-            read = ReadLog(Path(log), options.vehicle)
+            bar = output.progress_bar(log)
+            # Reading takes some third of the time, before the flight is analyzed.
+            reading, rest = output.part_of(bar, 0.0, 0.3), output.part_of(bar, 0.3, 1.0)
+            read = ReadLog(Path(log), options.vehicle, reading)
             health = read.health(given)
             given = against_first(given, health)
-            document, lines = _found(log, health, read.again(), options)
+            document, lines = _found(log, health, read.again(), options, rest)
             documents.append(document)
             words.append(document["summary"]["word"])
             text = "\n".join([*([""] if len(documents) > 1 else []), *lines])
@@ -57,11 +60,15 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _found(
-    log: str, health: Health, opened: Log, options: argparse.Namespace
+    log: str,
+    health: Health,
+    opened: Log,
+    options: argparse.Namespace,
+    progress: Callable[[float], None] | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """The content of a file, and the text for a screen."""
     width = min(output.terminal_width() or output.TEXT_WIDTH, output.TEXT_WIDTH)
-    airframe, progress = health.airframe, output.progress_bar(log)
+    airframe = health.airframe
     sized = airframe is not None and health.arm_known and airframe.anchor() is not None
     if airframe is not None and sized and not health.contradicted:
         chain = ChainOptions(history_interval=None)

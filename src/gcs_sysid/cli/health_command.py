@@ -54,7 +54,8 @@ def flights_of(options: argparse.Namespace) -> tuple[list[Health], bool]:
     one_by_one = OneByOne(options.logs)
     for log in options.logs:
         with one_by_one.attempt(log):
-            health = health_of_log(Path(log), given, options.vehicle)
+            bar = output.progress_bar(log)
+            health = health_of_log(Path(log), given, options.vehicle, progress=bar)
             found.append(health)
             given = against_first(given, health)
     return found, bool(one_by_one.failed)

@@ -281,6 +281,13 @@ def progress_bar(what: str) -> Callable[[float], None] | None:
     return show
 
 
+def part_of(
+    bar: Callable[[float], None] | None, start: float, end: float
+) -> Callable[[float], None] | None:
+    """The part of a progress line, shares of it, that one of several passes takes."""
+    return None if bar is None else lambda share: bar(start + share * (end - start))
+
+
 @contextlib.contextmanager
 def on_signals(stop: Callable[[], None]) -> Iterator[None]:
     """Ctrl-C, SIGTERM and a lost terminal end the work cleanly, with its result.

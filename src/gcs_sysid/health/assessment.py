@@ -1,7 +1,7 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -58,6 +58,7 @@ def health_of_log(
     given: HealthOptions,
     wanted: tuple[int, int | None] | None = None,
     span: tuple[float, float] = (0.0, math.inf),
+    progress: Callable[[float], None] | None = None,
 ) -> Health:
     """What the hover in a recording shows.
 
@@ -66,11 +67,12 @@ def health_of_log(
         given: what is known beforehand.
         wanted: system and perhaps component; None: the first autopilot in it.
         span: s from the first record, between which hover counts.
+        progress: as of `ReadLog`.
 
     Raises:
         InputError: the file cannot be read as a log, or the airframe is not known.
     """
-    return ReadLog(path, wanted).health(given, span)
+    return ReadLog(path, wanted, progress).health(given, span)
 
 
 class HoverRecords:
@@ -174,21 +176,31 @@ class ReadLog:
     Args:
         path: of a log.
         wanted: system and perhaps component; None: the first autopilot in it.
+        progress: called with the share of the log read, 0 to 1, now and then.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
 
-    def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        wanted: tuple[int, int | None] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        show = progress or (lambda _: None)
+        show(0.0)
         self._path, self._wanted = path, wanted
         self._keeper, self._log = HoverRecords(), open_log(path, wanted)
         self._blocks: list[RecordBlock] = []
         self._keeper.begin(self._log)
         for block in self._log.blocks():
+            show(self._log.share_read)
             self._keeper.add_records(block)
             self._blocks.append(block)
             if self._keeper.full:
                 self._blocks.clear()
+        show(1.0)
 
     def health(self, given: HealthOptions, span: tuple[float, float] = (0.0, math.inf)) -> Health:
         """What hover shows, as of `HoverRecords`."""
