@@ -110,7 +110,7 @@ class BankProblem:
             pick: whitener of each axis.
             starts: (n, N_UNKNOWNS or more), of which the likeliest is taken.
         """
-        for again in (True, True, False):
+        for again in (True, False):
             problem = self.axes(pick)
             unknowns = problem.extended(starts)
             if len(unknowns) > 1:
