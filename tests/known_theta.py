@@ -26,6 +26,21 @@ def sizes(*values):
 
 THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 
+TABLE_1 = {
+    "mass": 1.5,
+    "Ixx": 0.0165,
+    "Iyy": 0.0167,
+    "Izz": 0.0294,
+    "Ixy": 0.00135,
+    "Iyz": 0.00254,
+    "Ixz": -0.00166,
+    "cg_x": 0.10,
+    "cg_y": 0.05,
+    "k_T": 2.05e-4,
+    "k_M": 6.14e-6,
+}
+"""The article's vehicle, SI."""
+
 
 def prior_of(known):
     """Independent knowledge about single unknowns.

@@ -1,6 +1,6 @@
 """Commands as functions of a test."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -16,6 +16,20 @@ def command(name: str, capsys: pytest.CaptureFixture[str]) -> Command:
         status = run([name, *map(str, words)])
         captured = capsys.readouterr()
         return status, captured.out, captured.err
+
+    return called
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the program; the only line that it says, on standard error, ending with a status."""
+
+    def called(words: Sequence[str], status: int = 2) -> str:
+        assert run([*words]) == status
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.count("\n") == 1
+        return err
 
     return called
 

@@ -25,19 +25,10 @@ from gcs_sysid.results.snapshot import (
 )
 from gcs_sysid.screen import Actions
 from tests.known_results import result_of
+from tests.known_theta import TABLE_1
 
 TRUTH = {
-    "mass": 1.5,
-    "Ixx": 0.0165,
-    "Iyy": 0.0167,
-    "Izz": 0.0294,
-    "Ixy": 0.00135,
-    "Iyz": 0.00254,
-    "Ixz": -0.00166,
-    "cg_x": 0.10,
-    "cg_y": 0.05,
-    "k_T": 2.05e-4,
-    "k_M": 6.14e-6,
+    **TABLE_1,
     "moment_ratio": 6.14e-6 / 2.05e-4,
     "rotational_damping": 0.0,
     "rotor_inertia": 0.0,

@@ -10,6 +10,7 @@ from gcs_sysid.model.airframe import builtin_names
 from gcs_sysid.model.parameters import PARAMETERS
 from sim_bridge.simulated_vehicle import Vehicle, allocation, stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle, vehicle_names
+from tests.known_theta import TABLE_1
 
 AIRFRAME = """
 name = "mine"
@@ -58,20 +59,7 @@ def test_every_builtin_airframe_has_a_true_vehicle() -> None:
 
 def test_the_paper_vehicle_is_table_1(paper_vehicle: Vehicle) -> None:
     truth = paper_vehicle.truth()
-    expected = {
-        "mass": 1.5,
-        "Ixx": 0.0165,
-        "Iyy": 0.0167,
-        "Izz": 0.0294,
-        "Ixy": 0.00135,
-        "Iyz": 0.00254,
-        "Ixz": -0.00166,
-        "cg_x": 0.10,
-        "cg_y": 0.05,
-        "k_T": 2.05e-4,
-        "k_M": 6.14e-6,
-    }
-    assert {k: truth[k] for k in expected} == expected
+    assert {name: truth[name] for name in TABLE_1} == TABLE_1
     assert {n for n, p in PARAMETERS.items() if not p.optional} <= set(truth)
     assert truth["moment_ratio"] == pytest.approx(6.14e-6 / 2.05e-4)
 
