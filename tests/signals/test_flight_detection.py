@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import ScaleReference, load_airframe
+from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.logs import open_log
@@ -158,6 +160,26 @@ def test_a_landing_is_found_within_half_a_second(after, in_air):
     found = sensed(speed, in_air=in_air)
     assert found[0] == pytest.approx(5.0 + TAKE_OFF, abs=0.05)
     assert 25.0 <= found[-1] < 25.5
+
+
+def test_a_part_of_the_rotors_does_not_show_what_all_of_them_carry():
+    t = np.arange(0.0, 20.0, 0.004)
+    sway = 60.0 * np.sin(np.outer(t, [2.0, 3.1]))
+    speeds = 600.0 + np.column_stack([sway, -sway]) + 20.0 * np.sin(t / 3.0)[:, None]
+    imu = np.random.default_rng(1).normal(0.0, 0.1, (len(t), 6))
+    imu[:, 5] -= G * (speeds**2).mean(axis=1) / 600.0**2
+    airframe = load_airframe("px4-quad-x")
+    sampler = Sampler(RotorSourceSelector(airframe, ScaleReference("mass", 1.0)), 4)
+    streams = (
+        (Stream.IMU, imu, 0, ""),
+        (Stream.ATTITUDE, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)), 0, ""),
+        (Stream.ROTOR_SPEED, speeds, 0, "ESC_STATUS by motor"),
+        (Stream.ROTOR_SPEED, speeds[:, :2], 1, "ESC_STATUS by output"),
+    )
+    order = 4 * np.arange(len(t))
+    tracks = [Track(stream, t, *rest, order + i) for i, (stream, *rest) in enumerate(streams)]
+    blocks = [*sampler.feed_tracks(tracks), *sampler.finish()]
+    assert np.concatenate([block.flying for block in blocks])[500:].all()
 
 
 @pytest.mark.slow

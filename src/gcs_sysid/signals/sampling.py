@@ -332,16 +332,17 @@ class Sampler:
             self._filter.restart()
         filtered, bias = self._attitude(self._filter, gyro, reference)
         rotors = self._rotor_streams(block, n)
+        commands = {family(name) for kind, name, _ in block.values if kind is Stream.ROTOR_COMMAND}
         velocity = self._velocity(block, n, force)
         flying = self.flight_detector.update(
             t,
             _stream(block, Stream.IN_AIR, n, 1)[:, 0],
             _stream(block, Stream.ARMED, n, 1)[:, 0],
-            self._turning(block, n),
+            self._turning(rotors, commands, n),
             velocity[:, 3:],
             force,
             gyro,
-            self._thrust(block, n),
+            self._thrust(rotors, commands, n),
         )
         # No vehicle flies on over it, whatever its recording left out.
         flying[0] &= not rebooted
@@ -400,40 +401,33 @@ class Sampler:
                 whole[:, offset : offset + width] = values[:, :width]
         return out
 
-    def _turning(self, block: Block, n: int) -> Array:
+    def _turning(self, rotors: dict[str, Array], commands: set[str], n: int) -> Array:
         """(n, rotors) above zero where a rotor turns, as far as any stream shows."""
         turning = np.full((n, self._rotors), np.nan)
-        parameters = self.rotor_selector.parameters
-        for (stream, source, offset), values in block.values.items():
-            if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
-                if stream is Stream.ROTOR_COMMAND:
-                    # Pulses of stopped motors are at most 1000 us; other units start from zero.
-                    # The half is for what interpolation adds.
-                    stopped = are_pulses(source, parameters, values) & (values <= 1000.5)
-                    values = np.where(stopped, 0.0, values)
-                least = _STOPPED_COMMAND if stream is Stream.ROTOR_COMMAND else _STOPPED_SPEED
-                values = np.where(values <= least, 0.0, values)
-                part = turning[:, offset : offset + values.shape[1]]
-                np.fmax(part, values[:, : part.shape[1]], out=part)
+        for name, values in rotors.items():
+            least = _STOPPED_SPEED
+            if name in commands:
+                least = _STOPPED_COMMAND
+                # Pulses of stopped motors are at most 1000 us; other units start from zero.
+                # The half is for what interpolation adds.
+                pulses = are_pulses(name, self.rotor_selector.parameters, values)
+                values = np.where(pulses & (values <= 1000.5), 0.0, values)
+            np.fmax(turning, np.where(values <= least, 0.0, values), out=turning)
         return turning
 
-    def _thrust(self, block: Block, n: int) -> Array:
+    def _thrust(self, rotors: dict[str, Array], commands: set[str], n: int) -> Array:
         """(n, 2) mean over rotors of squared speeds, and of commands: what thrust grows with."""
-        parameters = self.rotor_selector.parameters
-        sums: dict[tuple[int, str], tuple[Array, int]] = {}
-        for (stream, source, offset), values in block.values.items():
-            if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
-                k = int(stream is Stream.ROTOR_COMMAND)
-                # Pulses start from 1000 us.
-                pulse = are_pulses(source, parameters, values) if k else np.zeros(1, bool)
-                values = np.where(pulse, np.maximum(values - 1000.0, 0.0), values)
-                effort = values[:, : self._rotors - offset] ** (2 - k)
-                # Of the rotors that all groups of a source have, not of one group.
-                total, count = sums.get((k, family(source)), (np.zeros(n), 0))
-                sums[k, family(source)] = total + effort.sum(axis=1), count + effort.shape[1]
         out = np.full((n, 2), np.nan)
-        for (k, _), (total, count) in sums.items():
-            out[:, k] = np.fmax(out[:, k], total / count)
+        for name, values in rotors.items():
+            if name in commands:
+                # Pulses start from 1000 us.
+                pulses = are_pulses(name, self.rotor_selector.parameters, values)
+                values = np.where(pulses, np.maximum(values - 1000.0, 0.0), values)
+            else:
+                values = values**2
+            k = int(name in commands)
+            # A part of the rotors does not show what all do.
+            out[:, k] = np.fmax(out[:, k], values.mean(axis=1))
         return out
 
     def _show(self, samples: Samples) -> None:
