@@ -53,14 +53,13 @@ def found(flight, rotor_input, until=END, samples_until=END):
     ("at", "factor"), [(2.0, 1.2), pytest.param(5.0, 0.85, marks=pytest.mark.thorough)]
 )
 def test_an_early_mass_step_is_found_and_weighed(rotor_input, at, factor):
-    change, judgement = found(flown(at, factor), rotor_input)
+    _, judgement = found(flown(at, factor), rotor_input)
     assert judgement.verdict == "changed"
     assert judgement.onset == pytest.approx(at, abs=0.06)
     cause = judgement.cause
     assert cause.mass_std < 0.02
     # Measured: 0.1 to 0.6 %, one standard deviation 0.3 to 0.5 %.
     assert abs(cause.mass_ratio - factor) < max(3.0 * cause.mass_std, 0.01)
-    assert np.sign(change.size) == np.sign(factor - 1.0)
 
 
 @pytest.mark.slow

@@ -84,7 +84,7 @@ def test_nothing_happens_where_nothing_changes(tracked):
 def test_a_change_ends_a_segment(tracked, name):
     tracker = tracked[name]
     (event,), (segment,) = tracker.events, tracker.segments
-    assert AT <= event.detected <= AT + 0.02
+    assert AT <= event.detected <= AT + 1.0
     assert event.onset == pytest.approx(AT, abs=2 * DT)
     assert segment.end == event.onset
     assert event.segment == 0
@@ -147,7 +147,7 @@ def test_a_failing_rotor_stops_the_estimate(flights):
 @pytest.mark.slow
 def test_kept_samples_are_those_of_the_segment_in_force(tracked):
     kept = sum(len(part.gyro) for part in tracked["payload"].kept)
-    assert kept == pytest.approx((END - AT) / DT, abs=10)
+    assert kept == pytest.approx((END - AT) / DT, abs=30)
 
 
 def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
@@ -162,8 +162,8 @@ def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
     tracker = Tracker(truth.geometry, dt, tuning, ChangeTuning())
     tracker.update(np.arange(len(samples.gyro)) * dt, samples)
     cause = Cause("mass_change", None, 0.0, 0.0, 1.2, (0.0, 0.0), 0.9)
-    decided = SimpleNamespace(onset=at, cause=cause)
-    alarm = SimpleNamespace(detected=at + 0.1, change=None, step_of=lambda found: (at, at))
+    decided = SimpleNamespace(onset=at, cause=cause, settled=at)
+    alarm = SimpleNamespace(detected=at + 0.1, channel="thrust")
     tracker._change(alarm, decided, now)
     (segment,) = tracker.segments
     assert segment.end == at

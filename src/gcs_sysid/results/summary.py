@@ -223,7 +223,7 @@ def event_of(
         "t": event.onset,
         "kind": "change" if event.cause is None else event.cause.kind,
         "detected": event.detected,
-        "channel": "landing" if event.change is None else event.change.channel,
+        "channel": event.channel or "landing",
     }
     if event.decided is not None:
         out["decided"] = event.decided
@@ -254,7 +254,7 @@ def event_of(
 def note_of(event: TrackingEvent, rotor_input: RotorInput = RotorInput.SPEED) -> str:
     """A line for the event log."""
     thrust = rotor_input.thrust
-    if event.change is None:
+    if event.channel is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "
             f"{thrust} stays, the rest is identified again"

@@ -6,6 +6,7 @@ what estimators take. All values are SI, all axes body FRD or world NED, all tim
 clock.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
@@ -116,3 +117,15 @@ class Samples:
     def part(self, where: slice | Mask) -> "Samples":
         """Some of the samples."""
         return Samples(*(signal[where] for signal in (*self.signals, self.setpoint)))
+
+    @property
+    def gap(self) -> "Samples":
+        """One missing sample."""
+        every = (*self.signals, self.setpoint)
+        return Samples(*(np.full_like(signal[:1], np.nan) for signal in every))
+
+    @staticmethod
+    def joined(parts: Sequence["Samples"]) -> "Samples":
+        """One block of many, at least one."""
+        signals = zip(*((*part.signals, part.setpoint) for part in parts), strict=True)
+        return Samples(*(np.concatenate(signal) for signal in signals))

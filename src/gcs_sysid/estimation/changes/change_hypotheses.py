@@ -211,9 +211,8 @@ def likeliest_step(
     history: ResidualHistory,
     places: Sequence[int],
     tuning: HypothesisTuning,
-) -> tuple[int, float, float]:
-    """Where a step of a window is likeliest, the share of thrust over mass that is gone by it, and
-    that in standard deviations.
+) -> int:
+    """The index of the mean with which a step of a window is likeliest to begin.
 
     Args:
         window: of the means.
@@ -222,9 +221,7 @@ def likeliest_step(
         places: indices of means with which it may begin.
         tuning: settings.
     """
-    trial = _StepTrial(window, reference, history, tuning, places)
-    fit = trial.mass()
-    return trial.at, float(fit.value[0]), float(fit.value[0] / max(fit.std[0], 1e-12))
+    return _StepTrial(window, reference, history, tuning, places).at
 
 
 class _StepTrial:

@@ -34,8 +34,6 @@ MAX_DELAY = 0.1
 TOTAL = rb.N_SIGNALS
 """Column of the instantaneous sum of O, after the forward form's inputs."""
 N_X = rb.N_SIGNALS + 1
-TABLE = 7
-"""Columns of gyro, rates and vertical specific force, before those of the rotors."""
 
 
 @dataclass(frozen=True)
@@ -70,67 +68,23 @@ class Actuator:
         share = self._share(lagged) if self.lag_of == "command" else np.maximum(lagged, 0.0)
         return np.sqrt(share)
 
-    def lagged_of(self, root: Array) -> Array:
-        """What lags, of roots of shares of full thrust."""
-        if self.lag_of == "speed":
-            return root
-        share = root * root
-        if self.lag_of == "thrust":
-            return share
-        linear = 1.0 - self.curve
-        whole = np.sqrt(np.maximum(linear * linear + 4.0 * self.curve * share, 0.0))
-        return 2.0 * share / np.maximum(linear + whole, 1e-6)
+    def roots(self, commands: Array, dt: float) -> Array:
+        """(n, rotors) roots of the shares of full thrust, of commands dt s apart.
+
+        Where they begin, and after a gap, they are taken to have been constant before.
+        """
+        a, b0, b1 = motor_filter(dt, self.lag)
+        out = np.full_like(commands, np.nan)
+        for run, there in runs(complete_rows(commands)):
+            if there:
+                part = self.before_lag(commands[run])
+                part = np.concatenate([part[:1], part])
+                w, _ = lfilter([1.0], [1.0, -a], b0 * part[1:] + b1 * part[:-1], a * part[:1])
+                out[run] = self.after_lag(w)
+        return out
 
     def _share(self, u: Array) -> Array:
         return np.maximum((1.0 - self.curve) * u + self.curve * u * u, 0.0)
-
-
-class Rotors:
-    """Speeds (or roots of the shares of full thrust) of a stream, block by block."""
-
-    def __init__(self, dt: float, actuator: Actuator | None) -> None:
-        self._dt = dt
-        self._w: Array | None = None
-        self._command: Array = np.empty(0)
-        """The newest one, as it was sent."""
-        self._actuator = actuator
-
-    @property
-    def actuator(self) -> Actuator | None:
-        """In force; with another one the rotors go on with the thrust that they have."""
-        return self._actuator
-
-    @actuator.setter
-    def actuator(self, actuator: Actuator | None) -> None:
-        before, self._actuator = self._actuator, actuator
-        if actuator is None or before is None:
-            self._w = None
-        elif self._w is not None:
-            self._w = actuator.lagged_of(before.after_lag(self._w))
-
-    def restart(self) -> None:
-        """What comes next does not join on."""
-        self._w = None
-
-    def update(self, speeds: Array) -> Array:
-        """(n, rotors) whose squares make thrust, of (n, rotors) speeds or commands."""
-        actuator = self.actuator
-        if actuator is None:
-            return speeds
-        a, b0, b1 = motor_filter(self._dt, actuator.lag)
-        out = np.full_like(speeds, np.nan)
-        for run, there in runs(complete_rows(speeds)):
-            if not there:
-                self._w = None
-                continue
-            if self._w is None:
-                self._command = speeds[run.start : run.start + 1].copy()
-                self._w = actuator.before_lag(self._command)
-            part = actuator.before_lag(np.concatenate([self._command, speeds[run]]))
-            w, _ = lfilter([1.0], [1.0, -a], b0 * part[1:] + b1 * part[:-1], a * self._w)
-            self._w, self._command = w[-1:].copy(), speeds[run.stop - 1 : run.stop].copy()
-            out[run] = actuator.after_lag(w)
-        return out
 
 
 @dataclass(frozen=True)
@@ -178,20 +132,36 @@ class Reference:
         )
 
     def rows(self, samples: Samples, dt: float) -> tuple[Array, Array, Array]:
-        """Outputs (m, 4), inputs (m, N_X) and O (m, rotors) of n samples, from the second on.
-
-        The last ones are missing where the rotor stream is late.
+        """Outputs (n - 1, 4), inputs (n - 1, N_X) and O (n - 1, rotors) of n samples, from the
+        second on; NaN where inputs are missing, as by a late rotor stream at the end.
         """
-        speeds = Rotors(dt, self.actuator).update(samples.speeds)
-        table = np.column_stack([samples.gyro, samples.rates, samples.force[:, 2], speeds])
-        late = max(int(np.ceil(self.shift)), 0)
-        early = max(-int(np.floor(self.shift)), 0)
-        start, n = early, len(table) - late - early
-        y, x, squares = form_rows(self.geometry, table, start, max(n - 1, 0), self.shift, dt)
-        gone = np.full((early, 1), np.nan)
-        return tuple(  # type: ignore[return-value]
-            np.concatenate([np.broadcast_to(gone, (early, a.shape[1])), a]) for a in (y, x, squares)
+        speeds = (
+            samples.speeds if self.actuator is None else self.actuator.roots(samples.speeds, dt)
         )
+        whole = int(np.floor(self.shift))
+        part = self.shift - whole
+        rotor = _ahead(speeds, whole)
+        if part:
+            rotor = (1.0 - part) * rotor + part * _ahead(speeds, whole + 1)
+        signals, H = rb.rotor_signals(self.geometry, rotor)
+        rates = samples.rates
+        columns = np.column_stack([signals, rb.rate_signals(rates), rates[:, 1::-1] * H[:, None]])
+        x = np.empty((len(rates) - 1, N_X))
+        x[:, : rb.N_SIGNALS - 1] = 0.5 * (columns[1:] + columns[:-1])
+        x[:, rb.N_SIGNALS - 1] = np.diff(H) / dt
+        x[:, TOTAL] = signals[1:, 2]
+        y = np.column_stack([samples.force[1:, 2], np.diff(samples.gyro, axis=0) / dt])
+        gone = ~complete_rows(x)
+        y[gone], x[gone] = np.nan, np.nan
+        return y, x, rotor[1:] ** 2
+
+
+def _ahead(values: Array, count: int) -> Array:
+    """(n, ...) values so many rows later (earlier: less than 0); NaN where there are none."""
+    moved = np.full_like(values, np.nan)
+    n = len(values)
+    moved[max(-count, 0) : n - max(count, 0)] = values[max(count, 0) : n - max(-count, 0)]
+    return moved
 
 
 def body_velocity(samples: Samples) -> Array:
@@ -200,43 +170,6 @@ def body_velocity(samples: Samples) -> Array:
     if not np.isfinite(velocity).any():
         return velocity
     return (velocity[:, None, :] @ attitude.matrices(samples.attitude))[:, 0]
-
-
-def form_rows(
-    geometry: Array, table: Array, at: int, n: int, shift: float, dt: float
-) -> tuple[Array, Array, Array]:
-    """Outputs (n, 4), inputs (n, N_X) and O (n, rotors).
-
-    Args:
-        geometry: (3, rotors).
-        table: (m, TABLE + rotors) gyro, rates, vertical specific force and speeds.
-        at: row of the sample before the first.
-        n: how many.
-        shift: samples by which speeds are late.
-        dt: s between samples.
-    """
-    if n <= 0:
-        return np.empty((0, 4)), np.empty((0, N_X)), np.empty((0, geometry.shape[1]))
-    imu = table[at : at + n + 1]
-    whole = int(np.floor(shift))
-    part = shift - whole
-    rotor = table[at + whole : at + whole + n + 1, TABLE:]
-    if part:
-        later = table[at + whole + 1 : at + whole + n + 2, TABLE:]
-        rotor = (1.0 - part) * rotor + part * later
-    signals, H = rb.rotor_signals(geometry, rotor)
-    rates = imu[:, 3:6]
-    columns = np.column_stack([signals, rb.rate_signals(rates), rates[:, 1::-1] * H[:, None]])
-    x = np.empty((n, N_X))
-    x[:, : rb.N_SIGNALS - 1] = 0.5 * (columns[1:] + columns[:-1])
-    x[:, rb.N_SIGNALS - 1] = np.diff(H) / dt
-    x[:, TOTAL] = signals[1:, 2]
-    y = np.column_stack([imu[1:, 6], np.diff(imu[:, :3], axis=0) / dt])
-    # Held: a channel with anything missing. Zero inputs keep the product defined.
-    gone = ~np.isfinite(x).all(axis=1)
-    y[gone] = np.nan
-    x[gone] = 0.0
-    return y, x, rotor[1:] ** 2
 
 
 def reference_of(

@@ -9,18 +9,29 @@ over 0.15 s; it is then judged as any alarm (`change_hypotheses`), among the noi
 stretch shows beside the step.
 """
 
-from collections import deque
-from collections.abc import Iterator, Sequence
-from copy import deepcopy
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.changes.change_detection import ChangeDetector, ChangeTuning, Detection
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Channel, FrameTest
 from gcs_sysid.estimation.changes.change_hypotheses import Classification, judge, likeliest_step
-from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Actuator, Reference
-from gcs_sysid.estimation.changes.change_window import TUNING, AlarmWindow, Frames, ResidualHistory
+from gcs_sysid.estimation.changes.change_reference import (
+    N_X,
+    TOTAL,
+    Actuator,
+    Reference,
+    body_velocity,
+    reference_of,
+)
+from gcs_sysid.estimation.changes.change_window import (
+    TUNING,
+    AlarmWindow,
+    Frames,
+    ResidualHistory,
+    means,
+)
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
@@ -30,8 +41,8 @@ from gcs_sysid.signals.records import Samples
 
 _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
 """s of samples that are kept to look at alarms."""
-_BLURRED = 0.1
-"""s after a change's onset that are left out where the onset is known to no more."""
+_SETTLED = 1.0
+"""s of flight before a frame from which its lagged commands are computed."""
 _EARLY, _EARLY_GROWTH, _EARLY_END = 8.0, 1.45, 40.0
 """s of flight at which its unwatched beginning is first looked at, growth until it is again, and
 from when on it is not: by then every flight with input on all axes has a reference."""
@@ -42,26 +53,18 @@ class Alarm:
     """Something that may be a change. Times are session times in s.
 
     Attributes:
-        change: as detected.
+        channel: where it showed first.
         onset: estimated.
         detected: of the newest sample used.
         reference: in force then.
         looks: how often it was looked at.
     """
 
-    change: Detection
+    channel: Channel
     onset: float
     detected: float
     reference: Reference
     looks: int = 0
-
-    def step_of(self, found: Classification) -> tuple[float, float]:
-        """When the vehicle changed, and from when on samples are of the vehicle it is now."""
-        if found.settled is not None:
-            return found.onset, found.settled
-        if self.change.scale == "fast" and abs(found.onset - self.onset) <= TUNING.frame:
-            return self.onset, self.detected
-        return found.onset, found.onset + _BLURRED
 
 
 class ChangeWatch:
@@ -70,7 +73,7 @@ class ChangeWatch:
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        changes: settings of the detector.
+        changes: settings of the test.
         tuning: of the estimator whose fits are the reference.
     """
 
@@ -79,85 +82,117 @@ class ChangeWatch:
     ) -> None:
         self._dt, self._changes, self._tuning = dt, changes, tuning
         self._geometry = geometry
-        self._detector = ChangeDetector(
-            geometry,
-            dt,
-            changes,
-            motors=tuning.rotor_input.motors,
-            moments=tuning.gyro_cutoff is None,
-        )
-        self._alarms: list[Alarm] = []
-        self._recent: deque[tuple[Array, Samples]] = deque()
+        self._part = max(round(changes.part / dt), 1)  # samples
+        self._frame = changes.parts * self._part * dt  # s
         self._frames = Frames()
-        self._early_at = _EARLY
-        self._watched: float | None = None
-        """s, session time from which the detector tests thrust; None: not yet."""
-        self.arm_at = 0.0
-        """s of flight from which a better reference is wanted."""
+        self.land()
 
     @property
     def busy(self) -> bool:
         """Whether alarms are still to be decided on."""
-        return bool(self._alarms)
-
-    def restart(self) -> None:
-        """A gap: what comes next does not join on to what came before."""
-        self._detector.restart()
-        if self._recent and np.isfinite(self._recent[-1][1].gyro).any():
-            t, samples = self._recent[-1]
-            self._recent.append((t[-1:] + self._dt, gap(samples)))
+        return bool(self.alarms)
 
     def land(self) -> None:
         """Flight has ended; levels of the next one are others."""
-        self._alarms = []
-        self._recent.clear()
-        self._detector.disarm()
+        self.alarms: list[Alarm] = []
+        """To be decided on."""
         self.arm_at = 0.0
-        self._early_at, self._watched = _EARLY, None
+        """s of flight from which a better reference is wanted."""
+        self._test = FrameTest(self._geometry, self._changes)
+        self._t: Array = np.empty(0)
+        self._samples: Samples | None = None
+        """The latest samples, at these times; in the beginning all of them."""
+        self._framed = 1  # of these; the first has no row
+        self._last: Array = np.full(2, np.nan)
+        """Of thrust's residual, medians over the last parts of a frame."""
+        self._early_at = _EARLY
+        self._watched: float | None = None
+        """s, session time from which thrust is tested; None: not yet."""
 
-    def watch(self, t: Array, samples: Samples, *, tentative: bool = False) -> bool:
-        """Take n samples at (n,) session times.
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._test.clear()
+        self._last = np.full(2, np.nan)
+        if self._samples is not None and np.isfinite(self._samples.gyro[-1]).any():
+            self._t = np.append(self._t, self._t[-1] + self._dt)
+            self._samples = Samples.joined([self._samples, self._samples.gap])
+
+    def watch(self, t: Array, samples: Samples) -> int:
+        """Take samples until one completes a frame with an alarm; how many were taken.
 
         Args:
-            t: s.
+            t: (n,) s, session times.
             samples: n of them.
-            tentative: take none if there is an alarm in them.
-
-        Returns:
-            Whether they were taken.
         """
-        known = deepcopy(self._detector) if tentative else self._detector
-        found = self._detector.update(samples)
-        if found and tentative:
-            self._detector = known
-            return False
-        self._frames.add(self._detector.frames)
-        self._detector.frames = []
-        most = len(t) if self._is_early else round(_REMEMBERED / self._dt)
-        # Longer blocks come without an alarm: their end is enough.
-        self._recent.append((t[-most:], samples.part(slice(-most, None))))
-        while not self._is_early and self._recent[0][0][-1] < t[-1] - _REMEMBERED:
-            self._recent.popleft()
-        for change in found:
-            self._suspect(change, float(t[-1]))
-        return True
+        known = [] if self._samples is None else [self._samples]
+        self._t, self._samples = np.append(self._t, t), Samples.joined([*known, samples])
+        left = len(self._t) - self._test_frames(len(self._t) - len(t))
+        if left:
+            self._t, self._samples = self._t[:-left], self._samples.part(slice(-left))
+        if not self._is_early:
+            drop = max(min(len(self._t) - round(_REMEMBERED / self._dt), self._framed - 1), 0)
+            self._t, self._samples = self._t[drop:], self._samples.part(slice(drop, None))
+            self._framed -= drop
+        return len(t) - left
 
-    def _suspect(self, change: Detection, now: float) -> None:
-        """Record an alarm; it is classified later."""
-        start = now - self._detector.seconds
-        onset, detected = start + change.onset, start + change.detected
-        if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):
+    def _test_frames(self, least: int) -> int:
+        """Test frames that are complete, up to an alarm; how many samples that needs, at least."""
+        assert self._samples is not None
+        reference, n = self._test.reference, len(self._t)
+        parts, part = self._changes.parts, self._part
+        size = parts * part
+        late = max(int(np.ceil(reference.shift)), 0)
+        begins = range(self._framed, n - late - size + 1, size)
+        if not reference.watched.any():
+            self._framed = n
+        elif begins:
+            first = max(self._framed - round(_SETTLED / self._dt), 0)
+            near = self._samples.part(slice(first, None))
+            y, x, _ = reference.rows(near, self._dt)
+            rows = np.column_stack([y, x, body_velocity(near)[1:]])[self._framed - first - 1 :]
+            rows = rows[: len(begins) * size]
+            thrust = rows[:, 0] + reference.kappa * rows[:, 4 + TOTAL]
+            levels = np.append(self._last, np.median(thrust.reshape(-1, part), axis=1))
+            jumps = (levels[2:] - levels[:-2]).reshape(-1, parts)
+            frames = means(rows.reshape(len(begins), size, -1), 0.5)
+            for k, (begin, row) in enumerate(zip(begins, frames, strict=True)):
+                began, self._framed = float(self._t[begin]), begin + size
+                self._frames.add(began, row)
+                self._last = levels[(k + 1) * parts : (k + 1) * parts + 2]
+                alarm = self._test.update(row[:4], row[4 : 4 + N_X], jumps[k], began)
+                if alarm is not None:
+                    n = max(self._framed + late, least + 1)
+                    self._suspect(*alarm, n)
+                    break
+        return n
+
+    def _suspect(self, channel: Channel, onset: float, n: int) -> None:
+        """Record an alarm after n samples; it is classified later."""
+        assert self._samples is not None
+        reference = self._test.reference
+        if reference.watched[0]:
+            seen = slice(int(np.searchsorted(self._t, onset - _SHARP - _SETTLED)), n)
+            onset = _sharp(self._t[seen], self._samples.part(seen), self._dt, reference, onset)
+        if any(abs(onset - alarm.onset) < TUNING.search for alarm in self.alarms):
             return
-        self._alarms.append(Alarm(change, onset, detected, self._detector.reference))
-        del self._alarms[:-8]  # those looked at together
+        self.alarms.append(Alarm(channel, onset, float(self._t[n - 1]), reference))
+        del self.alarms[:-8]  # those looked at together
 
     def arm(self, fit: Fit, seconds: float) -> None:
         """Watch with a better reference, of so many s of flight."""
         every, growth = self._tuning.reference_every, self._tuning.reference_growth
         self.arm_at = max(seconds + every, growth * seconds)
-        self._detector.arm(fit)
-        if self._watched is None and self._detector.reference.watched[0] and self._recent:
-            self._watched = float(self._recent[-1][0][-1]) + self._changes.warm_up
+        found = reference_of(
+            fit,
+            self._geometry,
+            self._dt,
+            motors=self._tuning.rotor_input.motors,
+            moments=self._tuning.gyro_cutoff is None,
+        )
+        self._test.arm(found)
+        self._last = np.full(2, np.nan)
+        if self._watched is None and self._test.reference.watched[0] and len(self._t):
+            self._watched = float(self._t[-1]) + self._changes.warm_up
 
     @property
     def _is_early(self) -> bool:
@@ -165,91 +200,64 @@ class ChangeWatch:
         return self._early_at < _EARLY_END
 
     def early(self, fit: Fit) -> tuple[Alarm, Classification] | None:
-        """A change before the detector could see it, looked for now and then in the beginning.
+        """A change before frames were tested, looked for now and then in the beginning.
 
         Args:
             fit: of the flight so far.
         """
-        if not self._is_early or not self._recent or self._alarms:
+        if not self._is_early or self._samples is None or self.alarms:
             return None
-        start, now = float(self._recent[0][0][0]), float(self._recent[-1][0][-1])
+        start, now = float(self._t[0]), float(self._t[-1])
         if now - start < self._early_at:
             return None
         self._early_at = _EARLY_GROWTH * (now - start)
         motors = self._tuning.rotor_input.motors
         actuator = actuator_of(fit.rotation, self._tuning.curves) if motors else None
-        t, samples = self._remembered()
         until = now if self._watched is None else self._watched
-        found = early_change(t, samples, self._dt, self._geometry, actuator, until)
-        if found is None or found[1].verdict != "changed":
-            return None
-        change, judgement = found
-        change = replace(
-            change,
-            onset=change.onset + start,
-            detected=change.detected + start,
-        )
-        return Alarm(change, change.onset, change.detected, self._detector.reference), judgement
+        found = early_change(self._t, self._samples, self._dt, self._geometry, actuator, until)
+        return None if found is None or found[1].verdict != "changed" else found
 
     def decided(self, now: float) -> Iterator[tuple[Alarm, Classification]]:
         """The alarms on which it is decided by now."""
-        for alarm in list(self._alarms):
+        for alarm in list(self.alarms):
             if now - alarm.onset >= TUNING.ages[alarm.looks] - 0.5 * self._dt:
-                found = self._judged(alarm, alarm.looks, now)
+                found = self._judged(alarm, alarm.looks)
                 alarm.looks += 1
                 if found.verdict != "undecided":
-                    self._alarms.remove(alarm)
+                    self.alarms.remove(alarm)
                     yield alarm, found
 
     def undecided(self) -> tuple[Alarm, Classification] | None:
         """The first alarm that may have been a change of mass, when nothing more will come."""
-        alarms, self._alarms = self._alarms, []
-        if self._recent:
-            now = float(self._recent[-1][0][-1])
-            for alarm in alarms:
-                found = self._judged(alarm, len(TUNING.ages) - 1, now, decide=False)
-                if found.doubtful:
-                    return alarm, found
+        alarms, self.alarms = self.alarms, []
+        for alarm in alarms:
+            found = self._judged(alarm, len(TUNING.ages) - 1, decide=False)
+            if found.doubtful:
+                return alarm, found
         return None
 
-    def since(self, time: float) -> list[Samples]:
+    def since(self, time: float) -> Samples:
         """The samples after a session time."""
-        time += 0.5 * self._dt  # of a sample at that very time, rounding must not decide
-        return [part.part(t > time) for t, part in self._recent if t[-1] > time]
+        assert self._samples is not None
+        # Of a sample at that very time, rounding must not decide.
+        return self._samples.part(self._t > time + 0.5 * self._dt)
 
-    def _remembered(self) -> tuple[Array, Samples]:
-        parts = self._recent
-        return np.concatenate([t for t, _ in parts]), _joined([samples for _, samples in parts])
-
-    def _judged(
-        self, alarm: Alarm, look: int, now: float, *, decide: bool = True
-    ) -> Classification:
-        history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
-        t, samples = self._remembered()
+    def _judged(self, alarm: Alarm, look: int, *, decide: bool = True) -> Classification:
+        assert self._samples is not None
+        history = self._frames.before(alarm.onset, self._frame, alarm.reference)
         first = alarm.onset - TUNING.before - 2.0 * TUNING.frame - 0.5 * self._dt
-        start = int(np.searchsorted(t, first))
+        near = slice(int(np.searchsorted(self._t, first)), None)
         return judge(
-            t[start:],
-            samples.part(slice(start, None)),
+            self._t[near],
+            self._samples.part(near),
             self._dt,
             alarm.reference,
             history,
             alarm.onset,
             look,
-            force=alarm.change.channel == "thrust",
+            force=alarm.channel == "thrust",
             decide=decide,
         )
-
-
-def _joined(parts: Sequence[Samples]) -> Samples:
-    """One block of many."""
-    signals = zip(*(part.signals for part in parts), strict=True)
-    return Samples(*(np.concatenate(signal) for signal in signals))
-
-
-def gap(samples: Samples) -> Samples:
-    """One missing sample."""
-    return Samples(*(np.full_like(signal[:1], np.nan) for signal in samples.signals))
 
 
 _FRAME = 0.15
@@ -293,7 +301,7 @@ def early_change(
     geometry: Array,
     actuator: Actuator | None,
     until: float,
-) -> tuple[Detection, Classification] | None:
+) -> tuple[Alarm, Classification] | None:
     """The likeliest step of thrust over mass in the beginning of a flight, judged.
 
     Args:
@@ -302,11 +310,10 @@ def early_change(
         dt: s between samples.
         geometry: (3, rotors) of the airframe.
         actuator: of commands; None with speeds.
-        until: s, session time from which a detector watched.
+        until: s, session time from which frames were tested.
 
     Returns:
-        The step as an alarm, with times in s since t[0]; None where the stretch is too short,
-        or the step in what was watched.
+        The step as an alarm; None where the stretch is too short, or the step in what was watched.
     """
     reference = _of_thrust(t, samples, dt, geometry, actuator, float(t[-1]))
     if reference is None:
@@ -319,7 +326,7 @@ def early_change(
     if not len(places):
         return None
     nothing = ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), window.step)
-    at, share, sigmas = likeliest_step(window, reference, nothing, places.tolist(), _WHOLE)
+    at = likeliest_step(window, reference, nothing, places.tolist(), _WHOLE)
     onset = _sharp(t, samples, dt, reference, window.time_of(at))
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
     # Thrust over mass by the flight before, as of any other reference.
@@ -339,9 +346,7 @@ def early_change(
         stays = abs(of_all - share_of_it) < TUNING.agree * abs(share_of_it)
         if whole.verdict != "changed" or not stays:
             found = replace(found, verdict="disturbance")
-    size = share * float(np.mean(reference.kappa * window.x[at:, TOTAL]))
-    change = Detection(float(t[-1] - t[0]), onset - float(t[0]), "thrust", size, sigmas, "slow")
-    return change, found
+    return Alarm("thrust", onset, float(t[-1]), before), found
 
 
 def _of_thrust(

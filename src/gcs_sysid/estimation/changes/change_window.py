@@ -8,6 +8,7 @@ are matched by white noise, gyro noise that differentiation colors, and Ornstein
 of several correlation times.
 """
 
+from bisect import bisect_right
 from copy import copy
 from dataclasses import dataclass
 
@@ -137,17 +138,16 @@ class AlarmWindow:
         first = int(np.searchsorted(times, onset - 0.5 * dt))
         ahead = min(first // size, round(tuning.before / self.step))
         stop = first + (len(times) - first) // size * size
-        x = np.where(np.isnan(y).all(axis=1, keepdims=True), np.nan, x)
         table = np.column_stack([y, x, squares, air])[first - ahead * size : stop]
         parts = table.reshape(-1, size, table.shape[1])
         there = np.isfinite(parts[..., : 4 + N_X + squares.shape[1]])
         there[..., :4] |= np.isnan(reference.matrix).any(axis=1)
         keep = 2 * there.all(axis=2).sum(axis=1) > size
-        means = _means(parts[keep])
+        mean = means(parts[keep])
         self.index = np.flatnonzero(keep) - ahead
         self.at = int(np.searchsorted(self.index, 0))
         edges = np.cumsum([4, x.shape[1], squares.shape[1]])
-        self.y, self.x, self.squares, air = np.split(means, edges, axis=1)
+        self.y, self.x, self.squares, air = np.split(mean, edges, axis=1)
         self.e = self.y - self.x @ np.nan_to_num(reference.matrix).T
         around = air[max(self.at - 4, 0) : self.at + 1]
         self.climb = air[:, 2]
@@ -280,23 +280,25 @@ class Frames:
     MOST = 2048
 
     def __init__(self) -> None:
+        self._times: list[float] = []
         self._rows: list[Array] = []
 
-    def add(self, rows: list[Array]) -> None:
-        """Take rows [y (4), x (N_X), velocity along the body axes (3)], means of a frame."""
-        self._rows += rows
+    def add(self, t: float, row: Array) -> None:
+        """Take means [y (4), x (N_X), velocity along the body axes (3)] of the frame from t on."""
+        self._times.append(t)
+        self._rows.append(row)
         if len(self._rows) > self.MOST:
-            del self._rows[: self.MOST // 2]
+            del self._rows[: self.MOST // 2], self._times[: self.MOST // 2]
 
-    def before(self, seconds: float, step: float, reference: Reference) -> ResidualHistory:
-        """Of all but the last seconds.
+    def before(self, time: float, step: float, reference: Reference) -> ResidualHistory:
+        """Of the frames before a time.
 
         Args:
-            seconds: to leave out.
+            time: s, session time.
             step: s, length of a frame.
             reference: that residuals are of.
         """
-        count = max(len(self._rows) - int(np.ceil(seconds / step - 1e-6)), 0)
+        count = bisect_right(self._times, time - step)
         if not count:
             return ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), step)
         y, x, air = np.split(np.array(self._rows[:count]), [4, 4 + N_X], axis=1)
@@ -403,10 +405,12 @@ def _median(history: Array) -> Array:
     )
 
 
-def _means(parts: Array) -> Array:
-    """(n, w) of (n, size, w), over what is there."""
+def means(parts: Array, least: float = 0.0) -> Array:
+    """(n, w) of (n, size, w), over what is there; NaN where that is no more than a share of it."""
     there = np.isfinite(parts)
-    return np.where(there, parts, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+    count = there.sum(axis=1)
+    mean = np.where(there, parts, 0.0).sum(axis=1) / np.maximum(count, 1)
+    return np.where(count > least * parts.shape[1], mean, np.nan) if least else mean
 
 
 def _rate(values: Array, window: AlarmWindow) -> Array:

@@ -29,64 +29,63 @@ _KNOWN_TO = 0.25
 
 
 class Trial:
-    """The beginning of a flight, estimated apart, and its samples until the decision.
+    """The samples of the beginning of a flight, until it is decided what vehicle it is.
 
     Args:
-        estimator: fresh.
         landed: s, session time at which the flight before ended.
         start: s, session time of the first sample.
+        dt: s between samples.
     """
 
-    def __init__(self, estimator: OnlineEstimator, landed: float, start: float) -> None:
+    def __init__(self, landed: float, start: float, dt: float) -> None:
         self.landed, self.start = landed, start
         self.end = start
         """s, session time of the newest sample."""
         self.parts: list[tuple[Array, Samples] | None] = []
         """Times and samples in order; None where one part does not join on to the next."""
-        self._estimator = estimator
-        self._needed = round(ENOUGH / estimator.dt)
+        self._needed = round(ENOUGH / dt)
 
     @property
     def room(self) -> int:
         """Samples to come until there are enough."""
         return self._needed - sum(len(part[0]) for part in self.parts if part is not None)
 
-    @property
-    def battery_doubt(self) -> float:
-        """One standard deviation of what the battery may have done to thrust, relative."""
-        drift = self._estimator.drift
-        return 0.0 if drift is None else drift.thrust_doubt
-
     def add_samples(self, t: Array, samples: Samples) -> None:
         """Add (n,) times and samples."""
         self.parts.append((t, samples))
-        self._estimator.update(samples)
         self.end = float(t[-1])
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         if self.parts and self.parts[-1] is not None:
             self.parts.append(None)
-        self._estimator.restart()
 
     def drop_last(self, seconds: float) -> None:
         """Leave out the last moments: a landing."""
-        self._estimator.forget_last(seconds)
-        kept: list[tuple[Array, Samples] | None] = []
-        for part in self.parts:
+        for i, part in enumerate(self.parts):
             if part is not None:
                 stay = part[0] <= self.end - seconds
-                part = part[0][stay], part[1].part(stay)
-            kept.append(part)
-        self.parts = kept
+                self.parts[i] = part[0][stay], part[1].part(stay)
 
-    def fit(self, before: Fit) -> Fit:
-        """The fit of this flight alone, with thrust by the actuator dynamics of an earlier one.
+    def is_another(self, before: Fit, fresh: OnlineEstimator, arm: float) -> bool:
+        """Whether what flies cannot be the vehicle of a fit.
 
         Rotors are the same, or no scale would carry over: with commands T_max / m goes with the
         thrust curve, which the first seconds of a flight hardly determine.
+
+        Args:
+            before: of the flight before.
+            fresh: estimates the samples.
+            arm: m, mean distance of the rotors.
         """
-        return self._estimator.with_thrust_by(before.rotation, self._estimator.fit())
+        for part in self.parts:
+            if part is None:
+                fresh.restart()
+            else:
+                fresh.update(part[1])
+        battery = 0.0 if fresh.drift is None else fresh.drift.thrust_doubt
+        now = fresh.with_thrust_by(before.rotation, fresh.fit())
+        return is_another(before, now, arm, battery)
 
 
 def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
@@ -96,7 +95,7 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
 
     Args:
         before: the one.
-        now: the other, as of `Trial.fit`.
+        now: the other, with thrust by the actuator dynamics of the one.
         arm: m, mean distance of the rotors, by which a CG is judged.
         battery: one standard deviation of what another state of the battery may do to thrust,
             relative.

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Detection
+from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Channel
 from gcs_sysid.estimation.changes.change_hypotheses import Cause, Classification
-from gcs_sysid.estimation.changes.change_watch import Alarm, ChangeWatch, gap
-from gcs_sysid.estimation.changes.flight_comparison import Trial, is_another
+from gcs_sysid.estimation.changes.change_watch import Alarm, ChangeWatch
+from gcs_sysid.estimation.changes.flight_comparison import Trial
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import accelerometer_gain
@@ -43,6 +43,7 @@ class TrackingTuning:
         look_every: s between decisions.
         most_at_once: samples.
         held_back: s, more than samples wait in the estimator.
+        blurred: s after a change's onset that may still be before it.
         contaminated: s before a change's onset that are forgotten too: windows reach over it.
         inertia_moves: how far a change may take inertia, share of it, one standard deviation.
         cg_moves: the same of the CG, share of the arm.
@@ -59,6 +60,7 @@ class TrackingTuning:
     look_every: float = 0.1
     most_at_once: int = 4096
     held_back: float = 0.3
+    blurred: float = 0.1
     contaminated: float = 0.3
     inertia_moves: float = 0.25
     cg_moves: float = 0.2
@@ -98,7 +100,7 @@ class TrackingEvent:
     Attributes:
         onset: estimated time of the change.
         detected: time of the newest sample behind the alarm.
-        change: as detected; None where two flights differ: then the onset is the landing between.
+        channel: of the alarm; None where two flights differ: then the onset is the landing between.
         cause: by the residuals; None when they show none.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
@@ -108,7 +110,7 @@ class TrackingEvent:
 
     onset: float
     detected: float
-    change: Detection | None
+    channel: Channel | None
     cause: Cause | None
     segment: int | None
     decided: float | None = None
@@ -162,7 +164,7 @@ class Tracker:
         self._estimator = OnlineEstimator(geometry, dt, tuning)
         self._reserves = False
         self._estimator.prior_source = prior
-        self._count = self._hasty = 0
+        self._count = 0
         self._frame = max(round(TRACKING.look_every / dt), 1)
         self._changes = changes
         self._watch = self._new_watch()
@@ -215,7 +217,7 @@ class Tracker:
         if self._watch is not None:
             self._watch.restart()
         if self._keep and self.kept:
-            self.kept.append(gap(self.kept[-1]))
+            self.kept.append(self.kept[-1].gap)
 
     def update(
         self,
@@ -275,7 +277,7 @@ class Tracker:
             return
         self._forget_last(TRACKING.touchdown)
         if self.kept:
-            self.kept.append(gap(self.kept[-1]))
+            self.kept.append(self.kept[-1].gap)
 
     def _forget_last(self, seconds: float) -> None:
         """Leave out the last seconds, of the record and of the samples kept."""
@@ -300,7 +302,7 @@ class Tracker:
         self._rebooted = False
         if away and np.isfinite(landed):
             self._end_trial()
-            self._trial = Trial(self._fresh(landed=True), landed, float(t[0]))
+            self._trial = Trial(landed, float(t[0]), self.dt)
         self._newest = float(t[-1])
         if self._trial is None:
             return self._follow(t, samples, stops)
@@ -330,7 +332,7 @@ class Tracker:
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < TRACKING.most_segments
-        if room and is_another(before, trial.fit(before), arm, trial.battery_doubt):
+        if room and trial.is_another(before, self._fresh(landed=True), arm):
             self._add(TrackingEvent(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
             # Of what was known only the rotors are left, and with them the scale, and the
@@ -355,15 +357,14 @@ class Tracker:
         while done < len(t) and not self.stopped:
             # Decisions fall after a fixed number of samples.
             stop = min(done + self._quiet_samples(), len(t))
-            part = slice(done, stop)
+            if self._watch is not None:
+                stop = done + self._watch.watch(t[done:stop], samples.part(slice(done, stop)))
+            part = samples.part(slice(done, stop))
+            if self._keep:
+                self.kept.append(part)
             here = [s - done for s in stops[len(points) :] if s <= stop]
-            taken = self._take(t[part], samples.part(part), here)
-            if taken is None:
-                # A change: again from there, deciding as often as ever.
-                self._hasty = stop - done
-                continue
-            points += taken
-            self._hasty = max(self._hasty - (stop - done), 0)
+            fits = self._estimator.follow(part, here)
+            points += [HistoryPoint(fit, len(self.segments)) for fit in fits]
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
@@ -371,24 +372,14 @@ class Tracker:
         return points + self._idle(len(stops) - len(points))
 
     def _quiet_samples(self) -> int:
-        """Samples in which nothing is decided, if no change is detected."""
+        """Samples in which nothing is decided, if there is no alarm."""
         frame = self._frame - self._count % self._frame
         if self._watch is None:
             return TRACKING.most_at_once
-        if self._watch.busy or self._hasty:
+        if self._watch.busy:
             return frame
         quiet = self._watch.arm_at - self._estimator.seconds - TRACKING.held_back
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
-
-    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[HistoryPoint] | None:
-        """Take samples; None where many were tried at once, and there is an alarm in them."""
-        at_once = len(t) > self._frame
-        if self._watch is not None and not self._watch.watch(t, samples, tentative=at_once):
-            return None
-        if self._keep:
-            self.kept.append(samples)
-        fits = self._estimator.follow(samples, stops)
-        return [HistoryPoint(fit, len(self.segments)) for fit in fits]
 
     def _look(self, now: float) -> None:
         """Decide what there is to decide; give the watch a better reference."""
@@ -413,7 +404,7 @@ class Tracker:
         if left is not None:
             alarm, found = left
             self._forget_last(self._newest - found.onset + TRACKING.contaminated)
-            self._add(TrackingEvent(found.onset, alarm.detected, alarm.change, found.cause, None))
+            self._add(TrackingEvent(found.onset, alarm.detected, alarm.channel, found.cause, None))
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
@@ -426,7 +417,7 @@ class Tracker:
             self._forget_last(now - found.onset + TRACKING.contaminated)
             self._break()
         event = TrackingEvent(
-            found.onset, alarm.detected, alarm.change, found.cause, None, decided=now
+            found.onset, alarm.detected, alarm.channel, found.cause, None, decided=now
         )
         last = self.events[-1] if self.events else None
         if last is None or not _goes_on(last, event):
@@ -436,8 +427,9 @@ class Tracker:
         """The vehicle is another one since; go on accordingly."""
         assert self.start is not None
         assert self._watch is not None
-        onset, since = alarm.step_of(found)
-        event = TrackingEvent(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        onset = found.onset
+        since = found.settled or onset + TRACKING.blurred
+        event = TrackingEvent(onset, alarm.detected, alarm.channel, found.cause, None, decided=now)
         self._forget_last(now - onset + TRACKING.contaminated)
         before = self.fit()
         if found.cause.kind == "rotor_failure":
@@ -452,9 +444,8 @@ class Tracker:
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
         kept = self._watch.since(since)
         self.start = since
-        for part in kept:
-            fresh.update(part)
-        self._go_on_with(fresh, kept if self._keep else [])
+        fresh.update(kept)
+        self._go_on_with(fresh, [kept] if self._keep else [])
         self._restart_detection()
         self._add(event)
 

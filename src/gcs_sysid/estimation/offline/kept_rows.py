@@ -248,7 +248,7 @@ class CommandRows:
     ) -> None:
         self.time, self.of = step_of(dt).time, of
         self._geometry, self._dt, self._curve = geometry, dt, curve
-        joined = join(parts)
+        joined = Samples.joined(parts)
         drift = ThrustDrift(dt).update(joined.speeds, joined.force[:, 2], joined.voltage[:, 0])
         factors = hindsight(drift, drift.applied[-1], drift.fallen[-1])
         whole = replace(joined, speeds=joined.speeds * factors[:, None])
@@ -285,15 +285,9 @@ class CommandRows:
 
 def gapless(parts: Sequence[Samples]) -> list[Samples]:
     """Stretches of samples in which nothing is missing."""
-    joined = join(parts)
+    joined = Samples.joined(parts)
     there = complete_rows(np.hstack([joined.gyro, joined.rates, joined.speeds]))
     return [joined.part(run) for run, ok in runs(there) if ok]
-
-
-def join(parts: Sequence[Samples]) -> Samples:
-    """Blocks of samples as one."""
-    signals = zip(*((*part.signals, part.setpoint) for part in parts), strict=True)
-    return Samples(*(np.concatenate(signal) for signal in signals))
 
 
 def at_delay(delay: float) -> Array:
