@@ -80,17 +80,17 @@ def estimator(usual):
 @pytest.fixture
 def commands(estimator):
     """Its rows of commands."""
-    return estimator._record.commands
+    return estimator.record.commands
 
 
 def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
     t = DT * np.arange(len(samples.gyro))[:, None]
     turned = samples.gyro + 4.0 * np.sin(2.0 * np.pi * 0.4 * t + np.arange(3.0))
     estimator = flown(truth, replace(samples, gyro=turned, rates=turned))
-    window = estimator._record.rotation
+    window = estimator.record.rotation
     explained = fit_lag_places(
-        window.batches, window.counts, estimator._record.basis, estimator._record.noise(0)[None],
-        estimator._record.places(), SECONDS,
+        window.batches, window.counts, estimator.record.basis, estimator.record.noise(0)[None],
+        estimator.record.places(), SECONDS,
     )  # fmt: skip
     assert explained is None or explained.r_squared[:2].min() < 0.3
     fit = estimator.fit().rotation
@@ -103,7 +103,7 @@ def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
 
 def test_a_flight_that_ends_before_motors_are_looked_for_has_them_at_its_end(truth, samples, usual):
     short = flown(truth, samples.part(slice(0, round(5.0 / DT))))
-    assert short._record.commands.white is None
+    assert short.record.commands.white is None
     fit = short.fit().rotation
     found, std = fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
     assert fit.whiteners
@@ -131,7 +131,7 @@ def test_quick_samples_are_averaged(truth, samples):
 
 def record_about(estimator, share):
     """The commands of a flight, with rows about a share of the lag found."""
-    record = deepcopy(estimator)._record.commands
+    record = deepcopy(estimator).record.commands
     now = record._now
     at = now.fit.rotation.coordinates.copy()
     at[Coordinate.LAG] *= share

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from gcs_sysid.estimation.changes.change_reference import reference_of
+from gcs_sysid.estimation.changes.change_reference import actuator_of, reference_of
 from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.input_noise import CommandNoise
@@ -174,7 +174,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     estimator = OnlineEstimator(truth.geometry, dt, replace(COMMANDS, curves=(0.0,)))
     estimator.update(replace(flight, speeds=commands).part(slice(None, None, every)))
     estimator.fit()
-    record = estimator._record
+    record = estimator.record
     noise = CommandNoise(truth.geometry, dt)
     noise.update(np.random.default_rng(7).normal(0.5, 0.02, (5000, 4)))
     added = np.stack(
@@ -224,7 +224,8 @@ def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
     estimator.update(replace(flight, speeds=commands).part(slice(0, 3000)))
     fit = estimator.fit()
     assert not fit.rotation.warm_start.stuck
-    assert reference_of(fit, truth.geometry, DT, motors=True).watched.all()
+    actuator = actuator_of(fit.rotation, COMMANDS.curves)
+    assert reference_of(fit, truth.geometry, DT, actuator).watched.all()
     start = replace(fit.rotation.warm_start, stuck=True)
     stuck = replace(fit, rotation=replace(fit.rotation, warm_start=start))
-    assert not reference_of(stuck, truth.geometry, DT, motors=True).watched.any()
+    assert not reference_of(stuck, truth.geometry, DT, actuator).watched.any()

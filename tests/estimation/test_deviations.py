@@ -111,8 +111,8 @@ def flown():
     )[0]  # fmt: skip
     estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)
-    record = estimator._record.whitened
-    return record.moments(estimator._record.whitened_noise()), record.basis
+    record = estimator.record.whitened
+    return record.moments(estimator.record.whitened_noise()), record.basis
 
 
 class Fixed(DeviationChoice):

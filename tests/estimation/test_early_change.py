@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
-from gcs_sysid.estimation.changes.change_watch import LEAST_BEFORE, actuator_of, early_change
+from gcs_sysid.estimation.changes.change_reference import actuator_of
+from gcs_sysid.estimation.changes.change_watch import LEAST_BEFORE, early_change
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.model.airframe import ScaleReference

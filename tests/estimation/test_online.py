@@ -95,7 +95,7 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
     assert estimator.other_layout(fit) is None
     # Rows of one step hold the filter's own motion: the window takes it for a delay.
     assert bool(fit.whiteners) == (cutoff is None)
-    assert estimator.low_passed == (cutoff is not None)
+    assert estimator.record.low_passed == (cutoff is not None)
     if cutoff is not None:
         assert cutoff_of(-fit.delay) == pytest.approx(cutoff, rel=0.1)
     assert np.all(fit.r_squared > 0.9)

@@ -197,7 +197,7 @@ def test_narrowing_loses_next_to_nothing(calm, monkeypatch):
         monkeypatch.setattr(whitened_record, "_LEARNED", learnt)
         estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
         estimator.update(calm)
-        found.append((estimator._record.whitened, estimator.fit().rotation))
+        found.append((estimator.record.whitened, estimator.fit().rotation))
     (few, narrow), (many, wide) = found
     assert len(few.whiteners) < 0.6 * len(many.whiteners)
     assert len(few.basis.delays) == 4 < len(many.basis.delays)
@@ -224,7 +224,7 @@ def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
         inside = [s - start for s in stops if start < s <= start + 500]
         pieces += parts.follow(calm.part(slice(start, start + 500)), inside)
     assert len(course) == len(pieces) == len(stops)
-    assert len(whole._record.whitened.whiteners) < len(bank_for(T))
+    assert len(whole.record.whitened.whiteners) < len(bank_for(T))
     truth = Vehicle().theta
     for fit, piece in zip(course, pieces, strict=True):
         std = fit.rotation.std

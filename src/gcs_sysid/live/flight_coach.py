@@ -309,10 +309,10 @@ class Coach:
         estimator = chain.estimator
         assert estimator is not None
         usual = prior_noise(known.craft)
-        prospect = predicted_information(fit, known, usual, estimator.free)
+        prospect = predicted_information(fit, known, usual, estimator.record.basis.free)
         gyro, torque = usual.gyro, usual.torque
         if not chain.rotor_input.motors:
-            torque = speed_noise(prospect.craft, estimator.speed_std, estimator.dt)
+            torque = speed_noise(prospect.craft, estimator.record.speed_std, estimator.dt)
         if fit.rotation is not None:
             gyro = estimator.gyro_density(fit.rotation, prospect.craft.theta)
         return replace(prospect, noise=Noise(gyro, torque))

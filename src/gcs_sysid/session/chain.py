@@ -838,7 +838,12 @@ class Findings:
     def _gyro_filter_found(self) -> float | None:
         """Hz of the undeclared low-pass that the gyro's delay is that of; None: none was found."""
         tracker, fit = self.chain.tracker, self.chain.fit.rotation
-        if tracker is None or fit is None or not tracker.low_passed or not fit.delay < 0.0:
+        if (
+            tracker is None
+            or fit is None
+            or not tracker.estimator.record.low_passed
+            or not fit.delay < 0.0
+        ):
             return None
         return cutoff_of(-float(fit.delay))
 

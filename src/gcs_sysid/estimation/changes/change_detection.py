@@ -24,7 +24,7 @@ CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
 @dataclass(frozen=True)
 class ChangeTuning:
-    """Settings of the test; allowance, clip, threshold and jump are in noise levels.
+    """Settings of the test; allowance, clip and threshold are in noise levels.
 
     Attributes:
         parts: of a frame, between which thrust may jump.
@@ -32,9 +32,9 @@ class ChangeTuning:
         warm_up: s of residuals before a channel is tested.
         memory: s over which mean and noise level are tracked.
         allowance: what a mean may deviate without being counted.
-        clip: what it counts at most, so that one alone cannot alarm.
+        clip: what it counts at most, so that one alone cannot alarm; and what thrust must jump from
+            one part to the next but one.
         threshold: of the sum.
-        jump: of thrust from one part to the next but one.
         least_share: floor of the noise level, as a share of the hover's thrust or of the
             torque that all of it would make at a rotor's arm.
     """
@@ -46,7 +46,6 @@ class ChangeTuning:
     allowance: float = 3.0
     clip: float = 8.0
     threshold: float = 10.0
-    jump: float = 6.0
     least_share: float = 0.0025
 
     @property
@@ -122,7 +121,7 @@ class FrameTest:
         jumps = np.nan_to_num(jumps)
         usual = max(self._jump_variance**0.5, float(floor[0]), 1e-12)
         leap = int(np.argmax(np.abs(jumps)))
-        leaps = count[0] >= self._needed and abs(jumps[leap]) > tuning.jump * usual
+        leaps = count[0] >= self._needed and abs(jumps[leap]) > tuning.clip * usual
         if leaps or over.any():
             farthest = int(np.argmax(np.nan_to_num(np.abs(off) / std) * over.any(axis=1)))
             began = self._began[farthest][over[farthest]]
@@ -133,12 +132,12 @@ class FrameTest:
         # While a deviation builds up in a sum, levels are frozen: it alarms, or decays.
         learns = np.isfinite(off) & ~self._sums.any(axis=1)
         gain = np.where(learns, np.maximum(1.0 / (count + 1.0), tuning.frame / tuning.memory), 0.0)
-        # What is far off counts less: in the warm-up, as later it is in a sum.
-        near = np.clip(off, -tuning.allowance * std, tuning.allowance * std)
+        # What is far off counts less: in the warm-up, as later it is an alarm or in a sum.
+        near = np.clip(off, -tuning.clip * std, tuning.clip * std)
         self._y += gain * np.nan_to_num(y - (off - near) - self._y)
         self._x += gain[:, None] * (x - self._x)
         self._variance += gain * np.nan_to_num(near * near - self._variance)
-        jumps = np.clip(jumps, -tuning.allowance * usual, tuning.allowance * usual)
+        jumps = np.clip(jumps, -tuning.clip * usual, tuning.clip * usual)
         self._jump_variance += gain[0] * (float(np.mean(jumps * jumps)) - self._jump_variance)
         self._count = count + learns
         return None

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
+from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf, motor_filter
@@ -172,8 +173,33 @@ def body_velocity(samples: Samples) -> Array:
     return (velocity[:, None, :] @ attitude.matrices(samples.attitude))[:, 0]
 
 
+def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
+    """Lag and thrust curve by a fit, as far as it knows them better than they ordinarily are.
+
+    Args:
+        fit: to commands; None while there is none.
+        curves: least and greatest thrust curve; one value is given.
+    """
+    mean, std = COORDINATE_MEAN.copy(), COORDINATE_STD.copy()
+    if len(curves) == 1:
+        mean[Coordinate.CURVE], std[Coordinate.CURVE] = curves[0], 0.0
+    lag_of: LagOf = "command"
+    if fit is not None and not _is_stuck(fit):
+        known = fit.coordinates_std < std
+        mean = np.where(known, fit.coordinates, mean)
+        std = np.where(known, fit.coordinates_std, std)
+        lag_of = lag_of if fit.lag_place is None else fit.lag_place.of
+    return Actuator(
+        float(mean[Coordinate.LAG]),
+        float(mean[Coordinate.CURVE]),
+        lag_of,
+        float(std[Coordinate.LAG]),
+        float(std[Coordinate.CURVE]),
+    )
+
+
 def reference_of(
-    fit: Fit, geometry: Array, dt: float, *, motors: bool = False, moments: bool = True
+    fit: Fit, geometry: Array, dt: float, actuator: Actuator | None, *, moments: bool = True
 ) -> Reference:
     """A fit as a reference, on the axes where it is good enough.
 
@@ -181,35 +207,30 @@ def reference_of(
         fit: of the flight so far.
         geometry: (3, rotors).
         dt: s between samples.
-        motors: whether they lie between the rotors' input and thrust.
+        actuator: of commands, by the same fit; None with speeds.
         moments: whether the angular channels can be watched: not where the gyro is filtered.
     """
     matrix = np.full((4, N_X), np.nan)
-    trans, rot = fit.translation, fit.rotation
+    trans, rot, shift = fit.translation, fit.rotation, 0.0
+    if actuator is not None and (rot is None or _is_stuck(rot)):
+        # Of commands nothing is known without lag and curve.
+        return Reference(geometry, matrix, shift, actuator)
     if trans is not None and 0.0 < trans.kappa_std < MAX_KAPPA_SHARE * trans.kappa:
         matrix[0] = 0.0
         matrix[0, TOTAL] = -trans.kappa
-    shift, actuator = 0.0, None
     if rot is not None:
         known = _axes_known(rot) & moments
         Q = np.column_stack([rb.forward_matrix(rot.theta), np.zeros(3)])
         matrix[1:] = np.where(known[:, None], Q, np.nan)
-        if (known.any() or motors) and abs(rot.delay) < MAX_DELAY:
+        if (known.any() or actuator is not None) and abs(rot.delay) < MAX_DELAY:
             # To a quarter of a sample: a finer shift gains nothing, a whole one adds no lag.
             shift = round(4.0 * rot.delay / dt) / 4.0
-        if motors:
-            where, std = rot.coordinates, rot.coordinates_std
-            actuator = Actuator(
-                float(where[Coordinate.LAG]),
-                float(where[Coordinate.CURVE]),
-                "command" if rot.lag_place is None else rot.lag_place.of,
-                float(std[Coordinate.LAG]),
-                float(std[Coordinate.CURVE]),
-            )
-    stuck = rot is not None and rot.warm_start is not None and rot.warm_start.stuck
-    if motors and (actuator is None or stuck):
-        matrix[:] = np.nan  # of commands nothing is known without lag and curve
     return Reference(geometry, matrix, shift, actuator)
+
+
+def _is_stuck(fit: RotationFit) -> bool:
+    """Whether its search ended elsewhere than near a minimum."""
+    return fit.warm_start is not None and fit.warm_start.stuck
 
 
 def _axes_known(rot: RotationFit) -> Array:

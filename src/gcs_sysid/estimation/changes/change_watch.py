@@ -22,6 +22,7 @@ from gcs_sysid.estimation.changes.change_reference import (
     TOTAL,
     Actuator,
     Reference,
+    actuator_of,
     body_velocity,
     reference_of,
 )
@@ -31,12 +32,10 @@ from gcs_sysid.estimation.changes.change_window import (
     Frames,
     ResidualHistory,
     means,
+    unexplained,
 )
-from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD
-from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf
 from gcs_sysid.signals.records import Samples
 
 _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
@@ -182,14 +181,10 @@ class ChangeWatch:
         """Watch with a better reference, of so many s of flight."""
         every, growth = self._tuning.reference_every, self._tuning.reference_growth
         self.arm_at = max(seconds + every, growth * seconds)
-        found = reference_of(
-            fit,
-            self._geometry,
-            self._dt,
-            motors=self._tuning.rotor_input.motors,
-            moments=self._tuning.gyro_cutoff is None,
+        moments = self._tuning.gyro_cutoff is None
+        self._test.arm(
+            reference_of(fit, self._geometry, self._dt, self._actuator(fit), moments=moments)
         )
-        self._test.arm(found)
         self._last = np.full(2, np.nan)
         if self._watched is None and self._test.reference.watched[0] and len(self._t):
             self._watched = float(self._t[-1]) + self._changes.warm_up
@@ -211,11 +206,14 @@ class ChangeWatch:
         if now - start < self._early_at:
             return None
         self._early_at = _EARLY_GROWTH * (now - start)
-        motors = self._tuning.rotor_input.motors
-        actuator = actuator_of(fit.rotation, self._tuning.curves) if motors else None
         until = now if self._watched is None else self._watched
-        found = early_change(self._t, self._samples, self._dt, self._geometry, actuator, until)
+        known = self._dt, self._geometry, self._actuator(fit), until
+        found = early_change(self._t, self._samples, *known)
         return None if found is None or found[1].verdict != "changed" else found
+
+    def _actuator(self, fit: Fit) -> Actuator | None:
+        motors = self._tuning.rotor_input.motors
+        return actuator_of(fit.rotation, self._tuning.curves) if motors else None
 
     def decided(self, now: float) -> Iterator[tuple[Alarm, Classification]]:
         """The alarms on which it is decided by now."""
@@ -267,31 +265,6 @@ _SHARP = 0.5
 LEAST_BEFORE = 10.0 * _FRAME
 """s of flight before a step that are needed: less is take-off."""
 _WHOLE = replace(TUNING, frame=_FRAME, before=1e6)
-
-
-def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
-    """Lag and thrust curve by a fit, as far as it knows them better than they ordinarily are.
-
-    Args:
-        fit: to commands; None while there is none.
-        curves: least and greatest thrust curve; one value is given.
-    """
-    mean, std = COORDINATE_MEAN.copy(), COORDINATE_STD.copy()
-    if len(curves) == 1:
-        mean[Coordinate.CURVE], std[Coordinate.CURVE] = curves[0], 0.0
-    lag_of: LagOf = "command"
-    if fit is not None and not (fit.warm_start is not None and fit.warm_start.stuck):
-        known = fit.coordinates_std < std
-        mean = np.where(known, fit.coordinates, mean)
-        std = np.where(known, fit.coordinates_std, std)
-        lag_of = lag_of if fit.lag_place is None else fit.lag_place.of
-    return Actuator(
-        float(mean[Coordinate.LAG]),
-        float(mean[Coordinate.CURVE]),
-        lag_of,
-        float(std[Coordinate.LAG]),
-        float(std[Coordinate.CURVE]),
-    )
 
 
 def early_change(
@@ -388,9 +361,7 @@ def _beside(window: AlarmWindow, reference: Reference, at: int) -> ResidualHisto
     air = np.nan_to_num(window.air)
     # Not of thrust: where it carries a vehicle in gusts, all that these do is in proportion to it.
     columns = np.column_stack([~later, later, air[:, 2], np.sum(air[:, :2] ** 2, axis=1)])
-    columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
-    fit = np.linalg.lstsq(columns, e, rcond=1e-6)[0]
     left, level = np.full((len(e), 4), np.nan), np.full(4, np.nan)
-    left[:, 0], level[0] = e - columns @ fit, np.median(e[~later])
+    left[:, 0], level[0] = unexplained(e, columns), np.median(e[~later])
     left[max(at - 2, 0) : at + 2] = np.nan  # means across the step
     return ResidualHistory(level, left, window.step)

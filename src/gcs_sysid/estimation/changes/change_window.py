@@ -314,10 +314,14 @@ class Frames:
                 continue
             moved = (air[:, 2], np.sum(air[:, :2] ** 2, axis=1)) if c == 0 else air.T
             columns = np.column_stack([np.ones(count), made[:, c], *moved])[there]
-            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
-            fit = np.linalg.lstsq(columns, residuals[there, c], rcond=1e-6)[0]
-            left[there, c] = residuals[there, c] - columns @ fit
+            left[there, c] = unexplained(residuals[there, c], columns)
         return ResidualHistory(_median(residuals), left, step)
+
+
+def unexplained(values: Array, columns: Array) -> Array:
+    """(n,) what (n, k) columns leave of (n,) values by least squares."""
+    columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
+    return values - columns @ np.linalg.lstsq(columns, values, rcond=1e-6)[0]
 
 
 def strengths(window: AlarmWindow, history: ResidualHistory, c: int) -> Array:

@@ -184,11 +184,6 @@ class Tracker:
         return self._estimator
 
     @property
-    def low_passed(self) -> bool:
-        """Whether the gyro was found to come through an undeclared low-pass."""
-        return self.estimator.low_passed
-
-    @property
     def voltage(self) -> float | None:
         """V, battery voltage that thrust at full command refers to; None: speeds, or not
         reported.

@@ -263,7 +263,7 @@ def fit_offline(
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
     count = sum(len(part.gyro) for part in tracker.kept)
     what = f"prediction error of {count} samples"
-    choice = estimator.choice
+    choice = estimator.record.choice
     found: list[tuple[PredictionErrorFit, LagPlace | None]] = []
     every = _rows(tracker, before)
     for number, (rows, place) in enumerate(every):
@@ -275,7 +275,7 @@ def fit_offline(
         estimated = estimate(
             rows,
             before,
-            estimator.noise_doubt,
+            estimator.record.noise_doubt,
             estimator.prior,
             choice,
             calm=estimator.is_calm,
@@ -319,7 +319,7 @@ def _rows(
     flight = tracker.kept, tracker.geometry, tracker.dt
     if not tuning.rotor_input.motors:
         reach = 3.0 * _DELAY_STD if before.delay_std else 0.0
-        noise = estimator.signals_noise
+        noise = estimator.record.signals_noise
         return [(SpeedRows(*flight, before.delay, reach, noise, tuning.gyro_cutoff), None)]
     known = before.lag_place or LagPlace()
     curve = tuning.curves[0] if len(tuning.curves) == 1 else None

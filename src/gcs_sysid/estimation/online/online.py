@@ -74,13 +74,12 @@ class OnlineEstimator:
         self.prior_source: PriorSource | None = None
         """Renews the prior with each warm start and full fit, by what the flight alone shows."""
         self._alone: RotationFit | None = None
-        self._record = FlightRecord(geometry, dt, tuning)
-        self.choice = self._record.choice
-        """Of deviations from the model."""
-        whitening = WhitenedEstimator(self._record, geometry, self.choice)
-        self._thrust = ThrustEstimator(self._record, whitening, tuning.imu_place)
+        self.record = FlightRecord(geometry, dt, tuning)
+        """All that is remembered of the flight."""
+        whitening = WhitenedEstimator(self.record, geometry)
+        self._thrust = ThrustEstimator(self.record, whitening, tuning.imu_place)
         self._rotation = RotationEstimator(
-            self._record, whitening, self._thrust, geometry, self.choice, tuning.speed_interval
+            self.record, whitening, self._thrust, geometry, tuning.speed_interval
         )
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _SeriesStart] = {}
@@ -101,42 +100,17 @@ class OnlineEstimator:
     @property
     def seconds(self) -> float:
         """Flight time used by the rotational estimate."""
-        return self._record.seconds
+        return self.record.seconds
 
     @property
     def drift(self) -> ThrustDrift | None:
         """Of thrust at a given command; None: rotor speeds need none."""
-        return self._record.drift
-
-    @property
-    def low_passed(self) -> bool:
-        """Whether the gyro was found to come through an undeclared low-pass."""
-        return self._record.low_passed
-
-    @property
-    def speed_std(self) -> Array:
-        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
-        return self._record.speed_std
-
-    @property
-    def signals_noise(self) -> Array:
-        """(5, 5) covariance of roll, pitch, thrust, yaw and H in a sample, of known noise."""
-        return self._record.signals_noise
-
-    @property
-    def noise_doubt(self) -> float:
-        """Relative standard deviation of that."""
-        return self._record.noise_doubt
+        return self.record.drift
 
     @property
     def is_calm(self) -> bool:
         """Whether no steady wind blows."""
         return self._thrust.is_calm(self.prior)
-
-    @property
-    def free(self) -> tuple[int, ...]:
-        """The coordinates that are estimated, see `estimation.rows.actuator_dynamics`."""
-        return self._record.basis.free
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's residual.
@@ -151,15 +125,15 @@ class OnlineEstimator:
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need; many estimators live but shortly."""
-        return self._record.reserve()
+        return self.record.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
-        self._record.restart()
+        self.record.restart()
 
     def update(self, samples: Samples) -> None:
         """Take a block of samples; the outcome does not depend on how they are grouped."""
-        for _ in self._record.add_samples(samples):
+        for _ in self.record.add_samples(samples):
             pass
 
     def follow(self, samples: Samples, stops: Sequence[int], series: str = "") -> list[Fit]:
@@ -173,7 +147,7 @@ class OnlineEstimator:
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
-        return self._follow(self._record.add_samples(samples, stops), series)
+        return self._follow(self.record.add_samples(samples, stops), series)
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The estimate from everything so far.
@@ -187,8 +161,8 @@ class OnlineEstimator:
         """
         if quick:
             return self._follow((None,), series)[0]
-        self._record.flush()
-        with self._record.settled():
+        self.record.flush()
+        with self.record.settled():
             return self._full_fit()
 
     def _full_fit(self) -> Fit:
@@ -231,14 +205,14 @@ class OnlineEstimator:
             rotors: of them; None: the fit as it is.
             fit: of the whole record.
         """
-        if rotors is None or Coordinate.CURVE not in self.free:
+        if rotors is None or Coordinate.CURVE not in self.record.basis.free:
             return fit
         thrust, accelerometer = self.fit_translation(rotors)
         return replace(fit, translation=thrust, accelerometer=accelerometer)
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record (whole batches)."""
-        self._record.forget_last(seconds)
+        self.record.forget_last(seconds)
         self._warm_starts.clear()
 
     def _follow(self, stops: Iterable[None], series: str) -> list[Fit]:
@@ -246,7 +220,7 @@ class OnlineEstimator:
         fits: list[Fit] = []
         waiting: list[Instant] = []
         for _ in stops:
-            if self._record.was_renewed():
+            if self.record.was_renewed():
                 if waiting:
                     fits += self._followed(self._warm_starts[series], waiting)
                     waiting = []
@@ -270,7 +244,7 @@ class OnlineEstimator:
     def _is_outdated(self, warm_start: _SeriesStart) -> bool:
         return (
             warm_start.thrust is None
-            or warm_start.batches != self._record.batches
+            or warm_start.batches != self.record.batches
             or self._is_rigid_body_test_due()
         )
 
@@ -290,14 +264,14 @@ class OnlineEstimator:
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
-                moments=i.at(rot, self._record),
+                moments=i.at(rot, self.record),
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
 
     def _renewed(self, series: str, warm_start: _SeriesStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
-        record, rot = self._record, fit.rotation
+        record, rot = self.record, fit.rotation
         assert rot is not None
         thrust, trans = self._thrust.quick(rot, self.prior)
         followed = rot if warm_start.batches != record.batches else warm_start.rotation
@@ -316,10 +290,10 @@ class OnlineEstimator:
         known = before if self.seconds > _WELL_KNOWN else None
         rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
         thrust, trans = self._thrust.quick(rot, self.prior)
-        if rot is not None and self._record.article is None:
+        if rot is not None and self.record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
             self._warm_starts[series] = _SeriesStart(
-                rot, thrust, self._record.batches, settle, self._rotation.left_out
+                rot, thrust, self.record.batches, settle, self._rotation.left_out
             )
         rigid_body_test = self._latest_rigid_body_test(rot)
         trans = self._thrust.with_slope(trans, rot, self.prior)

@@ -12,7 +12,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.model_tests import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.checks.validation import Validation, validate
-from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation
 from gcs_sysid.estimation.fit.priors import Prior
@@ -38,7 +37,6 @@ class RotationEstimator:
         whitening: of its whitened rows, where there are any.
         thrust: of the same record.
         geometry: (3, rotors) of the airframe.
-        choice: of deviations from the model.
         speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
     """
 
@@ -48,14 +46,13 @@ class RotationEstimator:
         whitening: WhitenedEstimator,
         thrust: ThrustEstimator,
         geometry: Array,
-        choice: DeviationChoice,
         speed_interval: float,
     ) -> None:
         self.left_out: LeftOut | None = None
         """Shocks that the latest fit to whitened rows left out."""
         self._record, self._basis = record, record.basis
         self._whitening, self._thrust = whitening, thrust
-        self._arms, self._choice = geometry[:2], choice
+        self._arms, self._choice = geometry[:2], record.choice
         self._speed_interval = speed_interval
 
     @property

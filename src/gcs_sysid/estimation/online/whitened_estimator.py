@@ -20,7 +20,6 @@ from gcs_sysid.estimation.checks.model_tests import (
     judge_rigid_body,
 )
 from gcs_sysid.estimation.checks.validation import SHORTEST_VALIDATED, Validation, predict_held_out
-from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
@@ -58,11 +57,10 @@ class WhitenedEstimator:
     Args:
         record: that has such rows.
         geometry: (3, rotors) of the airframe.
-        choice: of deviations from the model.
     """
 
-    def __init__(self, record: FlightRecord, geometry: Array, choice: DeviationChoice) -> None:
-        self._choice = choice
+    def __init__(self, record: FlightRecord, geometry: Array) -> None:
+        self._choice = record.choice
         self._geometry = geometry
         self._record = record
 
