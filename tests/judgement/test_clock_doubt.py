@@ -175,7 +175,7 @@ def test_gps_time_is_a_second_clock_of_an_autopilots_own_log(ppm, kind, request,
             file.row("GPS", us, 0, 1000 * 86_400 + round(1e3 * gps), 2300 if fixed else 0)
     path.write_bytes(file.bytes())
     log = open_log(path, None)
-    assert log.drift_ppm == pytest.approx(ppm, abs=300.0)
+    assert log.drift.ppm == pytest.approx(ppm, abs=300.0)
     doubt = clock_doubt(log.drift.bounds, {}, by_gps=log.drift.by_gps)
     assert (doubt is None) is (ppm == 0.0)
     if doubt is not None:

@@ -65,9 +65,9 @@ def test_onboard_logs_are_known_whatever_their_names(tmp_path, ulog_file, datafl
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.008])
 def test_drift_of_the_vehicles_clock_is_told(tmp_path, sender, rate):
     log = open_log(write(tmp_path / "flight.tlog", flight(sender, rate=rate)))
-    assert log.drift_ppm is None
+    assert log.drift.ppm is None
     assert records_of(log)
-    assert log.drift_ppm == pytest.approx(1e6 * (rate - 1.0), abs=50.0)
+    assert log.drift.ppm == pytest.approx(1e6 * (rate - 1.0), abs=50.0)
 
 
 def test_qgroundcontrol_has_milliseconds_and_its_own_messages(tmp_path, sender, make_sender):
@@ -102,7 +102,7 @@ def test_mavproxy_marks_the_link_and_may_hear_all_twice(tmp_path, sender, make_s
     records = records_of(log)
     assert records == plain
     assert log.as_dict()["lost"] == 0
-    assert log.drift_ppm == pytest.approx(0.0, abs=50.0)
+    assert log.drift.ppm == pytest.approx(0.0, abs=50.0)
 
 
 def test_mission_planner_writes_both_directions_out_of_order(tmp_path, sender, make_sender):

@@ -82,10 +82,6 @@ class Log(Telemetry, Protocol):
     def share_read(self) -> float:
         """How much of it was read, 0 to 1."""
 
-    @property
-    def drift_ppm(self) -> float | None:
-        """How fast the vehicle's clock ran against the wall clock; None when not known."""
-
 
 class TlogLog(Intake):
     """What a ground station recorded."""
@@ -109,16 +105,11 @@ class TlogLog(Intake):
         """As `Log` says."""
         return self._reader.bytes_read / self._size
 
-    @property
-    def drift_ppm(self) -> float | None:
-        """As `Log` says; by the times at which the ground station received."""
-        return self.drift.ppm
-
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
         self.garbage_bytes = self._reader.counts.garbage_bytes
         torn = self._reader.counts.cut_short
-        facts = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
+        facts = {"clock_drift_ppm": self.drift.ppm} | ({"cut_short": torn} if torn else {})
         return {**super().as_dict(), **facts}
 
 
@@ -147,11 +138,6 @@ class OnboardLog:
         received = IntakeEvent(start, "vehicle", f"{own} found")
         self._notes = ((0, received),) if fits else ()
         self.share_read = 0.0
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """How fast the vehicle's clock is against that of its GPS receiver."""
-        return self.drift.ppm
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""
