@@ -42,9 +42,7 @@ def evidence_of(
 ):
     """Of a fit by which everything is known to a millionth."""
     sure = {name: Estimate(1.0, 1e-6, p.unit) for name, p in REGISTRY.items()}
-    return Evidence(
-        sure, fit, airframe, rotor_input, unlike=0.0, interval=interval, filtered=filtered
-    )
+    return Evidence(sure, fit, airframe, rotor_input, interval=interval, filtered=filtered)
 
 
 def found(validation, *, running=False, rotor_input=RotorInput.SPEED, dt=0.004, filtered=False):

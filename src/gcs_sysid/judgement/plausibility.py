@@ -154,26 +154,17 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
 
 
 def unseen_rotors(evidence: Evidence) -> Iterator[Objection]:
-    """Rotors that may be unlike as no flight shows, and whose commands do not show them alike."""
-    if (
-        evidence.rotor_input.motors
-        or evidence.fit.rotation is None
-        or np.allclose(unseen_shift(evidence.airframe), 0.0)
-        or (evidence.unlike is not None and evidence.unlike < 0.5 * APART)
-    ):
+    """Rotors that differ by their commands, where no flight shows whether they do."""
+    unlike = evidence.unlike
+    if unlike is None or unlike < 0.5 * APART or np.allclose(unseen_shift(evidence.airframe), 0.0):
         return
-    what, how = "no commands show that the rotors are alike", "record the commands, too"
-    if evidence.unlike is not None:
-        what = (
-            f"at their commands rotors differ by {100.0 * evidence.unlike:.0f} % in speed squared"
-        )
-        how = "check propellers, motors and the pole counts of their ESCs"
     yield Objection(
-        f"{what}: those of one side that lift less for their speed look like a CG",
+        f"at their commands rotors differ by {100.0 * unlike:.0f} % in speed squared: those of one "
+        "side that lift less for their speed look like a CG",
         frozenset({"cg_x", "cg_y", "k_T", "k_M"}),
         cap="weak",
         verdict="partial",
-        how=how,
+        how="check propellers, motors and the pole counts of their ESCs",
     )
 
 
