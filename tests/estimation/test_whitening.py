@@ -137,6 +137,11 @@ def test_nothing_is_detected_where_nothing_disturbs(calm):
     assert np.all(np.abs(fit.validation.whiteness - 1.0) < 0.5)
     truth = Vehicle().theta
     assert np.all(np.abs(fit.rotation.theta[:2] / truth[:2] - 1.0) < 0.01)
+    gyro = calm.gyro.copy()
+    gyro[-750:] += np.random.default_rng(1).normal(5.0, 3.0, (750, 3))
+    crashed = fitted(type(calm)(gyro, gyro, *calm.signals[2:]), WHITENED)
+    assert np.all(crashed.validation.r_squared > 0.5)
+    assert np.all(np.abs(crashed.rotation.theta[:2] / truth[:2] - 1.0) < 0.01)
 
 
 @pytest.mark.slow

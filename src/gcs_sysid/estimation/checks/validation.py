@@ -211,14 +211,16 @@ def predict_held_out(
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
         return None
     # Held out now and then: maneuvers come one after the other, and a part must have its own.
-    # By how much it has moved: a flight may turn for a second and hover for the rest.
-    stretch = (ends[-1] * np.cumsum(data.motion) - 1e-9) // _HELD_OUT % 5
     folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
-    found = [
-        fold
-        for held_out in folds
-        if (fold := _predicted(data, basis, choice, np.isin(stretch, held_out), prior))
-    ]
+    found: list[_Fold] = []
+    # By how much it has moved: a flight may turn for a second and hover for the rest. By time,
+    # where nearly all of that was a crash; by commands that spoils the thrust curve unseen.
+    for passed in (np.cumsum(data.motion), *([] if basis.motors else [ends / ends[-1]])):
+        stretch = (ends[-1] * passed - 1e-9) // _HELD_OUT % 5
+        masks = [np.isin(stretch, held_out) for held_out in folds]
+        found = found or [
+            fold for mask in masks if (fold := _predicted(data, basis, choice, mask, prior))
+        ]
     if not found:
         return None
     whiteness = whiteness_of(

@@ -42,7 +42,7 @@ _OWN = 0.5
 """Share of a batch's motion that the fit does not explain, up to which it is no shock."""
 _AXES = np.arange(3)
 _MOST_SHOCKS = 0.25
-"""Share of the batches; what happens more often is no shock."""
+"""Share of the rows; what happens more often is no shock. Batches get longer as they get older."""
 _JUDGED_ALIKE = 12
 """Times that batches are judged by the whiteners found before, 5 s each: a bump shows with any of
 them."""
@@ -78,7 +78,8 @@ def find_shocks(TP: Array, variance: Array, batches: Array, counts: NDArray[np.i
     motion = (batches[:, _AXES, _AXES - 3, _AXES - 3] / counts[:, None] / variance).mean(axis=1)
     # What rotors explain for the most part, they did: most of a flight may be far calmer.
     shocks: Mask = relative > np.maximum(SHOCK * np.median(relative), _OWN * motion)
-    return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)
+    few = counts[shocks].sum() <= _MOST_SHOCKS * counts.sum()
+    return shocks if few else np.zeros(len(counts), dtype=bool)
 
 
 def _relative(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Array:
