@@ -163,8 +163,10 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     assert fit.rotation.whiteners
     known = prior_vehicle(load_airframe("paper"), RotorInput.COMMAND)
     noise = prior_noise(known.craft)
-    before = predicted_information(Fit(None, None, 0.0), known, noise, estimator.free).after()
-    after = predicted_information(fit, known, noise, estimator.free).after()
+    before = predicted_information(
+        Fit(None, None, 0.0), known, noise, estimator.record.basis.free
+    ).after()
+    after = predicted_information(fit, known, noise, estimator.record.basis.free).after()
     assert (after.rotation.std < before.rotation.std).all()
 
 

@@ -57,6 +57,8 @@ class ModelErrors:
     that they leave in the speeds. Inertia reads 0.03 % larger where the loop runs once a sample
     than where it runs four times (emulator, 250 Hz); anything between is as likely, and the
     standard deviation of that is the whole over the root of three."""
+    delay: float = 2e-5
+    """s, of the rotors' delay, likewise: it reads 35 us there."""
     quick_motor: float = 0.03
     """s, lag of the motors that these two were measured with."""
     lag: float = 0.02
@@ -351,6 +353,8 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> tuple[f
         return value, 0.0
     if which == Coordinate.LAG:
         doubt = ERRORS.lag * value
+    elif which == Coordinate.DELAY:
+        doubt = ERRORS.delay
     return value, math.hypot(std, doubt)
 
 
