@@ -71,7 +71,7 @@ def brute_force(A, z, kind, units):
     nothing = multivariate_normal.logpdf(z, cov=np.eye(len(z)))
     grids = [(0.0, *SIZES[name]) for name in KINDS]
     for sizes in np.array(np.meshgrid(*grids, indexing="ij")).reshape(3, -1).T:
-        allowed = np.maximum(sizes, [0.0, min(sizes[2], max(SIZES["thrust"])), 0.0])
+        allowed = np.maximum(sizes, [0.0, min(sizes[2], 0.01), 0.0])
         spread = A * (allowed[kind] * units)
         told = multivariate_normal.logpdf(z, cov=np.eye(len(z)) + spread @ spread.T) - nothing
         told -= SURE * np.count_nonzero(sizes)

@@ -28,8 +28,8 @@ for sigma is
 
 (empirical Bayes). A kind without evidence stays out: undisturbed flights of equal rotors lose
 nothing by it. Only thrust comes in with torque: a rotor that leans differs in torque alone, another
-propeller or a speed that is read wrong in both, and where six rotors and more hide that in roll and
-pitch, the CG is not known better than it.
+propeller or a speed that is read wrong in both. Roll and pitch of four rotors show all but a
+percent of it; six and more hide what they differ by, and the CG is not known better than that.
 
 On commands, yaw carries little information on its damping, and on k_M only at low frequency, where
 damping matters: there damping by axis is always an unknown, with a size typical of multirotors,
@@ -56,6 +56,8 @@ SIZES: Mapping[str, tuple[float, ...]] = {
 }
 """Standard deviations that are tried: of damping in moments of inertia per second, of thrust and
 torque relative to the mean over the rotors."""
+_HIDDEN = 0.01
+"""Of thrust, of four rotors."""
 AXIS_DAMPING = 0.3
 """1/s, of an axis' damping about the mean, in moments of inertia: inflow and flapping damp roll and
 pitch of multirotors by 0.1 to 0.5, and hardly yaw."""
@@ -200,6 +202,9 @@ class DeviationChoice:
         ways = _misplaced(geometry, self._signal)
         self._places = place * ways if place else ways[:0]
         self._turn = turn
+        more = rotors > len(self._signal)
+        self._hidden = max(SIZES["thrust"]) if more else _HIDDEN
+        """Size of thrust that comes in with torque, at most."""
 
     @cached_property
     def older(self) -> Array:
@@ -307,7 +312,7 @@ class DeviationChoice:
 
         def stds(sizes: list[float]) -> Array:
             damping, thrust, torque = sizes
-            allowed = max(thrust, min(torque, max(SIZES["thrust"])))
+            allowed = max(thrust, min(torque, self._hidden))
             return np.concatenate([np.array([damping, allowed, torque])[kinds], last])
 
         best = evidence_for(g, H, stds(found))
