@@ -127,8 +127,7 @@ class Deviations:
 
     def torque(self, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
-        torque: Array = (phi @ self._flat).reshape(*phi.shape[:-1], 3, N_X)
-        return torque
+        return (phi @ self._flat).reshape(*phi.shape[:-1], 3, N_X)
 
     def forward(self, theta: Array, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) Q of w' = Q x, both as the IMU reads them.

@@ -31,7 +31,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import REACH, TRY, AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, find_whiteners, grouped
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.significance import FALSE_ALARM_RATE
@@ -213,7 +213,6 @@ def fit_whitened(
     bank = BankProblem(data, basis, prior, kept, deviations)
     if bank.rows < 3 * rb.N_THETA:
         return None
-    pick = None if start is None else bank.places(start.whiteners)
     if start is None:
         trial = bank.scanned()
         if trial is None:
@@ -222,11 +221,11 @@ def fit_whitened(
     else:
         assert start.warm_start is not None
         unknowns = start.warm_start.unknowns
-        solved = (
-            bank.solve_from(bank.tried(unknowns))
-            if pick is None
-            else bank.solve(pick, unknowns[None])
-        )
+        pick = tuple(i for i in find_whiteners(start.whiteners, data.whiteners) if i is not None)
+        if len(pick) == len(_AXES):
+            solved = bank.solve(pick, unknowns[None])
+        else:
+            solved = bank.solve_from(bank.tried(unknowns))
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         TP, variance = _innovation_maker(solved), solved.point.variance[0]

@@ -5,7 +5,6 @@ is found by the power of the innovations, within its bounds. As a free column it
 where torque predicts the motion best, which under feedback is the inverse of the controller.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,7 +27,7 @@ from gcs_sysid.estimation.fit.problem import (
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import meat
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
@@ -130,12 +129,6 @@ class BankProblem:
         From what the first axis or the others found, whichever is nearer to all of it.
         """
         return self.solve(trial.pick, np.unique(trial.unknowns[list(trial.pick)], axis=0))
-
-    def places(self, whiteners: Sequence[Whitener]) -> tuple[int, ...] | None:
-        """Of those of the axes in the bank; None: it lacks one."""
-        known = {whitener.name: i for i, whitener in enumerate(self.data.whiteners)}
-        found = tuple(known[w.name] for w in whiteners if w.name in known)
-        return found if len(found) == len(_AXES) else None
 
     def tried(self, unknowns: Array, limit: int = _AGAIN) -> BankTrial:
         """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""

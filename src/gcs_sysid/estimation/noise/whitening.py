@@ -201,6 +201,12 @@ def bank_for_commands(T: float) -> tuple[Whitener, ...]:
     )
 
 
+def find_whiteners(wanted: Sequence[Whitener], bank: Sequence[Whitener]) -> list[int | None]:
+    """Where whiteners are in a bank; None: it lacks one of that name."""
+    places = {whitener.name: i for i, whitener in enumerate(bank)}
+    return [places.get(whitener.name) for whitener in wanted]
+
+
 def essential(whiteners: Sequence[Whitener], picked: Sequence[int]) -> list[int]:
     """Indices of the whiteners to go on with once a flight has shown what it is like.
 

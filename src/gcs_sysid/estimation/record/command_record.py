@@ -458,7 +458,7 @@ class CommandRecord:
         found, start = [first], first.fit.rotation.coordinates
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, first, leading=first)
+                tuned = self._converged(start, other, hover, first, rival=True)
                 if tuned is not None:
                     found.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
@@ -501,7 +501,7 @@ class CommandRecord:
         hover: float,
         alike: TunedRows | None,
         *,
-        leading: TunedRows | None = None,
+        rival: bool = False,
         whole: bool = False,
     ) -> TunedRows | None:
         """Rows about the motors of one place of the lag; None while there is no fit.
@@ -511,10 +511,10 @@ class CommandRecord:
             of: what lags.
             hover: mean command.
             alike: rows about other motors, whose likely whiteners are tried.
-            leading: rows of the place that this one is but compared with.
+            rival: whether this place is but compared with that of `alike`.
             whole: whether all whiteners are tried.
         """
-        tuned, now = None, self._now
+        tuned, now, leading = None, self._now, alike if rival else None
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
             if leading is None and now is not None and self._holds(now, basis, hover):

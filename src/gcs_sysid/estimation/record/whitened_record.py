@@ -13,7 +13,13 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.whitened_fit import ShockReference, bank_fit, shocks_in
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, WhitenerBank, essential
+from gcs_sysid.estimation.noise.whitening import (
+    WhitenedMoments,
+    Whitener,
+    WhitenerBank,
+    essential,
+    find_whiteners,
+)
 from gcs_sysid.estimation.rows.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.signals.one_step import OneStep
@@ -136,8 +142,8 @@ class WhitenedRecord:
 
     def places(self, whiteners: Sequence[Whitener]) -> list[int]:
         """Where whiteners are in the bank; of those that were given up, where the first leak is."""
-        known = {whitener.name: i for i, whitener in enumerate(self.whiteners)}
-        return [known.get(whitener.name, known["leak 0.3 s"]) for whitener in whiteners]
+        first = next(i for i, own in enumerate(self.whiteners) if own.name == "leak 0.3 s")
+        return [first if i is None else i for i in find_whiteners(whiteners, self.whiteners)]
 
     @property
     def silence(self) -> Array:
