@@ -277,3 +277,6 @@ def test_why_there_is_no_offline_estimate_is_said(truth, flight):
     online = tracker.fit()
     tracker.kept[:] = [flight.part(slice(20))]
     assert fit_offline(tracker, online) == "the prediction error of 20 samples found no estimate"
+    sparse = Tracker(truth.geometry, 0.02, EstimatorTuning(speed_interval=0.02), keep=True)
+    sparse.update(0.02 * np.arange(250), flight.part(slice(0, 1000, 4)))
+    assert "speeds are 20 ms apart" in fit_offline(sparse, sparse.fit())

@@ -45,7 +45,7 @@ from gcs_sysid.estimation.offline.prediction_error import (
     sound_rows,
 )
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.input_noise import with_sparse_readings
+from gcs_sysid.estimation.record.input_noise import is_sparse
 from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, LagPlace
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.recursions import lfilter
@@ -261,6 +261,10 @@ def fit_offline(
     estimator, commands = tracker.estimator, tracker.tuning.rotor_input.motors
     if commands and not before.whiteners:
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
+    interval = tracker.tuning.speed_interval
+    if not commands and is_sparse(interval):
+        when = f"speeds are {1e3 * interval:.0f} ms apart"
+        return f"{when}: torque that jumps in between would bias an offline one more"
     count = sum(len(part.gyro) for part in tracker.kept)
     what = f"prediction error of {count} samples"
     choice = estimator.record.choice
@@ -295,8 +299,6 @@ def fit_offline(
         rotation = replace(rotation.widened(doubt), lag_place=place, lag_doubt=doubt)
     own, apart = _widened(rotation, before)
     own, instrumented = combined(own, fit_by_instruments(best.whitened, own))
-    if online.moments is not None and not commands:
-        own = with_sparse_readings(own, tracker.tuning.speed_interval, online.moments.window)
     thrust, accelerometer = estimator.fit_translation(own)
     fit = replace(
         online,
