@@ -159,13 +159,13 @@ def check_wizard(data: bytes) -> None:
         return typed.pop(0)
 
     with one_line_errors():
-        answers = Wizard(ask, lambda text: None, ASCII).answers(GivenAnswers())
-        text = airframe_text(answers)
+        airframe, origin = Wizard(ask, lambda text: None, ASCII).answers(GivenAnswers())
+        text = airframe_text(airframe, origin)
         try:
             made = checked(text, "the wizard's file")
         except InputError as error:
             raise AssertionError(f"the wizard made a file that is refused: {error}") from error
-        assert made.name == answers.name
+        assert made.name == airframe.name
 
 
 def toml_seeds() -> list[bytes]:

@@ -5,9 +5,8 @@ import dataclasses
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Rotor
+from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.setup_help.airframe_file import (
-    AirframeAnswers,
     airframe_text,
     check_airframe,
     check_new,
@@ -23,10 +22,10 @@ QUAD = layout_rotors("px4-quad-x", 0.25)
 
 @pytest.mark.parametrize("anchor", ["mass", "k_T", "T_max"])
 def test_all_that_can_be_told_is_read_back(anchor):
-    answers = AirframeAnswers(
+    answers = Airframe(
         'the "big" \\ one ü',
         QUAD,
-        scale=(anchor, 1.0 / 3.0),
+        **{anchor: 1.0 / 3.0},
         imu_position=(0.02, -0.01, -0.03),
         priors={"k_M": (6.1e-6, 1e-7), "cg_x": (-0.01, 0.002)},
     )
@@ -41,7 +40,7 @@ def test_all_that_can_be_told_is_read_back(anchor):
 def test_rotors_that_cannot_control_a_vehicle_are_refused():
     same = tuple(Rotor(r.x, r.y, 1) for r in QUAD)
     with pytest.raises(InputError, match="roll, pitch, yaw and thrust independently"):
-        checked(airframe_text(AirframeAnswers("x", same)), "these")
+        checked(airframe_text(Airframe("x", same)), "these")
 
 
 def test_a_folder_that_is_not_there(tmp_path):
@@ -51,7 +50,8 @@ def test_a_folder_that_is_not_there(tmp_path):
 
 
 def findings_of(rotors, scale=("mass", 1.5), rotor_input="auto"):
-    text = airframe_text(AirframeAnswers("x", rotors, scale=scale, rotor_input=rotor_input))
+    given = {} if scale is None else dict([scale])
+    text = airframe_text(Airframe("x", rotors, rotor_input=rotor_input, **given))
     return {finding.topic: finding for finding in check_airframe(checked(text, "x"))}
 
 

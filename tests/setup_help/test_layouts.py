@@ -5,10 +5,10 @@ import math
 import pytest
 
 from gcs_sysid.model.airframe import Rotor
+from gcs_sysid.session.reported_layout import place_words
 from gcs_sysid.setup_help.airframe_file import (
     LAYOUTS,
     layout_rotors,
-    place_of,
     reversed_spins,
     same_order,
     same_places,
@@ -78,4 +78,4 @@ def test_turned_a_little_it_is_still_the_layout(name):
 )
 def test_places_in_words(angle, words):
     a = math.radians(angle)
-    assert place_of(math.cos(a), math.sin(a)) == words
+    assert place_words(Rotor(math.cos(a), math.sin(a), 1)) == words

@@ -35,9 +35,9 @@ class Dialogue:
 
 def asked(*typed, given=None):
     dialogue = Dialogue(*typed)
-    found = Wizard(dialogue.ask, dialogue.say, ASCII).answers(given or GivenAnswers())
+    found, origin = Wizard(dialogue.ask, dialogue.say, ASCII).answers(given or GivenAnswers())
     assert dialogue.over
-    return found, dialogue.seen
+    return found, f"{dialogue.seen}{origin}"
 
 
 REST = ("1", "1.5", "", "", "")
@@ -47,7 +47,7 @@ REST = ("1", "1.5", "", "", "")
 def test_a_usual_vehicle():
     found, seen = asked("px4-quad-x", "0.25", "", *REST)
     assert found.rotors == layout_rotors("px4-quad-x", 0.25)
-    assert found.scale == ("mass", 1.5)
+    assert found.anchor() == ("mass", 1.5)
     assert (found.imu_position, found.priors, found.name) == (None, {}, "my-vehicle")
     assert "3 cw" in seen
     assert "motor  place" in seen
@@ -64,7 +64,7 @@ def test_slips_are_answered_at_once_with_a_word():
         "mine",
     )
     assert found.rotors == layout_rotors("px4-quad-x", 0.25)
-    assert found.scale == ("mass", 1.5)
+    assert found.anchor() == ("mass", 1.5)
     assert found.imu_position == (0.0, 0.0, -0.03)
     assert found.priors == {"k_M": (6e-6, 1e-7)}
     assert found.name == "mine"
@@ -94,7 +94,7 @@ def test_spins():
     usual = layout_rotors("px4-quad-x", 0.25)
     found, seen = asked("1", "0.25", "reversed", *REST)
     assert found.rotors == reversed_spins(usual)
-    assert found.origin.endswith("Spins as given.")
+    assert seen.endswith("Spins as given.")
     assert seen.count("motor  place") == 2
     found, seen = asked("1", "0.25", "ccw ccw ccw ccw", "cw, cw, ccw, ccw", *REST)
     assert found.rotors == reversed_spins(usual)
@@ -110,8 +110,8 @@ def test_own_positions():
     assert found.rotors == tuple(
         Rotor(*r) for r in ((0.2, 0.2, 1), (-0.2, -0.2, 1), (0.2, -0.2, -1), (-0.2, 0.2, -1))
     )
-    assert found.scale is None
-    assert found.origin == "Custom layout."
+    assert found.anchor() is None
+    assert seen.endswith("Custom layout.")
     for word in ("'here' is not a number", "at least four motors", "12.7279 m is a long arm"):
         assert word in " ".join(seen.split()), word
 
@@ -122,7 +122,7 @@ def test_what_options_have_told_is_not_asked():
     )
     found, seen = asked("", "", given=given)
     assert found.rotors == layout_rotors("px4-hexa-x", 0.4)
-    assert (found.scale, found.name) == (("k_T", 1e-5), "six")
+    assert (found.anchor(), found.name) == (("k_T", 1e-5), "six")
     assert "Which layout" not in seen
 
 

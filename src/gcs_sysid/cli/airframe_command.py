@@ -12,7 +12,6 @@ from gcs_sysid.setup_help.airframe_file import (
     ASCII,
     UNICODE,
     UNICODE_SIGNS,
-    AirframeAnswers,
     Pen,
     airframe_text,
     check_airframe,
@@ -25,6 +24,7 @@ from gcs_sysid.setup_help.airframe_file import (
 )
 from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
 from gcs_sysid.setup_help.wizard import (
+    Answers,
     GivenAnswers,
     Wizard,
     arm_lengths,
@@ -81,7 +81,7 @@ def _new(options: argparse.Namespace) -> int:
     if path is None:
         print("nothing is written", file=sys.stderr)
         return 0
-    text = airframe_text(answers)
+    text = airframe_text(*answers)
     airframe = checked(text, str(path))
     if str(path) == "-":
         print_file(text)
@@ -113,7 +113,7 @@ def _given(options: argparse.Namespace) -> GivenAnswers:
     )
 
 
-def _asked(given: GivenAnswers) -> tuple[AirframeAnswers, Path | None]:
+def _asked(given: GivenAnswers) -> tuple[Answers, Path | None]:
     """Ask for what is missing; the path is None when the user says no at the end."""
 
     def ask(question: str) -> str:
@@ -131,11 +131,11 @@ def _asked(given: GivenAnswers) -> tuple[AirframeAnswers, Path | None]:
     wizard = Wizard(ask, say, _pen(sys.stderr.encoding))
     say("A few questions about the vehicle; Ctrl-C leaves, and nothing is written.\n")
     answers = wizard.answers(given)
-    text = airframe_text(answers)
+    text = airframe_text(*answers)
     findings = check_airframe(checked(text, "airframe"))
     unicode = can_show(UNICODE_SIGNS, sys.stderr.encoding)
     say(f"\n{text}\n{as_text(findings, terminal_width() or 80, unicode=unicode)}\n")
-    path = given.output or wizard.new_file(_file_name(answers.name))
+    path = given.output or wizard.new_file(_file_name(answers[0].name))
     return answers, path if wizard.yes(f"Write {path}?", default=True) else None
 
 

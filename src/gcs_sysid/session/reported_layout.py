@@ -364,8 +364,13 @@ def _narrowest(bearings: Array) -> float:
 
 
 def place_words(rotor: Rotor) -> str:
-    """Where a rotor is: "front right", "left", ..."""
-    reach = math.hypot(rotor.x, rotor.y)
-    along = "front" if rotor.x > 0.17 * reach else "rear" if rotor.x < -0.17 * reach else ""
-    across = "right" if rotor.y > 0.17 * reach else "left" if rotor.y < -0.17 * reach else ""
-    return " ".join(filter(None, (along, across))) or "center"
+    """Where a rotor is: "front right", "left", "right front" (further right), ..."""
+    x, y = rotor.x, rotor.y
+    if math.hypot(x, y) < 1e-6:
+        return "center"
+    along, across = "front" if x > 0 else "rear", "right" if y > 0 else "left"
+    if abs(y) < math.tan(math.radians(10.0)) * abs(x):
+        return along
+    if abs(x) < math.tan(math.radians(10.0)) * abs(y):
+        return across
+    return f"{along} {across}" if abs(x) >= 0.999 * abs(y) else f"{across} {along}"

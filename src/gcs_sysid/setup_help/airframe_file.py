@@ -6,10 +6,8 @@ Usual layouts are in autopilots' motor orders; their picture is of characters.
 import json
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,8 +21,7 @@ from gcs_sysid.model.airframe import (
     load_airframe,
     parse_airframe,
 )
-from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.session.reported_layout import bearings, on_circle, turned_between
+from gcs_sysid.session.reported_layout import bearings, on_circle, place_words, turned_between
 from gcs_sysid.setup_help.checks import SetupFinding, Sign
 
 _SHAPES = {
@@ -68,18 +65,6 @@ def layout_rotors(name: str, arm: float | tuple[float, float]) -> tuple[Rotor, .
         x, y = arm
         return tuple(Rotor(math.copysign(x, r.x), math.copysign(y, r.y), r.spin) for r in rotors)
     return Airframe(name, rotors).with_arm(arm).rotors
-
-
-def place_of(x: float, y: float) -> str:
-    """Where a rotor is, in words: "front right", "right", "right front" (further right)."""
-    if math.hypot(x, y) < 1e-6:
-        return "center"
-    along, across = "front" if x > 0 else "rear", "right" if y > 0 else "left"
-    if abs(y) < math.tan(math.radians(10.0)) * abs(x):
-        return along
-    if abs(x) < math.tan(math.radians(10.0)) * abs(y):
-        return across
-    return f"{along} {across}" if abs(x) >= 0.999 * abs(y) else f"{across} {along}"
 
 
 def same_order(rotors: tuple[Rotor, ...]) -> list[str]:
@@ -200,7 +185,7 @@ def rotor_table(rotors: tuple[Rotor, ...]) -> str:
         # Adding zero makes 0 of -0.
         x, y = (f"{round(value, 4) + 0.0:.4g}" for value in (rotor.x, rotor.y))
         spin = "ccw" if rotor.spin > 0 else "cw"
-        rows.append((str(number), place_of(rotor.x, rotor.y), x, y, spin))
+        rows.append((str(number), place_words(rotor), x, y, spin))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     sides = "><>><"
     return "\n".join(
@@ -225,52 +210,36 @@ _ANCHOR_WORDS: dict[AnchorName, str] = {
 }
 
 
-@dataclass(frozen=True)
-class AirframeAnswers:
-    """What a user enters about a vehicle.
+def airframe_text(airframe: Airframe, origin: str = "") -> str:
+    """The file: TOML with units as comments. `checked` says whether it can be used.
 
-    Attributes:
-        name: any text of one line.
-        rotors: in motor order.
-        origin: where the rotors come from, in words, for a comment; may be empty.
-        scale: what sets it, with its SI value; None: to be given on the command line.
-        rotor_input: which telemetry carries the rotors' inputs.
-        imu_position: m, forward, right and down from the center; None: not known.
-        priors: parameter -> value and standard deviation, SI.
+    Args:
+        airframe: what a user enters: name, rotors, scale, rotor input, IMU and priors.
+        origin: where the rotors come from, in words, for a comment.
     """
-
-    name: str
-    rotors: tuple[Rotor, ...]
-    origin: str = ""
-    scale: tuple[AnchorName, float] | None = None
-    rotor_input: RotorInput | Literal["auto"] = "auto"
-    imu_position: tuple[float, float, float] | None = None
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-def airframe_text(answers: AirframeAnswers) -> str:
-    """The file: TOML with units as comments. `checked` says whether it can be used."""
-    lines = [f"# {answers.origin}"] if answers.origin else []
-    lines.append(f"name = {json.dumps(answers.name, ensure_ascii=False)}")
-    if answers.scale is not None:
-        anchor, value = answers.scale
+    lines = [f"# {origin}"] if origin else []
+    lines.append(f"name = {json.dumps(airframe.name, ensure_ascii=False)}")
+    if (scale := airframe.anchor()) is not None:
+        anchor, value = scale
         lines.append(f"{anchor} = {value!r}  # {ANCHORS[anchor]}, {_ANCHOR_WORDS[anchor]}")
-    lines.append(f'rotor_input = "{answers.rotor_input}"')
-    if answers.imu_position is not None:
-        x, y, z = (_in_meters(value) for value in answers.imu_position)
+    lines.append(f'rotor_input = "{airframe.rotor_input}"')
+    if airframe.imu_position is not None:
+        x, y, z = (_in_meters(value) for value in airframe.imu_position)
         lines += ["", "[imu]"]
         lines.append(f"position = [{x}, {y}, {z}]  # m, forward, right and down from the center")
-    for number, rotor in enumerate(answers.rotors, 1):
+    for number, rotor in enumerate(airframe.rotors, 1):
         spin = "ccw" if rotor.spin > 0 else "cw"
-        lines += ["", f"[[rotor]]  # motor {number}, {place_of(rotor.x, rotor.y)}"]
+        lines += ["", f"[[rotor]]  # motor {number}, {place_words(rotor)}"]
         lines.append(f"x = {_in_meters(rotor.x)}  # m forward")
         lines.append(f"y = {_in_meters(rotor.y)}  # m to the right")
         lines.append(f'spin = "{spin}"')
         if rotor.axis != Rotor.axis:
             lines.append(f"axis = {list(rotor.axis)!r}  # of thrust, forward, right and down")
-    if answers.priors:
+    if airframe.priors:
         lines += ["", "[prior]  # value and standard deviation, SI"]
-        lines += [f"{name} = [{value!r}, {std!r}]" for name, (value, std) in answers.priors.items()]
+        lines += [
+            f"{name} = [{value!r}, {std!r}]" for name, (value, std) in airframe.priors.items()
+        ]
     return "\n".join(lines) + "\n"
 
 

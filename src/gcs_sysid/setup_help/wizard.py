@@ -4,9 +4,9 @@ import math
 import re
 import textwrap
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from gcs_sysid.argument_types import parse_given, split_prior
 from gcs_sysid.errors import InputError
@@ -14,7 +14,6 @@ from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Ro
 from gcs_sysid.setup_help.airframe_file import (
     LAYOUTS,
     TWO_LENGTHS,
-    AirframeAnswers,
     Pen,
     airframe_text,
     arm_doubt,
@@ -176,7 +175,11 @@ class GivenAnswers:
         return placed and self.output is not None
 
 
-def given_answers(given: GivenAnswers) -> AirframeAnswers:
+Answers = tuple[Airframe, str]
+"""What a user enters about a vehicle, and where its rotors come from, in words."""
+
+
+def given_answers(given: GivenAnswers) -> Answers:
     """The answers, of options alone.
 
     Raises:
@@ -186,10 +189,14 @@ def given_answers(given: GivenAnswers) -> AirframeAnswers:
     rotors = with_spins(usual, given.spin or "usual")
     stem = given.output.stem if given.output and str(given.output) != "-" else ""
     name = given.name or stem or given.layout or "airframe"
-    return AirframeAnswers(
-        name, rotors, _origin_of(origin, rotors == usual), given.scale,
-        imu_position=given.imu_position, priors=given.priors,
-    )  # fmt: skip
+    airframe = Airframe(name, rotors, imu_position=given.imu_position, priors=given.priors)
+    return _scaled(airframe, given.scale), _origin_of(origin, rotors == usual)
+
+
+def _scaled(airframe: Airframe, scale: tuple[AnchorName, float] | None) -> Airframe:
+    """With a scale of whatever size: whether it can be is said of the file."""
+    anchors: dict[str, Any] = {} if scale is None else {scale[0]: scale[1]}
+    return replace(airframe, **anchors)
 
 
 def _given_rotors(given: GivenAnswers) -> tuple[tuple[Rotor, ...], str]:
@@ -237,7 +244,7 @@ def _can_fly(rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
     Raises:
         InputError: they cannot control a vehicle.
     """
-    checked(airframe_text(AirframeAnswers("", rotors)), "these motors")
+    checked(airframe_text(Airframe("", rotors)), "these motors")
     return rotors
 
 
@@ -262,7 +269,7 @@ class Wizard:
         self._say = say
         self._pen = pen
 
-    def answers(self, given: GivenAnswers) -> AirframeAnswers:
+    def answers(self, given: GivenAnswers) -> Answers:
         """Ask for what is missing, showing the rotors on the way."""
         if given.rotors or (given.layout is not None and given.arm is not None):
             rotors, origin = _given_rotors(given)
@@ -274,7 +281,7 @@ class Wizard:
         imu = given.imu_position or self._imu()
         priors = given.priors or self._priors()
         name = given.name or self._name(given)
-        return AirframeAnswers(name, rotors, origin, scale, imu_position=imu, priors=priors)
+        return _scaled(Airframe(name, rotors, imu_position=imu, priors=priors), scale), origin
 
     def yes(self, question: str, *, default: bool) -> bool:
         """A question that has two answers."""
