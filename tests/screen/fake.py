@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate, Status
 from gcs_sysid.results.history import Acceleration, History
 from gcs_sysid.results.result import Result
@@ -203,6 +204,8 @@ def health() -> dict[str, object]:
         "verdict": "available",
         "reasons": [],
         "objections": [],
+        "source": "udpin:0.0.0.0:14550",
+        "airframe": load_airframe("px4-quad-x").as_json(),
         "seconds_of_hover": 41.5,
         "rotor_input": "speed",
         "cg": {"x": _quantity(-0.0242, 0.0041, 0.004), "y": _quantity(-0.0013, 0.0037, 0.0036)},

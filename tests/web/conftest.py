@@ -7,7 +7,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.screen import Actions, Scene
 from gcs_sysid.web.session_page import SessionPage
 from gcs_sysid.web.site import Site
@@ -85,7 +84,7 @@ def page(source):
         export_targets=("urdf",),
         absent="in a test",
     )
-    return SessionPage(source, Scene(fake.TRUTH, acting), airframe=lambda: load_airframe("paper"))
+    return SessionPage(source, Scene(fake.TRUTH, acting))
 
 
 @contextmanager

@@ -86,7 +86,7 @@ def test_what_changes_something_needs_the_pages_origin(pilot, source):
 
 
 def test_a_viewer_can_change_nothing(viewer, pilot, source):
-    for action in ("mark", "reset", "record", "scale", "export", "report", "health"):
+    for action in ("mark", "reset", "record", "scale", "export", "report"):
         status, text = viewer.post("/live/action", {"action": action})
         assert (status, text) == (403, "viewers can only look; the pilot's link allows this\n")
     assert viewer.ask("PUT", "/live/action", {})[0] == 403

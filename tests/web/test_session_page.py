@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History
 from gcs_sysid.results.notebook_view import text
@@ -140,7 +139,7 @@ def test_every_viewer_sees_each_snapshot_once(site, source, viewer, pilot):
         streams = viewer.stream(first), pilot.stream(second)
         for stream in streams:
             assert next(stream)["session"]["t"] == "00:42"
-            assert next(stream)["health"]["state"] == "none"
+            assert next(stream)["health"]["look"] == 1
         source.snapshot = replace(source.snapshot, t=99.0)
         for stream in streams:
             assert next(stream)["session"]["t"] == "01:39"
@@ -192,7 +191,6 @@ def test_what_a_pilot_asks_for_is_done_once(pilot, source):
         (b'{"action": "scale", "name": "mass", "value": NaN}', "value: must be a number"),
         (b'{"action": "scale", "name": "arm", "value": 1}', "name must be"),
         (b'{"action": "export", "target": "../x"}', "no such export format"),
-        (b'{"action": "health"}', "no recording"),
     ],
 )
 def test_malformed_messages_are_refused_in_a_line(pilot, source, body, why, capfd):
@@ -239,25 +237,14 @@ def test_a_replay_is_moved(source):
         assert pilot.events(1)[0]["session"]["playback"]["state"] == "▶ 1x"
 
 
-@pytest.mark.slow
-def test_the_health_of_the_flight_so_far_reaches_every_viewer(source, fly):
-    words = ("--mission", "hover", "--rate", "50", "--duration", "14", "--seed", "2")
-    log = fly(*words).tlog
-    before = log.read_bytes()
-    page = SessionPage(source, Scene(), lambda: log, lambda: load_airframe("paper"))
-    with served(page) as site:
-        pilot, viewer = Client(site, "pilot"), Client(site, "viewer")
-        assert viewer.get("/live/health.svg")[0] == 400
-        with viewer.open("GET", "/live") as response:
-            told = (event["health"] for event in viewer.stream(response) if "health" in event)
-            assert next(told)["state"] == "none"
-            assert pilot.post("/live/action", {"action": "health"})[0] == 200
-            states = [next(told)]
-            while states[-1]["state"] == "running":
-                states.append(next(told))
-        assert states[-1]["state"] == "done", states
-        assert "s of hover" in states[-1]["text"]
-        status, text = viewer.get("/live/health.svg")
-        assert status == 200
-        assert text.startswith("<svg")
-    assert log.read_bytes() == before
+def test_health_is_that_of_the_screen_for_every_viewer(source, viewer):
+    source.snapshot = replace(source.snapshot, health=None)
+    with viewer.open("GET", "/live") as response:
+        told = (event["health"] for event in viewer.stream(response) if "health" in event)
+        assert next(told) == {"text": "No hover yet: hover for 10 s."}
+        assert viewer.get("/live/health.svg") == (400, "No hover yet: hover for 10 s.\n")
+        source.snapshot = replace(source.snapshot, health=fake.HEALTH)
+        assert "s of hover" in next(told)["text"]
+    status, text = viewer.get("/live/health.svg")
+    assert status == 200
+    assert text.startswith("<svg")

@@ -214,7 +214,7 @@ def _serve(session: Session, scene: Scene, address: tuple[str, int]) -> None:
         stopped.set()
         session.request_stop()
 
-    page = SessionPage(session, scene, session.flushed_recording, lambda: session.airframe)
+    page = SessionPage(session, scene)
     site = Site(host, port, page)
     try:
         site.start()

@@ -114,6 +114,13 @@ def health_facts(health: Mapping[str, Any], notation: Notation = PLAIN) -> list[
     return [fact for key in _WORDS if (fact := health_fact(health, key, notation))]
 
 
+def absent_health(health: Mapping[str, Any] | None) -> str:
+    """Why a session shows no health: there was no look yet, or it was refused."""
+    if health is None:
+        return "No hover yet: hover for 10 s."
+    return f"No health: {'; '.join(health['reasons'])}"
+
+
 def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The numbers that one looks at first, rounded, without those that say nothing.
 

@@ -18,7 +18,7 @@ from textual.message import Message
 from gcs_sysid.model.parameters import AXES, Parameter
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
-from gcs_sysid.results.health_view import cg_facts, half_of, health_facts
+from gcs_sysid.results.health_view import absent_health, cg_facts, half_of, health_facts
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.results.snapshot import Event, LinkStatus
 from gcs_sysid.results.words import (
@@ -240,7 +240,6 @@ class AttitudePanel(Lines, Shown):
 _NAME = 16
 _BAR = 12
 _BOLD_WARNING = "bold $text-warning"
-_NOT_YET = "No hover yet: hover for 10 s."
 _UNEQUAL = "± includes unequal rotors (3 %)"
 
 
@@ -252,8 +251,7 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
         width: columns.
     """
     if health is None or health["verdict"] == "refused":
-        why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
-        return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
+        return [[(line, fmt.MUTED)] for line in textwrap.wrap(absent_health(health), width)]
     lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
     for name, text in health_facts(health):
         lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])

@@ -1,8 +1,7 @@
-"""A log's analysis for a page, and the health of a recording: files in a folder."""
+"""A log's analysis for a page: files in a folder."""
 
 import contextlib
-import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,10 @@ from typing import Any
 from gcs_sysid.argument_types import given_words, with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import MEGABYTE, LogLimits, OverTime, within
-from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
-from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
+from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import health_picture, render
 from gcs_sysid.session.chain import ChainOptions
@@ -100,31 +97,6 @@ def analyze(
         "reasons": list(found.result.reasons),
         "health": found.health.available,
     }
-
-
-def health(
-    log: Path, name: str, table: Mapping[str, Any], folder: Path, on_progress: OnProgress
-) -> Any:
-    """The health picture of a recording that may still be growing.
-
-    Raises:
-        InputError: there is no health yet.
-    """
-    airframe = parse_airframe(table, "the session's airframe")
-    # What is recorded meanwhile must not come in between.
-    copy = folder / "recording.tlog"
-    shutil.copyfile(log, copy)
-    on_progress("analyzing the hover", 0.3)
-    try:
-        found = replace(health_of_log(copy, HealthOptions(airframe)), source=name)
-    finally:
-        copy.unlink()
-    if found.contradicted:
-        raise InputError("; ".join(found.reasons))
-    if not found.available:
-        raise InputError("no health yet: the vehicle has not hovered long enough in this recording")
-    (folder / PICTURE).write_text(health_picture(document_of(found)), encoding="utf-8")
-    return {"advice": list(found.advice), "seconds": found.seconds}
 
 
 def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:

@@ -92,8 +92,6 @@ def run(job: Mapping[str, Any], on_progress: OnProgress) -> Any:
 
     folder = Path(job["folder"])
     with log_analysis.limited():
-        if job["do"] == "health":
-            return log_analysis.health(log, job["name"], job["airframe"], folder, on_progress)
         request = parse_request(job["request"])
         return log_analysis.analyze(log, job["name"], request, folder, on_progress)
 

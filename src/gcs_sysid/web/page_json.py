@@ -11,6 +11,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.report.page_figures import ChartData, add_history
 from gcs_sysid.results.comparison import Comparison, Difference, compare, comparison_sentences
+from gcs_sysid.results.health_view import absent_health
 from gcs_sysid.results.history import known_history
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import (
@@ -65,6 +66,19 @@ def why_no_health(document: Mapping[str, Any]) -> list[str]:
     if not isinstance(found, dict) or found.get("verdict") != "refused":
         return []
     return [f"no health: {reason}" for reason in found["reasons"]]
+
+
+def health_view(document: Mapping[str, Any] | None, look: int) -> dict[str, Any]:
+    """What hover shows, in words; a picture of it can be had.
+
+    Args:
+        document: a health file's content; None before the first look.
+        look: number of it, by which a browser knows that the picture is another one.
+    """
+    if document is None or document["verdict"] == "refused":
+        return {"text": absent_health(document)}
+    text = f"From {document['seconds_of_hover']:.0f} s of hover."
+    return {"text": text, "advice": list(document["advice"]), "look": look}
 
 
 def value_view(shown: Figures) -> dict[str, str]:

@@ -7,22 +7,21 @@ goes into the session's command queue as from there. Nothing here knows a link o
 import asyncio
 import contextlib
 import math
-import tempfile
-from collections.abc import AsyncIterator, Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from aiohttp import web
 
 from gcs_sysid.errors import InputError, one_line
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.report.page import health_picture
+from gcs_sysid.results.health_view import absent_health
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.view import Scene, SnapshotSource
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.web.log_request import PICTURE
-from gcs_sysid.web.page_json import history_view, session_view
+from gcs_sysid.web.page_json import health_view, history_view, session_view
 from gcs_sysid.web.site import json_of, present_role, refuse
-from gcs_sysid.web.workbench import WorkerPool
+from gcs_sysid.web.workbench import PICTURE_HEADERS
 
 Command = Callable[[Mapping[str, Any]], Any]
 
@@ -31,7 +30,6 @@ MOST_VIEWERS = 16
 _LOOK_EVERY = 0.2
 """s between looks for a new snapshot."""
 _MOST_TEXT = 200
-_PICTURE = {"Content-Security-Policy": "default-src 'none'; sandbox"}
 
 
 class SessionPage:
@@ -40,31 +38,20 @@ class SessionPage:
     Args:
         source: of the snapshots; not stopped when a viewer leaves.
         scene: truth, baseline, and what a pilot may do.
-        recording: of the flight so far, whole up to now; None without one.
-        airframe: in force.
     """
 
     page = "live.html"
 
-    def __init__(
-        self,
-        source: SnapshotSource,
-        scene: Scene,
-        recording: Callable[[], Path | None] = lambda: None,
-        airframe: Callable[[], Airframe | None] = lambda: None,
-    ) -> None:
+    def __init__(self, source: SnapshotSource, scene: Scene) -> None:
         self._source, self._scene = source, scene
-        self._recording, self._airframe = recording, airframe
         self._viewers = 0
         self._serial = 0
         self._known: Snapshot | None = None
         self._packed = b""
         self._plots: dict[str, bytes] = {}
-        self._health: dict[str, Any] = {"state": "none", "text": ""}
-        self._checks = 0
-        self._checking: asyncio.Task[None] | None = None
+        self._health = health_view(None, 0)
+        self._looks = 0
         self._closing = asyncio.Event()
-        self._folder = Path()
 
     def add_to(self, application: web.Application) -> None:
         """As `SiteContent` says."""
@@ -77,16 +64,7 @@ class SessionPage:
                 web.post("/live/action", self._act),
             ]
         )
-        application.cleanup_ctx.append(self._life)
         application.on_shutdown.append(self._leave)
-
-    async def _life(self, _: web.Application) -> AsyncIterator[None]:
-        with tempfile.TemporaryDirectory(prefix="gcs-sysid-", ignore_cleanup_errors=True) as folder:
-            self._folder = Path(folder)
-            yield
-            if self._checking is not None:
-                self._checking.cancel()
-                await asyncio.gather(self._checking, return_exceptions=True)
 
     async def _leave(self, _: web.Application) -> None:
         self._closing.set()
@@ -98,6 +76,9 @@ class SessionPage:
         snapshot = self._source.latest()
         if snapshot is not None and snapshot is not self._known:
             view = session_view(snapshot, self._scene.truth, self._scene.baseline)
+            if self._known is None or snapshot.health is not self._known.health:
+                self._looks += 1
+                self._health = health_view(snapshot.health, self._looks)
             self._known = snapshot
             self._serial += 1
             self._packed = _event({"session": view})
@@ -149,12 +130,12 @@ class SessionPage:
         return web.Response(body=self._plots[name], content_type="application/json")
 
     async def _picture(self, _: web.Request) -> web.StreamResponse:
-        path = self._folder / PICTURE
-        if not path.exists():
-            raise InputError("no health picture yet")
-        return web.Response(
-            text=path.read_text(encoding="utf-8"), content_type="image/svg+xml", headers=_PICTURE
-        )
+        self._newest()
+        document = None if self._known is None else self._known.health
+        if document is None or document["verdict"] == "refused":
+            raise InputError(absent_health(document))
+        text = await asyncio.to_thread(health_picture, document)
+        return web.Response(text=text, content_type="image/svg+xml", headers=PICTURE_HEADERS)
 
     async def _offered(self, _: web.Request) -> web.StreamResponse:
         """What the one who asks may do here."""
@@ -188,8 +169,6 @@ class SessionPage:
             out["report"] = lambda _: report()
         if actions.export is not None:
             out["export"] = self._export
-        if self._airframe() is not None:
-            out["health"] = self._check_health
         if transport is not None:
             out["pause"] = lambda _: transport.toggle_pause()
             out["speed"] = lambda a: transport.change_speed(1 if _real(a, "step") > 0 else -1)
@@ -209,8 +188,6 @@ class SessionPage:
             said = await asyncio.to_thread(function, document)
         except OSError as error:
             raise InputError(str(error)) from error
-        if document["action"] == "health":
-            self._begin_health()
         return web.json_response({"said": said if isinstance(said, str) else ""})
 
     def _export(self, arguments: Mapping[str, Any]) -> str:
@@ -221,46 +198,6 @@ class SessionPage:
         if snapshot is None or actions.export is None:
             raise InputError("no estimate yet")
         return actions.export(target, snapshot.result)
-
-    # -- health of the flight so far
-
-    def _check_health(self, _: Mapping[str, Any]) -> str:
-        if self._recording() is None:
-            raise InputError("no recording to look at: start one")
-        return "analyzing the hover so far"
-
-    def _begin_health(self) -> None:
-        if self._checking is None or self._checking.done():
-            self._checking = asyncio.create_task(self._look_at_health())
-
-    async def _look_at_health(self) -> None:
-        self._checks += 1
-        self._health = {"state": "running", "text": "Analyzing the hover so far ..."}
-        recording, airframe = await asyncio.to_thread(self._recording), self._airframe()
-        if recording is None or airframe is None:
-            self._health = {"state": "failed", "text": "no recording to look at: start one"}
-            return
-        anchor = airframe.anchor()
-        table = {"name": airframe.name, "rotor": airframe.as_json()["rotors"]}
-        job = {
-            "do": "health",
-            "log": str(recording),
-            "name": recording.name,
-            "airframe": table if anchor is None else {**table, anchor[0]: anchor[1]},
-            "folder": str(self._folder),
-        }
-        async with contextlib.aclosing(WorkerPool(1).run(job)) as said:
-            async for one in said:
-                if "error" in one:
-                    self._health = {"state": "failed", "text": one["error"]}
-                elif "done" in one:
-                    seconds = one["done"]["seconds"]
-                    self._health = {
-                        "state": "done",
-                        "text": f"From {seconds:.0f} s of hover.",
-                        "advice": one["done"]["advice"],
-                        "serial": self._checks,
-                    }
 
 
 def _event(document: Mapping[str, Any]) -> bytes:

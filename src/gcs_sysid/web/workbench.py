@@ -124,7 +124,7 @@ _SANDBOX = {
     "Content-Security-Policy": "sandbox allow-scripts; frame-ancestors 'self'",
     "X-Frame-Options": "SAMEORIGIN",
 }
-_PICTURE = {"Content-Security-Policy": "default-src 'none'; sandbox"}
+PICTURE_HEADERS = {"Content-Security-Policy": "default-src 'none'; sandbox"}
 
 
 @dataclass
@@ -378,7 +378,7 @@ class Workbench:
 
     async def _picture(self, request: web.Request) -> web.StreamResponse:
         text = await asyncio.to_thread(self._file(request, PICTURE).read_text, encoding="utf-8")
-        return web.Response(text=text, content_type="image/svg+xml", headers=_PICTURE)
+        return web.Response(text=text, content_type="image/svg+xml", headers=PICTURE_HEADERS)
 
     async def _result_file(self, request: web.Request) -> web.StreamResponse:
         item, _ = self._finished(request.match_info["id"])

@@ -215,7 +215,6 @@ function setUpControls(scene) {
   }
   const acting = ["mark", "record", "report", "reset", "scale", "export"].some((name) => offered.includes(name));
   toggle(byId("controls"), acting);
-  toggle(byId("health-button"), offered.includes("health"));
   toggle(byId("scale-form"), offered.includes("scale"));
   toggle(byId("export-form"), offered.includes("export") && scene.exports.length > 0);
   fill(byId("target"), ...scene.exports.map((name) => make("option", { value: name }, name)));
@@ -232,8 +231,8 @@ function setUpControls(scene) {
 
 function showChecked(health) {
   setText(byId("health-text"), [health.text, ...(health.advice || [])].join(" "));
-  toggle(byId("health-picture"), health.state === "done");
-  if (health.state === "done") byId("health-picture").src = `/live/health.svg?${health.serial}`;
+  toggle(byId("health-picture"), Boolean(health.look));
+  if (health.look) byId("health-picture").src = `/live/health.svg?${health.look}`;
 }
 
 function follow() {
