@@ -25,27 +25,27 @@ def shares(harnesses: Sequence[Harness], inputs: int, least: int) -> dict[str, i
 
 
 def _run(harness: Harness, inputs: int, options: argparse.Namespace) -> dict[str, Any]:
-    """One harness in a process of its own; its figures, with those of before where wanted."""
+    """One harness in processes of its own; its figures, with those of before where wanted."""
     figures = options.findings / f"{harness.name}.json"
-    before = _figures(figures) if options.add else None
-    if inputs == 0:
-        return before or _figures(None)
-    figures.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "testbed.fuzz.drive", harness.name]
-    command += [str(options.findings), "--inputs", str(inputs), "--seed", str(options.seed)]
-    command += ["--seconds", str(options.seconds), "--engine", options.engine]
-    log = options.findings / f"{harness.name}.log"
-    with log.open("w") as said:
-        status = subprocess.run(command, stdout=said, stderr=said, check=False).returncode
-    found = _figures(figures)
-    if status != 0 and not found["findings"]:
-        found["findings"] = {f"ended with status {status}, see {log}": 1}
-    if before is not None:
-        found["inputs"] += before["inputs"]
-        found["longest"] = max(found["longest"], before["longest"])
-        found["findings"] |= before["findings"]
-        figures.write_text(json.dumps(found))
-    return found
+    total = _figures(figures if options.add else None)
+    wanted, until = total["inputs"] + inputs, time.monotonic() + options.seconds
+    seed, status, log = options.seed, 0, options.findings / f"{harness.name}.log"
+    while status == 0 and total["inputs"] < wanted and time.monotonic() < until:
+        figures.unlink(missing_ok=True)
+        command = [sys.executable, "-m", "testbed.fuzz.drive", harness.name, str(options.findings)]
+        command += ["--inputs", str(wanted - total["inputs"]), "--engine", options.engine]
+        command += ["--seconds", str(until - time.monotonic()), "--seed", str(seed)]
+        with log.open("w") as said:
+            status = subprocess.run(command, stdout=said, stderr=said, check=False).returncode
+        found = _figures(figures)
+        if status != 0 and not found["findings"]:
+            found["findings"] = {f"ended with status {status}, see {log}": 1}
+        found["inputs"] += total["inputs"]
+        found["longest"] = max(found["longest"], total["longest"])
+        found["findings"] |= total["findings"]
+        total, seed = found, seed + 1
+        figures.write_text(json.dumps(total))
+    return total
 
 
 def _figures(path: Path | None) -> dict[str, Any]:

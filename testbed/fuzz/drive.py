@@ -25,8 +25,8 @@ SLOW = 1.0
 STUCK = 60.0
 """s on the clock after which an input counts as endless; generous, as others may run beside."""
 MOST_MEMORY = 2**30
-"""Bytes that a process may take beyond what it has when it begins: an input of a few kilobytes
-that claims more is a finding."""
+"""Bytes that an input of a few kilobytes may claim: more is a finding. By as much a process may
+grow, as atheris keeps what comparisons of arrays give; then another goes on."""
 _TELL_EVERY = 5.0
 
 
@@ -52,6 +52,7 @@ class Driver:
         self._now = b""
         self._waiting: list[bytes] = []
         self._told = 0.0
+        self._full = _claimed() + MOST_MEMORY
         folder.mkdir(parents=True, exist_ok=True)
 
     def guard(self) -> None:
@@ -78,7 +79,7 @@ class Driver:
         self.count += joined
         if self.count & 63 == 0 or self.count >= self._inputs:
             now = time.monotonic()
-            done = self.count >= self._inputs or now >= self._until
+            done = self.count >= self._inputs or now >= self._until or _claimed() > self._full
             if done or now - self._told > _TELL_EVERY:
                 self._told = now
                 self.tell()
@@ -124,12 +125,20 @@ def _kind(error: Exception) -> str:
     return f"{type(error).__name__} {Path(place.filename).name}:{place.lineno}"
 
 
+def _claimed() -> int:
+    """Bytes of this process; 0 where the system does not say."""
+    with contextlib.suppress(ImportError, OSError):
+        import resource
+
+        return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    return 0
+
+
 def _bound_memory() -> None:
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * resource.getpagesize() + MOST_MEMORY
+        most = _claimed() + 2 * MOST_MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 

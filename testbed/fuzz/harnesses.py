@@ -41,6 +41,10 @@ HARNESSES = (
     Harness(
         "signatures", "signed frames", link.check_signatures, link.program_seeds, 4.0, (), 200
     ),
+    Harness(
+        "remote-logs", "answers about logs", link.check_remote_logs, link.remote_log_seeds, 1.0,
+        (b"@MAV_LOG", b"Dlog\t", b"Fx\t9", b"\xff\xff\xff\xff"), 300,
+    ),
     Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
     Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
     Harness(

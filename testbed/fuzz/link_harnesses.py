@@ -1,6 +1,7 @@
 """Harnesses of what comes over a link: frames, recordings of them, records, our answers."""
 
 import hashlib
+import io
 import struct
 from collections import Counter
 from typing import Any
@@ -24,10 +25,13 @@ from gcs_sysid.telemetry.link import Address, Link, ReceivedBytes
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
+from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLogs
 from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
 from gcs_sysid.telemetry.tlog import STAMP, ScanCounts, Scanner
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
+from sim_bridge.log_server import LogServer
+from sim_bridge.wire import FrameWriter
 from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 from testbed.fuzz.references import checksum, frames_of_log, frames_of_stream
 from testbed.payloads import unpack
@@ -270,8 +274,16 @@ def check_sent(raw: bytes) -> None:
             assert fields["target_system"] != 0
             assert fields["req_stream_id"] in (1, 3, 6, 10, 12)
             assert fields["req_message_rate"] <= 50
-        case 20:  # PARAM_REQUEST_READ
+        case 20 | 117 | 119 | 122:  # PARAM_REQUEST_READ, LOG_REQUEST_LIST, _DATA, _END
             assert fields["target_system"] != 0
+        case 110:  # FILE_TRANSFER_PROTOCOL: to end a session, to list, to open for reading, to read
+            assert fields["target_system"] != 0
+            payload = fields["payload"]
+            assert isinstance(payload, tuple)
+            path = bytes(b for b in payload[12:] if isinstance(b, int)).rstrip(b"\0")
+            assert payload[3] in (1, 3, 4, 5), fields
+            assert path.startswith(b"@MAV_LOG") == (payload[3] in (3, 4)), fields
+            assert b".." not in path, fields
         case other:
             raise AssertionError(f"message {other} was sent")
 
@@ -303,6 +315,81 @@ def check_answers(data: bytes) -> None:
     for sent_raw in link.sent:
         check_sent(sent_raw)
     assert max(often.values(), default=0) <= MOST_A_SECOND, often
+
+
+class _LogVehicle(_FakeLink):
+    """A vehicle with one log, whose answers a fuzzer changes; in time of its own."""
+
+    def __init__(self, program: Bytes, content: bytes) -> None:
+        super().__init__()
+        self.now, self.lied = 0.0, False
+        self._program, self._beat_at = program, 0.0
+        self._server = LogServer([_log_on_board.put(content)], FrameWriter())
+        self._serves = (("LOG_", "FILE_"), ("LOG_",), ("FILE_",))[program.byte() % 3]
+        self._parser = mavlink.MAVLink(None)
+
+    def receive(self, timeout: float) -> list[ReceivedBytes]:
+        """As `Link` says; never waits."""
+        self.waiting += [self._came(raw) for raw in self._changed(self._server.poll())]
+        if self.now >= self._beat_at:
+            self._beat_at = self.now + 1.0
+            self.waiting.append(self._came(packed(0, _heartbeat(12), 0, 1, 2)))
+        self.now += 0.001 if self.waiting else timeout
+        return super().receive(timeout)
+
+    def send(self, data: bytes) -> None:
+        """As `Link` says."""
+        super().send(data)
+        for message in self._parser.parse_buffer(data) or ():
+            name = message.get_type()
+            if name.startswith(self._serves):
+                answers = self._changed(self._server.handlers[name](message))
+                self.waiting += map(self._came, answers)
+
+    @staticmethod
+    def _came(raw: bytes) -> ReceivedBytes:
+        return ReceivedBytes(raw, ("10.0.0.1", 14550))
+
+    def _changed(self, raws: list[bytes]) -> list[bytes]:
+        changed: list[bytes] = []
+        for raw in raws:
+            action = self._program.byte()
+            frame = read_frame(raw)
+            assert frame is not None
+            payload = bytearray(frame.payload)
+            if action == 1:
+                continue
+            if action == 2:
+                changed.append(raw)
+            elif action & 3 == 3:
+                at = self._program.byte() % 24 if action & 64 else self._program.byte()
+                piece = self._program.take(1 + (action >> 3 & 7))
+                payload[at : at + len(piece)] = piece
+            elif action == 4:
+                payload = bytearray(self._program.take(self._program.byte()))
+            self.lied |= action & 3 == 3 or action == 4
+            changed.append(packed(frame.message_id, bytes(payload), 0, 1, 2))
+        return changed
+
+
+_log_on_board = Scratch(".ulg")
+
+
+def check_remote_logs(data: bytes) -> None:
+    """Whatever answers come to requests for logs, they are read alone, and right where all are."""
+    program = Bytes(data)
+    content = (program.take(37) * 40)[: program.byte() * 5]
+    vehicle = _LogVehicle(program, content)
+    with one_line_errors():
+        logs = RemoteLogs(Exchange(Transceiver(vehicle), clock=lambda: vehicle.now))
+        for log in logs.listed():
+            file = io.BytesIO()
+            file.write(content[: program.byte()] if program.byte() & 1 else b"other")
+            logs.read(log, file)
+            assert len(file.getvalue()) == log.size
+            assert vehicle.lied or file.getvalue() == content
+    for raw in vehicle.sent:
+        check_sent(raw)
 
 
 _KEY = hashlib.sha256(b"fuzz").digest()
@@ -374,6 +461,16 @@ def program_seeds() -> list[bytes]:
         bytes([2, 2]) + bytes(range(100)),
         bytes([0, 0]) + (imu + bytes([1, 0]) + bytes(40)) * 3,
         bytes([0, 0]) + (imu + bytes([8, 0]) + bytes([1] * 40)) * 3,
+    ]
+
+
+def remote_log_seeds() -> list[bytes]:
+    """Sound answers and changed ones, of each way to ask."""
+    return [
+        bytes(range(37)) + bytes([size, way]) + changes
+        for way in range(3)
+        for size in (1, 90, 255)
+        for changes in (b"", bytes([0, 1, 2]), bytes([3, 2, 9, 0, 67, 3, 1, 4, 3]))
     ]
 
 

@@ -83,6 +83,12 @@ def test_nobody_and_nobody_that_flies():
     station = heartbeat(255, mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     (finding,) = findings_after(Told(station))
     assert "no vehicle, but: ground station 255:1" in finding.text
+    asked = Ear(Told(name="COM3"), VehicleSelector(), Sign.PROBLEM)
+    heard = Ear(Told(heartbeat()), VehicleSelector())
+    listen([asked, heard], 3.0, clock=itertools.count(0.0, 0.1).__next__)
+    found = [(finding.sign, finding.text) for finding in received([asked, heard], 3.0)]
+    assert found[0][0] is Sign.OK
+    assert found[1:] == [(Sign.PROBLEM, "no vehicle in 3 s on COM3")]
 
 
 def test_a_vehicle_of_no_usual_kind_needs_a_file():

@@ -6,6 +6,7 @@ import sys
 from gcs_sysid.cli.output import show, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.setup_help.checks import (
+    VEHICLE,
     SetupFinding,
     Sign,
     as_text,
@@ -42,7 +43,9 @@ def _summary(findings: list[SetupFinding]) -> str:
     )
     if problems:
         return f"problems: {problems} (see ->)"
-    return "ready" + (f"; warnings: {warnings} (see ->)" if warnings else "")
+    comes = any(finding.topic == VEHICLE and finding.sign is Sign.OK for finding in findings)
+    said = "ready" if comes else "no vehicle is received yet"
+    return said + (f"; warnings: {warnings} (see ->)" if warnings else "")
 
 
 def _links(options: argparse.Namespace) -> list[SetupFinding]:

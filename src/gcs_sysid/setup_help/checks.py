@@ -27,6 +27,8 @@ class Sign(enum.StrEnum):
     PROBLEM = "problem"
 
 
+VEHICLE = "vehicle"
+"""Topic of the vehicles that are received."""
 _MARKS = {Sign.OK: "✓", Sign.WARNING: "!", Sign.PROBLEM: "✗"}
 _PLAIN_MARKS = {Sign.OK: "+", Sign.WARNING: "!", Sign.PROBLEM: "x"}
 

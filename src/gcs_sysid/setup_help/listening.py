@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.setup_help.checks import SetupFinding, Sign, quoted
+from gcs_sysid.setup_help.checks import VEHICLE, SetupFinding, Sign, quoted
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
 from gcs_sysid.telemetry.transceiver import Receiver
@@ -26,10 +26,11 @@ USUAL_PORTS = {
 
 @dataclass
 class Ear:
-    """A link that is listened to, and the vehicles found on it."""
+    """A link that is listened to, the vehicles found on it, and how bad it is if there is none."""
 
     link: Link
     selector: VehicleSelector
+    silent: Sign = Sign.WARNING
 
     @property
     def url(self) -> str:
@@ -38,13 +39,13 @@ class Ear:
 
 
 def open_ears(
-    urls: Sequence[LinkUrl], taken: Sign = Sign.WARNING
+    urls: Sequence[LinkUrl], lacking: Sign = Sign.WARNING
 ) -> tuple[list[Ear], list[SetupFinding]]:
     """Open links to listen on.
 
     Args:
         urls: of the links.
-        taken: how bad it is that another program has a port.
+        lacking: how bad it is that another program has a port, or that nothing comes there.
 
     Returns:
         Those that could be opened, and a finding on every one.
@@ -54,9 +55,9 @@ def open_ears(
         topic = f"UDP {url.port}" if url.kind == "udpin" else str(url)
         use = USUAL_PORTS.get(url.port, "")
         try:
-            ears.append(Ear(open_link(url), VehicleSelector()))
+            ears.append(Ear(open_link(url), VehicleSelector(), lacking))
         except LinkError as error:
-            findings.append(_not_open(topic, url, error, taken))
+            findings.append(_not_open(topic, url, error, lacking))
         else:
             findings.append(SetupFinding(topic, Sign.OK, f"free ({use})" if use else "open"))
     return ears, findings
@@ -110,7 +111,9 @@ def listen(
 
 
 def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
-    """A finding for every vehicle found, with the command to start; or one that there is none."""
+    """A finding for every vehicle found, with the command to start; and one where none is that was
+    to be, or none anywhere.
+    """
     findings = []
     for ear in ears:
         several = len(ear.selector.autopilots) > 1
@@ -118,17 +121,20 @@ def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
             count = ear.selector.frames[vehicle.address]
             text = f"{vehicle} on {ear.url}, {count} messages in {seconds:g} s"
             findings.append(
-                SetupFinding("vehicle", Sign.OK, text, [start_command(vehicle, ear.url, several)])
+                SetupFinding(VEHICLE, Sign.OK, text, [start_command(vehicle, ear.url, several)])
             )
+    silent = [ear for ear in ears if not ear.selector.autopilots]
+    if findings:
+        silent = [ear for ear in silent if ear.silent is Sign.PROBLEM]
+        if not silent:
+            return findings
     others = [
         f"{system} on {ear.url}"
-        for ear in ears
+        for ear in silent
         for system in ear.selector.systems.values()
         if not system.is_autopilot
     ]
-    if findings:
-        return findings
-    where = ", ".join(ear.url for ear in ears) or "no port"
+    where = ", ".join(ear.url for ear in silent) or "no port"
     text = f"no vehicle in {seconds:g} s on {where}"
     if others:
         text += f"; no vehicle, but: {', '.join(others)}"
@@ -137,7 +143,9 @@ def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
         "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
         "without a vehicle: gcs-sysid demo",
     ]
-    return [SetupFinding("vehicle", Sign.WARNING if ears else Sign.PROBLEM, text, advice)]
+    waited_for = [ear for ear in silent if ear.silent is Sign.PROBLEM]
+    sign = Sign.PROBLEM if waited_for or not ears else Sign.WARNING
+    return [*findings, SetupFinding(VEHICLE, sign, text, advice)]
 
 
 def start_command(vehicle: MavlinkSystem, url: str, several: bool = False) -> str:

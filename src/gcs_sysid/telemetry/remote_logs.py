@@ -299,7 +299,7 @@ class _Files:
     block, at_once = 239, 4
     """ArduPilot keeps five requests at most."""
     _DEEPEST, _MOST = 4, 5000
-    """Folders in each other, and entries of one: PX4 has a folder a day."""
+    """Folders in each other, and entries of all: PX4 has a folder a day."""
     _ACK, _INVALID_SESSION = 128, b"\4"
 
     def __init__(
@@ -313,9 +313,10 @@ class _Files:
         """All files; None: there is no answer."""
         found: list[tuple[str, int]] = []
         folders = [LOG_FOLDER]
+        count = 0
         for folder in folders:
             offset = 0
-            while offset < self._MOST:
+            while count < self._MOST:
                 answer = self._called(FileRequest.LIST_DIRECTORY, folder, offset)
                 if answer is None:
                     return None
@@ -323,6 +324,7 @@ class _Files:
                 if answer.opcode != self._ACK or not any(entries):
                     break
                 offset += len(entries)
+                count += len(entries)
                 for entry in entries:
                     name, _, size = entry[1:].decode("ascii", "replace").partition("\t")
                     path = f"{folder}/{name}"

@@ -16,11 +16,18 @@ DEFAULT_BAUD = 115200
 _NETWORK_KINDS = {
     "udp": "udpin",  # as in pymavlink
     "tcpout": "tcp",  # as of MAVSDK
+    "tcp-l": "tcpin",  # as of MAVROS
     **{kind: kind for kind in ("udpin", "udpout", "tcpin", "tcp")},
 }
+_SERIAL_KINDS = ("serial", "serial_flowcontrol", "serial-hwfc", "uart")
+"""Of MAVSDK, MAVROS and ArduPilot. A port is opened ready to receive, with flow control or not."""
+_SENT_TO_MANY = ("mcast", "udpbcast", "udp-b", "udp-pb")
+"""Of pymavlink and MAVROS: to all of a group or network, also from here, where one is answered."""
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
-_RATE_BEHIND = re.compile(r"(.+[^:/]):(\d{4,})")
+_RATE_BEHIND = re.compile(r"(.+[^:/\s])[:@\s]\s*(\d{4,})")
 """A device and its baud rate: ports of hubs, which names end in too, have fewer digits."""
+_IN_DEV = re.compile(r"(tty|cu\.)\w")
+"""Begins names of devices without their folder."""
 _ANY_RATE = re.compile(r"/dev/(ttyACM|(cu|tty)\.usbmodem|pts/|ttys\d)")
 
 
@@ -84,20 +91,28 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
     kind, colon, rest = plain.partition(":")
     kind, slashes, rest = kind.lower(), rest.startswith("//"), rest.removeprefix("//")
     if colon and kind in _NETWORK_KINDS:
-        if slashes and "@" in rest:  # MAVROS: udp://[BIND]@[REMOTE]
-            bind, _, remote = rest.partition("@")
-            kind, rest = ("udpin", bind) if bind else ("udpout", remote)
-        kind = _NETWORK_KINDS[kind]
-        if slashes and rest.startswith(":") and kind in ("udpin", "tcpin"):
+        bind, at, remote = rest.partition("@") if slashes else (rest, "", "")
+        # MAVROS: udp://[BIND]@[REMOTE]; REMOTE without a host is no address.
+        out = at and not bind and remote.partition(":")[0]
+        kind, rest = ("udpout", remote) if out else (_NETWORK_KINDS[kind], bind or remote)
+        if slashes and bind.startswith(":") and kind in ("udpin", "tcpin"):
             rest = f"0.0.0.0{rest}"  # as of MAVSDK: on any address
-        host, port = _host_and_port(rest.partition("/")[0] if slashes else rest, text)
+        host, port = _host_and_port(rest.partition("/")[0] if slashes else rest, text, kind)
         return LinkUrl(kind, text, host, port)
+    if colon and kind in _SENT_TO_MANY:
+        raise InputError(
+            f"{text}: links to many at once are not understood: have the vehicle or a forwarder "
+            "(mavproxy.py --master=LINK --out=127.0.0.1:14550) send to this computer, then use "
+            "udpin:0.0.0.0:14550"
+        )
     if Path(text).suffix.lower() in ANY_SUFFIX:
         raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
-    own_text = rest if kind == "serial" and colon else plain
+    own_text = rest if kind in _SERIAL_KINDS and colon else plain
     device, comma, own_baud = own_text.partition(",")
     if not comma and (rate := _RATE_BEHIND.fullmatch(device)) is not None:
         device, comma, own_baud = rate[1], ":", rate[2]  # as MAVSDK, MAVROS and Windows write it
+    if _IN_DEV.match(device):
+        device = f"/dev/{device}"
     if _SERIAL_NAME.match(device) or Path(device).is_char_device():
         if comma:
             if not own_baud.isdecimal():
@@ -112,16 +127,21 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
             baud=DEFAULT_BAUD if baud is None else baud,
             baud_chosen=baud is not None,
         )
-    if colon and plain.count(":") == 1 and rest.isdecimal():
-        host, port = _host_and_port(plain, text)
+    if plain.isdecimal() or (colon and plain.count(":") == 1 and rest.isdecimal()):
+        host, port = _host_and_port(plain, text, "udpin")
         return LinkUrl("udpin", text, host, port)  # as in pymavlink
     raise InputError(f"cannot understand the link {text!r}: use {FORMS}")
 
 
-def _host_and_port(text: str, whole: str) -> tuple[str, int]:
+def _host_and_port(text: str, whole: str, kind: str) -> tuple[str, int]:
     host, colon, port_text = text.rpartition(":")
     if not colon or not host:
-        raise InputError(f"{whole}: write the link as KIND:HOST:PORT, such as udpin:0.0.0.0:14550")
+        # What is left out never opens a port to the world.
+        port_text = port_text if port_text.isdecimal() else "14550"
+        such = f"{kind}:127.0.0.1:{port_text}"
+        if kind in ("udpin", "tcpin"):
+            such = f"{kind}:0.0.0.0:{port_text}, from this computer alone {such}"
+        raise InputError(f"{whole}: write the link as KIND:HOST:PORT, such as {such}")
     if not port_text.isdecimal() or not 0 < int(port_text) < 65536:
         raise InputError(f"{whole}: the port must be a number from 1 to 65535, not {port_text!r}")
     if host.startswith("[") and host.endswith("]"):
