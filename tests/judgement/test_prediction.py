@@ -250,6 +250,8 @@ def test_a_hover_is_told_what_to_fly_and_nothing_else():
     (reason,) = reasons(evidence)
     assert reason.startswith("hardly any rotation in roll, pitch, yaw")
     assert reason.endswith("fly doublets there")
+    stopped = judge(replace(evidence, frozen=0.5)).reasons
+    assert [r.endswith("rad/s rms)") for r in stopped if r.startswith("hardly")] == [True]
     assert is_hover(evidence)
     assert axes_of(capped(evidence)) == (True, True, True)
     short = hover(None)

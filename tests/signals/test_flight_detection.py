@@ -5,7 +5,7 @@ import pytest
 
 from gcs_sysid.model.airframe import ScaleReference, load_airframe
 from gcs_sysid.signals.columns import Track
-from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
+from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector, GroundTest
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.sampling import Sampler
@@ -180,6 +180,17 @@ def test_a_part_of_the_rotors_does_not_show_what_all_of_them_carry():
     tracks = [Track(stream, t, *rest, order + i) for i, (stream, *rest) in enumerate(streams)]
     blocks = [*sampler.feed_tracks(tracks), *sampler.finish()]
     assert np.concatenate([block.flying for block in blocks])[500:].all()
+
+
+def test_a_rotor_that_is_read_wrong_grounds_nothing_that_its_commands_carry():
+    carried, sway = 1.0 + 0.05 * np.sin(T), 0.1 * np.sin(2.9 * T)
+    for force, commands, stands in (
+        (G * carried, UNKNOWN, True),
+        (G * carried, carried, False),
+        (np.full_like(T, G), carried, True),
+    ):
+        thrust = np.column_stack([carried + sway, commands])
+        assert GroundTest().update(T, force, np.full_like(T, 0.2), thrust).any() == stands
 
 
 @pytest.mark.slow

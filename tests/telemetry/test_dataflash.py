@@ -82,6 +82,19 @@ def test_the_first_imu_alone_is_taken(path, of):
     assert (records[0].t, records[-1].t) == (5.0, pytest.approx(7.99))
 
 
+def test_an_imu_that_goes_on_is_read_for_one_that_stands_still(tmp_path, dataflash_file, of):
+    dataflash_file.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for i in range(300):
+        for sensor in (0, 1):
+            turn = float(i if sensor or i < 100 else 99)
+            dataflash_file.row("IMU", 10_000 * i, sensor, turn, 2.0, 3.0, 4.0, 5.0, -9.8)
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash_file.bytes())
+    log = open_log(path)
+    assert of(log, Stream.IMU)[-1].values[0] == 299.0
+    assert log.problems == ("IMU 0 stands still in 67 % of its entries: IMU 1 is read",)
+
+
 def test_setpoints_of_the_rate_loop_are_in_rad_per_s(path, of):
     setpoints = of(open_log(path), Stream.RATE_SETPOINT)
     assert len(setpoints) == 30

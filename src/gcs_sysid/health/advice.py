@@ -9,7 +9,8 @@ import numpy as np
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
-from gcs_sysid.results.health_view import OF_THE_DATA, READINGS, WAYS, cg_length
+from gcs_sysid.judgement.status import OF_THE_DATA, READINGS
+from gcs_sysid.results.health_view import WAYS, cg_length
 from gcs_sysid.results.words import PLAIN, decimals_for
 from gcs_sysid.signals.rotor_readings import unlike_load
 
@@ -32,7 +33,12 @@ def advised(health: Health) -> Health:
     )
     findings = (
         *(
-            Finding(OF_THE_DATA[doubt.by], doubt.reason, doubt.how, spoils=True)
+            Finding(
+                OF_THE_DATA[doubt.by],
+                doubt.reason,
+                doubt.how or doubt.reason,
+                spoils=doubt.verdict != "identified",
+            )
             for doubt in health.doubts
         ),
         *_misread(health),

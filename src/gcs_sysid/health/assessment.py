@@ -32,10 +32,11 @@ from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import misfits
 from gcs_sysid.judgement.received import ROTORS
+from gcs_sysid.judgement.status import READINGS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.results.health_view import HOVER, READINGS
+from gcs_sysid.results.health_view import HOVER
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
@@ -142,6 +143,9 @@ class HoverRecords:
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         health = health_of(streams, guess, given, log.parameters, span)
+        if health.available and log.problems:
+            of_record = (Objection(p, verdict="identified", by="link") for p in log.problems)
+            health = advised(replace(health, doubts=(*health.doubts, *of_record)))
         if self.full:
             kept = f"hover of the log's first {TUNING.most_samples} IMU samples"
             health = replace(health, assumptions=(*health.assumptions, kept))
@@ -285,7 +289,7 @@ def health_of(
         unseen = _refused(reason, how=how, airframe=airframe)
         # Without an accelerometer nothing is calm.
         others = () if any(each.absent for each in saturated) else unseen.objections
-        return replace(unseen, objections=(*sensors, *others))
+        return replace(unseen, objections=on_sound_data((*sensors, *others)))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         reason, how = _ORDER
@@ -409,7 +413,9 @@ def _refused(
     by: str = "hover",
 ) -> Health:
     """No answer, for these reasons."""
-    objections = tuple(Objection(why, verdict="refused", how=how, by=by) for why in reasons)
+    objections = tuple(
+        Objection(why, verdict="refused", how=how, flying=how == HOVER, by=by) for why in reasons
+    )
     return Health(source, airframe=airframe, objections=objections)
 
 

@@ -8,7 +8,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.prediction import is_still
 from gcs_sysid.judgement.received import NO_ATTITUDE, TOO_MUCH_LOSS
-from gcs_sysid.judgement.status import level_of
+from gcs_sysid.judgement.status import level_of, on_sound_data
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.records import Stream
@@ -39,7 +39,7 @@ def objections_to(inspection: Inspection) -> tuple[Objection, ...]:
         if inspection.vehicle is not None or by in ("link", "vehicle")
         for objection in object_to(inspection)
     ]
-    return tuple(sorted(found, key=lambda objection: order[level_of(objection)]))
+    return tuple(sorted(on_sound_data(found), key=lambda objection: order[level_of(objection)]))
 
 
 def _blocks(reason: str, how: str = "") -> Objection:
@@ -240,9 +240,12 @@ def _motion(found: Inspection) -> Iterator[Objection]:
     identified = ", ".join(_IDENTIFIED_BY_AXIS[axis] for axis in little)
     axes = " and ".join(filter(None, [", ".join(little[:-1]), little[-1]]))
     now = "right now " if found.kind == "link" else ""
-    yield _limits(
-        f"too little {axes} motion {now}to identify {identified}",
-        f"fly fast {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
+    yield replace(
+        _limits(
+            f"too little {axes} motion {now}to identify {identified}",
+            f"fly fast {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
+        ),
+        flying=True,
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from gcs_sysid.judgement import imu_faults, outcome, plausibility, prediction, received
 from gcs_sysid.judgement.evidence import Evidence
-from gcs_sysid.judgement.status import by_interval, nothing, reference_values
+from gcs_sysid.judgement.status import by_interval, nothing, on_sound_data, reference_values
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 
@@ -130,7 +130,9 @@ def judge(evidence: Evidence) -> Judgement:
     core = (counted[name].status for name in CORE_OF[evidence.rotor_input] if name in counted)
     verdict: Verdict = "identified" if {"identified", "zero"} & set(core) else "refused"
     verdict = _lowest(verdict, [o for _, o in found])
-    raised = [o for producer, o in found if o.stated and (producer.first or not missing)]
+    raised = on_sound_data(
+        o for producer, o in found if o.stated and (producer.first or not missing)
+    )
     if verdict == "refused":
         shown = {name: _capped(estimate, "weak") for name, estimate in shown.items()}
     stated = [o for o in raised if verdict != "identified" or o.verdict == "identified"]

@@ -96,6 +96,7 @@ def one_scale(evidence: Evidence) -> Iterator[Objection]:
             frozenset({"Izz", torque}),
             verdict="partial",
             how="fly several axes at once, such as roll and yaw, to separate them",
+            flying=True,
         )
 
 

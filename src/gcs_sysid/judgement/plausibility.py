@@ -246,6 +246,7 @@ def edge_of_bodies(evidence: Evidence) -> Iterator[Objection]:
             cap="unobservable",
             verdict="partial",
             how="fly several axes at once, such as roll and yaw",
+            flying=True,
         )
         # Bodies like that have them alike, |Ixx - Iyy| < Izz.
         yield Objection(

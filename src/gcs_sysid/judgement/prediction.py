@@ -17,6 +17,7 @@ from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.status import READINGS
 from gcs_sysid.judgement.status import RULES as STATUS_RULES
 from gcs_sysid.model.estimate import Objection, Status
 from gcs_sysid.model.parameters import AXES, REGISTRY, TIMING, Parameter
@@ -149,6 +150,7 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
             cap="weak",
             verdict="partial",
             how="check that every ESC reads true: its pole count first",
+            by=READINGS,
         )
 
 
@@ -250,6 +252,7 @@ def flown(evidence: Evidence) -> Iterator[Objection]:
         verdict="partial",
         evidence=_by_axis(rates),
         how="fly doublets there",
+        flying=True,
     )
 
 

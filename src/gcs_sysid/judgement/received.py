@@ -79,15 +79,17 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     if received is None or evidence.no_vehicle:
         return
     verdict: Verdict | None = "refused" if fit.rotation is None else None
-    for by, reasons in (
-        ("data", _missing(received, evidence.anchor)),
-        (ROTORS, _contradicted(fit)),
-        ("data", _too_little(received, fit)),
-        ("data", _unexplained(fit, cut=bool(evidence.saturated), still=is_hover(evidence))),
+    cut, still = bool(evidence.saturated), is_hover(evidence)
+    for by, flying, reasons in (
+        ("data", False, _missing(received, evidence.anchor)),
+        (ROTORS, False, _contradicted(fit)),
+        ("data", False, _too_little(received, fit)),
+        ("data", True, _unexplained(fit, cut=cut, still=still)),
     ):
         if reasons:
             yield from (
-                Objection(reason, verdict=verdict, by=by, how=how) for reason, how in reasons
+                Objection(reason, verdict=verdict, by=by, how=how, flying=flying)
+                for reason, how in reasons
             )
             return
 

@@ -108,6 +108,35 @@ def of_rotors(rotors: list[dict[str, Estimate]]) -> tuple[dict[str, Estimate], .
     )
 
 
+READINGS = "readings"
+"""Producer of objections that rotors differ by more than propellers do."""
+_OF_THE_MOTION = {
+    "gyro": "the gyro",
+    "saturation": "the IMU",
+    "sensors": "the IMU",
+    "frozen": "the IMU",
+    READINGS: "the rotors",
+    "ages": "the rotors",
+    "swap": "the motor order",
+}
+OF_THE_DATA = _OF_THE_MOTION | {
+    "link": "the record",
+    "clock": "the clock",
+    "units": "the unit of the rotor speeds",
+    "priors": "what was given",
+    "sizes": "what was given",
+}
+"""What to look at, by the producer of an objection: the data, not the flying."""
+
+
+def on_sound_data(objections: Iterable[Objection]) -> tuple[Objection, ...]:
+    """Objections, without advice to fly more where motion is misread: the next would be so too."""
+    every = tuple(objections)
+    if not any(o.stated and o.by in _OF_THE_MOTION for o in every):
+        return every
+    return tuple(replace(o, how="", flying=False) if o.flying else o for o in every)
+
+
 Readiness = Literal["yes", "partly", "no"]
 Level = Literal["blocks", "limits", "note"]
 HoverVerdict = Literal["available", "refused"]

@@ -32,6 +32,7 @@ class Objection:
         stated: whether the reason stands among those of the verdict; False where others imply it.
         evidence: name -> number that it rests on.
         how: what to do about it; empty where nothing is known to help.
+        flying: whether that is to fly more, or otherwise.
         by: its producer.
     """
 
@@ -45,6 +46,7 @@ class Objection:
     stated: bool = True
     evidence: Mapping[str, float] = field(default_factory=dict)
     how: str = ""
+    flying: bool = False
     by: str = ""
 
     @property

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from gcs_sysid.judgement.status import OF_THE_DATA
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import PLAIN, Notation, decimals_for, significant
@@ -201,18 +202,6 @@ def cg_facts(
 
 
 _ROTORS = "the motor order"
-READINGS = "readings"
-"""Producer of objections that rotors differ by more than propellers do."""
-OF_THE_DATA = {
-    "gyro": "the gyro",
-    "saturation": "the IMU",
-    "clock": "the clock",
-    "units": "the unit of the rotor speeds",
-    READINGS: "the rotors",
-    "priors": "what was given",
-    "sizes": "what was given",
-}
-"""What to look at, by the producer of an objection to a result: the data, not the flying."""
 HOVER = "hover for 30 s, in calm air"
 _LOOK_INSIDE = "gcs-sysid inspect shows what the log holds, and what it lacks"
 

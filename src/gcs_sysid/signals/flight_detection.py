@@ -55,7 +55,7 @@ class GroundRules:
 _GROUND = GroundRules()
 _ODDS = math.log(1000.0)
 """Nats from which it stands; until half of them are lost again."""
-_MOST = np.array([0.3, 0.2])
+_MOST = np.array([0.3, 0.2, 0.2])
 """Of the changes of log |f| and log u that count: a shock is one window like others."""
 
 
@@ -66,8 +66,10 @@ class GroundTest:
         self._number = -1
         self._sums = np.zeros((2, 4))
         self._before = np.full(3, np.nan)
-        self._nats = 0.0
-        self._power = np.array([1e-4, 1e-4])
+        # Of squared speeds and of commands.
+        self._nats = np.zeros(2)
+        self._power = np.full((2, 2), 1e-4)
+        self._stand = np.zeros(2, dtype=bool)
         self._stands = False
 
     def update(self, t: Array, force: Array, rates: Array, thrust: Array) -> Mask:
@@ -104,24 +106,34 @@ class GroundTest:
         self._sums = np.zeros((2, 4))
         shown = mean[[0, 2, 3]]  # force, squared speeds, commands
         logs = np.log(shown, out=np.full(3, np.nan), where=shown > 0.0)
-        y, *changes = logs - self._before
+        changes = logs - self._before
         self._before = logs
-        x = changes[0] if math.isfinite(changes[0]) else changes[1]
-        if not (math.isfinite(x) and math.isfinite(y)):
+        if not math.isfinite(changes[0]):
             return
-        y, x = np.clip([y, x], -_MOST, _MOST)
+        y, *both = np.clip(changes, -_MOST, _MOST)
+        known = np.isfinite(both)
+        if not known.any():
+            return
+        for i in np.flatnonzero(known).tolist():
+            self._nats[i] = self._judged(i, y, both[i], mean)
+        least = np.where(self._stand, -0.5, -1.0) * _ODDS
+        self._stand = self._nats <= least
+        # A rotor that is read wrong hides what the force follows, but not from the commands.
+        self._stands = bool(self._stand[known.argmax()] and not (self._nats[known] > 0.0).any())
+
+    def _judged(self, i: int, y: float, x: float, mean: Array) -> float:
+        """Nats of a stream after a window in which log |f| changed by y, and log u by x."""
         slope = min(max(y / x, _GROUND.slopes[0]), _GROUND.slopes[1]) if x else 0.0
         squares = np.array([y * y, (y - slope * x) ** 2])
         keep = math.exp(-_GROUND.window / _GROUND.memory)
-        self._power = keep * self._power + (1.0 - keep) * squares
+        self._power[i] = keep * self._power[i] + (1.0 - keep) * squares
         # Twice: differences of means that follow each other are correlated by -1/2.
-        variance = 2.0 * max(float(self._power.min()), _GROUND.least_noise**2)
+        variance = 2.0 * max(float(self._power[i].min()), _GROUND.least_noise**2)
         gain = float(squares[0] - squares[1]) / (2.0 * variance)
-        self._nats += min(max(gain, -_GROUND.step), _GROUND.step)
+        nats = float(self._nats[i]) + min(max(gain, -_GROUND.step), _GROUND.step)
         if not (_GROUND.one_g[0] < mean[0] < _GROUND.one_g[1]) or mean[1] > _GROUND.turns:
-            self._nats = max(self._nats, 0.0)
-        self._nats = min(max(self._nats, -_ODDS), _ODDS)
-        self._stands = self._nats < -0.5 * _ODDS if self._stands else self._nats <= -_ODDS
+            nats = max(nats, 0.0)
+        return min(max(nats, -_ODDS), _ODDS)
 
 
 TAKE_OFF = 1.0

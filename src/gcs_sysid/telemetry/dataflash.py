@@ -1,6 +1,7 @@
 """ArduPilot's own logs (.bin): each entry type as the stream that it would be on a link.
 
-- IMU of the first instance is HIGHRES_IMU: filtered by INS_GYRO_FILTER and INS_ACCEL_FILTER.
+- IMU of the first instance is HIGHRES_IMU: filtered by INS_GYRO_FILTER and INS_ACCEL_FILTER. Where
+  that stands still, another that measures on is read.
 - ESC holds the reading as it came (RawRPM) beside the one slewed to the moment of writing (RPM,
   what ESC_TELEMETRY sends, 2 ms later): the former is taken.
 - RCOU is SERVO_OUTPUT_RAW, usually at 10 Hz.
@@ -17,6 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.attitude import from_angles
+from gcs_sysid.signals.inertial_stream import frozen
 from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import EVERY, DataflashLog
@@ -208,6 +210,25 @@ class _EntryReader:
             wanted = most if np.any(number == most) else wanted
         return number == wanted
 
+    def _sound_imu(self, row: OnboardMessage, recording: Recording) -> Mask:
+        """(n,) the entries of the first IMU, or where it stands still, of the one that goes on."""
+        first, number = self._primary(row.name), self._column(row.name, "I")
+        if number is None or first.all():
+            return first
+        measured = {}
+        for instance in _known(number).tolist():
+            values = self._named(row.name, row.fields, number == instance)
+            assert values is not None
+            measured[instance] = int(np.count_nonzero(~frozen(values)))
+        own, best = min(measured), max(measured, key=measured.__getitem__)
+        if measured[own] > 0.9 * measured[best]:  # a loop now and then is faster than its sensor
+            return first
+        still = 100.0 * (1.0 - measured[own] / int(first.sum()))
+        recording.problems += (
+            f"IMU {own:.0f} stands still in {still:.0f} % of its entries: IMU {best:.0f} is read",
+        )
+        return number == best
+
     def _add_entries(self, recording: Recording) -> None:
         for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY, Stream.RATE_SETPOINT):
             there: list[tuple[int, OnboardMessage, Mask | slice]] = []
@@ -216,7 +237,11 @@ class _EntryReader:
                     rows: Mask | slice = EVERY
                     count = self._log.counts[row.name]
                     if row.sensors == "primary":
-                        primary = self._primary(row.name)
+                        primary = (
+                            self._sound_imu(row, recording)
+                            if stream is Stream.IMU
+                            else self._primary(row.name)
+                        )
                         rows, count = primary, int(primary.sum())
                     there.append((count, row, rows))
             if there:

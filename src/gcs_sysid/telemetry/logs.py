@@ -117,13 +117,12 @@ class OnboardLog:
     """What the autopilot recorded itself: all of one vehicle, read at once."""
 
     recorded: float | None = None
-    problems: tuple[str, ...] = ()
-    """An autopilot's own log holds no others' messages."""
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
     ) -> None:
         self.kind = kind
+        self.problems = recording.problems
         self.drift = ClockDrift(by_gps=True)
         self.drift.add_moments(*recording.clock)
         self._recording = recording

@@ -115,6 +115,7 @@ class Recording:
         lost: entries that the autopilot knows it could not write.
         dropouts: (t, length) in s of pauses in the writing.
         extras: name -> (n,) s and (n, width) in SI units of what is no stream yet.
+        problems: as of `Telemetry`.
         clock: (n,) s of the log at which a GPS receiver gave (n,) s of its own.
     """
 
@@ -136,6 +137,7 @@ class Recording:
     lost: int = 0
     dropouts: list[tuple[float, float]] = field(default_factory=list)
     extras: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
     clock: tuple[Array, Array] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
 
     def add(
