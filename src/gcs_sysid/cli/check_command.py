@@ -3,7 +3,6 @@
 import argparse
 import functools
 import shlex
-import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.results.health_view import short_facts
 from gcs_sysid.results.result_view import verdict_sentence
+from gcs_sysid.results.words import TEXT_WIDTH, wrapped
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import suggested_airframe
@@ -67,7 +67,7 @@ def _found(
     progress: Callable[[float], None] | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """The content of a file, and the text for a screen."""
-    width = min(output.terminal_width() or output.TEXT_WIDTH, output.TEXT_WIDTH)
+    width = min(output.terminal_width() or TEXT_WIDTH, TEXT_WIDTH)
     airframe = health.airframe
     sized = airframe is not None and health.arm_known and airframe.anchor() is not None
     if airframe is not None and sized and not health.contradicted:
@@ -98,10 +98,10 @@ def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> It
     if not health.available or health.rotor_input is None:
         yield Path(log).name
         for reason in health.reasons[1:]:  # the first one is the answer
-            yield from textwrap.wrap(f"- {reason}", width, subsequent_indent="  ")
+            yield from wrapped(reason, "- ", width)
         return
     rotors = f"rotors by {health.rotor_input.words} ({health.rotor_source})"
-    yield from textwrap.wrap(f"{Path(log).name}: {health.seconds:.0f} s of hover, {rotors}", width)
+    yield from wrapped(f"{Path(log).name}: {health.seconds:.0f} s of hover, {rotors}", "", width)
     for name, text in short_facts(document):
         yield from _entry(name, text, width)
     if health.condition is not None:
@@ -113,8 +113,5 @@ def _next(command: str) -> list[str]:
 
 
 def _entry(name: str, text: str, width: int) -> list[str]:
-    """A name at the left and its text beside it, wrapped."""
-    return textwrap.wrap(
-        text, width, initial_indent=f"{name:<{_NAME - 1}} ", subsequent_indent=" " * _NAME,
-        break_on_hyphens=False,
-    )  # fmt: skip
+    """A name at the left and its text beside it."""
+    return wrapped(text, f"{name:<{_NAME - 1}} ", width)

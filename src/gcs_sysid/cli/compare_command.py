@@ -1,7 +1,6 @@
 """`gcs-sysid compare`: has the vehicle changed?"""
 
 import argparse
-import textwrap
 from pathlib import Path
 
 from gcs_sysid.cli import output
@@ -10,7 +9,7 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare, comparison_sentences
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.result_view import figures, number_figures
-from gcs_sysid.results.words import CHANGE, percent_column, scaled_unit
+from gcs_sysid.results.words import CHANGE, percent_column, scaled_unit, wrapped
 from gcs_sysid.significance import Z95
 
 _WIDTH = 100
@@ -45,14 +44,12 @@ def report(comparison: Comparison) -> str:
         *(
             line
             for sentence in comparison_sentences(comparison)
-            for line in textwrap.wrap(sentence, _WIDTH, break_on_hyphens=False)
+            for line in wrapped(sentence, "", _WIDTH)
         ),
         "",
     ]
     for note in (*comparison.notes, *_RULES):
-        lines += textwrap.wrap(
-            note, _WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False
-        )
+        lines += wrapped(note, "- ", _WIDTH)
     return "\n".join(lines)
 
 

@@ -1,13 +1,11 @@
 """`gcs-sysid health`: the vehicle's condition from any flight that hovers, in lines of text."""
 
 import argparse
-import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli import airframe_choice, output
-from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import health_of_log
@@ -24,7 +22,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text, telling
-from gcs_sysid.results.words import PLAIN
+from gcs_sysid.results.words import PLAIN, TEXT_WIDTH, wrapped
 
 
 def run(options: argparse.Namespace) -> int:
@@ -131,8 +129,8 @@ def health_text(health: Health, *, answered: bool = False) -> str:
 def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
     """The first line and what to do first."""
     return [
-        *textwrap.wrap(answer["line"], width, subsequent_indent="  ", break_on_hyphens=False),
-        *_wrapped(answer["action"], "-> ", width),
+        *wrapped(answer["line"], "", width),
+        *wrapped(answer["action"], "-> ", width),
     ]
 
 
@@ -165,7 +163,7 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     if health.condition is not None:
         yield _line("rotors", condition_text(health.condition))
     if health.apart:
-        yield from _wrapped(health.apart, f"{'rotors':<{_NAME}}")
+        yield from wrapped(health.apart, f"{'rotors':<{_NAME}}")
     if health.weakened is not None:
         weak_rotor = condition_text(health.weakened.condition)
         yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
@@ -221,17 +219,7 @@ def _foot(health: Health, first: str) -> Iterator[str]:
     if others:
         yield ""
         for text in others:
-            yield from _wrapped(text, "-> ")
+            yield from wrapped(text, "-> ")
     yield ""
     for text in health.assumptions:
-        yield from _wrapped(f"assumed: {text}", "")
-
-
-def _wrapped(text: str, begin: str, width: int = TEXT_WIDTH) -> list[str]:
-    return textwrap.wrap(
-        text,
-        width,
-        initial_indent=begin,
-        subsequent_indent=" " * len(begin),
-        break_on_hyphens=False,
-    )
+        yield from wrapped(f"assumed: {text}", "")

@@ -2,7 +2,6 @@
 
 import argparse
 import shutil
-import textwrap
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
@@ -28,6 +27,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
+from gcs_sysid.results.words import wrapped
 from gcs_sysid.session.reported_layout import suggested_airframe
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
@@ -149,15 +149,8 @@ def report(found: Inspection, width: int = 80) -> str:
 
 
 def _entry(name: str, text: str, width: int) -> list[str]:
-    """A name at the left and its text beside it, wrapped."""
-    lines = textwrap.wrap(
-        text,
-        max(width, 40),
-        initial_indent=f"{name:<{_NAME}}",
-        subsequent_indent=" " * _NAME,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    """A name at the left and its text beside it."""
+    lines = wrapped(text, f"{name:<{_NAME}}", max(width, 40))
     return [line.replace(_TIE, " ") for line in lines]
 
 
@@ -169,7 +162,7 @@ def _head(found: Inspection, width: int) -> list[str]:
         more = [f"{len(found.flights) - most} more"] if len(found.flights) > most else []
         count = "1 flight" if len(found.flights) == 1 else f"{len(found.flights)} flights"
         text = f"in the air {found.in_air:.1f} s, {count}: {', '.join(spans + more)}"
-        lines += textwrap.wrap(text + _RECOGNIZED_BY[found.flight_told_by], width)
+        lines += wrapped(text + _RECOGNIZED_BY[found.flight_told_by], "", width)
     elif found.flight_told_by:
         lines.append("never in the air" + _RECOGNIZED_BY[found.flight_told_by])
     return lines
@@ -363,14 +356,10 @@ def objection_lines(objections: Sequence[Objection], width: int) -> list[str]:
     lines = []
     for i, objection in enumerate(objections):
         mark = "-" if level_of(objection) == "note" else "!"
-        lines += textwrap.wrap(
-            objection.reason, width, initial_indent=f"  {mark} ", subsequent_indent="    "
-        )
+        lines += wrapped(objection.reason, f"  {mark} ", width)
         following = objections[i + 1 :]
         if objection.how and not any(o.how == objection.how for o in following):
-            lines += textwrap.wrap(
-                objection.how, width, initial_indent="    -> ", subsequent_indent="       "
-            )
+            lines += wrapped(objection.how, "    -> ", width)
     return lines
 
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from gcs_sysid.results.result import Result
     from gcs_sysid.web.site import Site
 
-TEXT_WIDTH = 79
-"""Columns of texts that are printed the same everywhere."""
 BY_SIGNAL = 128
 """Added to the signal's number: the exit status of a command that was ended at once."""
 _AGAIN = ("SIGINT", "SIGBREAK")

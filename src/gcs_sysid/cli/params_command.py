@@ -1,7 +1,6 @@
 """`gcs-sysid params`: the autopilot's parameters by flights: set, leave, or what to fly."""
 
 import argparse
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -10,7 +9,6 @@ from typing import Any
 
 from gcs_sysid.cli import output
 from gcs_sysid.cli.health_command import flights_of
-from gcs_sysid.cli.output import TEXT_WIDTH
 from gcs_sysid.health.autopilot_parameters import (
     Proposal,
     check_suffix,
@@ -19,7 +17,7 @@ from gcs_sysid.health.autopilot_parameters import (
     proposal_file,
 )
 from gcs_sysid.health.vehicle_health import Health
-from gcs_sysid.results.words import rounded
+from gcs_sysid.results.words import rounded, wrapped
 
 _SCHEMA = "gcs-sysid-params/1"
 _ROW = "{:<22}{:>10}{:>10}{:>10}  {}"
@@ -70,10 +68,10 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
     # What contradicts the flight comes first: nothing that depends on it is set.
     for health in flights:
         if why := excluded(health):
-            yield from _wrapped(f"{Path(health.source).name} does not count: {why}", "")
+            yield from wrapped(f"{Path(health.source).name} does not count: {why}")
     seen = {found.at: found.what for health in used for found in health.findings}
     for at, what in seen.items():
-        yield from _wrapped(f"LOOK AT {at}: {what}", "")
+        yield from wrapped(f"LOOK AT {at}: {what}")
     if not used:
         return
     seconds = sum(health.seconds for health in used)
@@ -81,7 +79,7 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
     if seen or len(used) < len(flights):
         yield ""
     head = f"Autopilot parameters by {count}, {seconds:.0f} s of hover (nothing is sent)"
-    yield from _wrapped(head, "")
+    yield from wrapped(head)
     if not found:
         yield "none are known for this autopilot, or its log has none"
         return
@@ -91,12 +89,12 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
         if len(some) > 2 and all(one.quantity is None for one in some):
             some = [replace(some[0], name=f"{some[0].name} ..", now=None), some[-1]]
         yield from map(_row, some)
-        yield from _wrapped(reason, "    ")
+        yield from wrapped(reason, "    ")
         if action:
-            yield from _wrapped(action, "    -> ")
+            yield from wrapped(action, "    -> ")
     yield ""
     for text in used[-1].assumptions:
-        yield from _wrapped(f"assumed: {text}", "")
+        yield from wrapped(f"assumed: {text}")
 
 
 def _row(one: Proposal) -> str:
@@ -104,13 +102,3 @@ def _row(one: Proposal) -> str:
     interval = f"{half:.2g}" if half else "-"
     old, new = rounded(one.now, None, 4), rounded(one.new, half, 4)
     return _ROW.format(one.name, old, new, interval, one.verdict)
-
-
-def _wrapped(text: str, begin: str) -> list[str]:
-    return textwrap.wrap(
-        text,
-        TEXT_WIDTH,
-        initial_indent=begin,
-        subsequent_indent=" " * max(len(begin), 2),
-        break_on_hyphens=False,
-    )

@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -12,7 +11,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import airframe_of
 from gcs_sysid.cli.followed_session import coach_options
-from gcs_sysid.cli.output import TEXT_WIDTH, check_outputs, deliver
+from gcs_sysid.cli.output import check_outputs, deliver
 from gcs_sysid.coach.choice import HOVER, Plan, Step, make_plan, shares
 from gcs_sysid.coach.information import prior_vehicle
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre, gain_words, motion_words
@@ -23,7 +22,7 @@ from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report.drawing import line, picture, polyline, text
 from gcs_sysid.results.summary import priors_for, values_of
-from gcs_sysid.results.words import PLAIN
+from gcs_sysid.results.words import PLAIN, wrapped
 from gcs_sysid.setup_help.checks import can_show
 from gcs_sysid.strict_json import json_text
 
@@ -78,7 +77,7 @@ def plan_text(plan: Plan, *, unicode: bool = True) -> str:
     """
     limits = plan.limits
     lines = [
-        *_wrapped(
+        *wrapped(
             f"Flight plan for {plan.airframe}: every 95 % interval within "
             f"{100.0 * plan.target:g} % of the value"
         ),
@@ -88,21 +87,17 @@ def plan_text(plan: Plan, *, unicode: bool = True) -> str:
         f"{0.0:4.0f} s  hover, {HOVER:.0f} s",
     ]
     for step in plan.steps:
-        lines += _wrapped(motion_words(step.manoeuvre), f"{step.start:4.0f} s  ", 8)
+        lines += wrapped(motion_words(step.manoeuvre), f"{step.start:4.0f} s  ")
         for axis, wave in _waves(step.manoeuvre):
             lines.append(f"        {axis:6} {_spark(wave, _BLOCKS if unicode else _PLAIN)}")
-        lines += _wrapped(_gains(step), " " * 8, 8)
-    lines += [f"{plan.seconds:4.0f} s  end", "", *_wrapped(_widths(plan), "expected: ", 10)]
+        lines += wrapped(_gains(step), " " * 8)
+    lines += [f"{plan.seconds:4.0f} s  end", "", *wrapped(_widths(plan), "expected: ")]
     if not plan.enough:
         lines.append("that is not enough: allow more tilt, rate or a wider interval")
-    lines += ["", *_wrapped(_FOOT)]
+    lines += ["", *wrapped(_FOOT)]
     if not unicode:
         return "\n".join(lines).replace("±", "+-").replace("°", " deg")
     return "\n".join(lines)
-
-
-def _wrapped(text: str, begin: str = "", indent: int = 0) -> list[str]:
-    return textwrap.wrap(text, TEXT_WIDTH, initial_indent=begin, subsequent_indent=" " * indent)
 
 
 def _gains(step: Step) -> str:

@@ -18,6 +18,7 @@ which no line breaks (`PAGE`).
 """
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -28,6 +29,20 @@ from gcs_sysid.model.parameters import PARAMETERS, REGISTRY
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PREFIX = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+TEXT_WIDTH = 79
+"""Columns of texts that are printed the same everywhere."""
+
+
+def wrapped(text: str, begin: str = "", width: int = TEXT_WIDTH) -> list[str]:
+    """A text in lines behind its beginning, whose width the later lines are indented by."""
+    return textwrap.wrap(
+        text,
+        width,
+        initial_indent=begin,
+        subsequent_indent=" " * len(begin),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def decimals_for(half: float, size: float = 0.0, most: int | None = None) -> int:

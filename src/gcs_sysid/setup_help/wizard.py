@@ -2,7 +2,6 @@
 
 import math
 import re
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 from gcs_sysid.argument_types import parse_given, split_prior
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Rotor
+from gcs_sysid.results.words import wrapped
 from gcs_sysid.setup_help.airframe_file import (
     LAYOUTS,
     TWO_LENGTHS,
@@ -308,11 +308,7 @@ class Wizard:
 
     def _refuse(self, why: str) -> None:
         """Say what is wrong with an answer."""
-        self._say(
-            textwrap.fill(
-                why, 78, initial_indent="  ", subsequent_indent="  ", break_long_words=False
-            )
-        )
+        self._say("\n".join(wrapped(why, "  ")))
 
     def _until(self, question: str, parse: Callable[[str], T]) -> T:
         """Ask until the answer can be understood."""

@@ -1,7 +1,6 @@
 """A twin's flight: its errors, as JSON, as a table, as an SVG picture, as a figure in notebooks."""
 
 import math
-import textwrap
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.words import significant
+from gcs_sysid.results.words import significant, wrapped
 from gcs_sysid.twin.prediction_errors import QUANTITIES, Accuracy, Growth
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def twin_table(twin: TwinFlight) -> str:
     """The errors as lines of text."""
     lines = [
         f"{twin.source or 'result'} along {twin.log}",
-        *textwrap.wrap(f"held out: {twin.held_out}", _WIDTH, subsequent_indent="  "),
+        *wrapped(twin.held_out, "held out: ", _WIDTH),
         "",
         f"{'quantity':<17}{'ahead':>6}{'error':>9}{'± 95 %':>9}{'by params':>11}{'inside':>8}"
         f"{'R2':>8}{'basic':>9}{'guess':>8}{'count':>6}",
@@ -120,9 +119,7 @@ def twin_table(twin: TwinFlight) -> str:
                 lines.append(_row(f"{name}, {unit}", seconds, each[name], scale))
     lines.append("")
     for note in (*twin.notes, *_RULES):
-        lines += textwrap.wrap(
-            note, _WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False
-        )
+        lines += wrapped(note, "- ", _WIDTH)
     return "\n".join(lines)
 
 
