@@ -19,6 +19,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, REGISTRY, Sign
+from gcs_sysid.results.parameter_samples import covariance_of, covariance_root, physical
 from gcs_sysid.results.result import Result
 
 UNITS = {name: p.unit for name, p in REGISTRY.items() if p.of_vehicle} | {
@@ -386,61 +387,42 @@ def drawn_vehicles(vehicle: ExportedVehicle, count: int, seed: int) -> list[Expo
         ValueError: the covariance is no such matrix, or hardly a draw is a rigid body.
     """
     random = np.random.default_rng(seed)
-    names, root = _root(vehicle)
+    own = {name: quantity for name, quantity in vehicle.known.items() if not quantity.derived}
+    free = [name for name, quantity in own.items() if quantity.std]
+    root = covariance_root(_covariance(vehicle, free))
+    nominal, places = np.array([q.value for q in own.values()]), [[*own].index(n) for n in free]
     out: list[ExportedVehicle] = []
     for _ in range(50 * max(count, 1)):  # nearly all draws are bodies
         if len(out) == count:
             return out
-        shift = dict(zip(names, root @ random.standard_normal(len(names)), strict=True))
-        one = _shifted(vehicle, shift)
-        if one is not None:
-            out.append(one)
+        drawn = nominal.copy()
+        drawn[places] += root @ random.standard_normal(len(free))
+        (values,), (good,) = physical(tuple(own), drawn[None])
+        if good:
+            out.append(_with_values(vehicle, dict(zip(own, values.tolist(), strict=True))))
     if len(out) == count:
         return out
     raise ValueError("the intervals are too wide: hardly any draw from them is a rigid body")
 
 
-def _root(vehicle: ExportedVehicle) -> tuple[list[str], np.ndarray]:
-    """Names and (n, n) root of the covariance of all that has a standard deviation."""
-    known = {
-        name: quantity.std
-        for name, quantity in vehicle.known.items()
-        if quantity.std and not quantity.derived
-    }
-    names = list(known)
-    covariance = np.diag([float(std) ** 2 for std in known.values()])
-    table = vehicle.result.covariance
-    listed = list(table.get("names", []))
-    matrix = np.array(table.get("matrix", []), float).reshape(-1, max(len(listed), 1))
-    if len(matrix) != len(listed) or not np.isfinite(matrix).all():
-        raise ValueError("the covariance of the result is not a square matrix of numbers")
-    # A value from elsewhere is uncorrelated with the flight's.
-    own = [n for n in names if n in listed and vehicle.known[n].origin in _OF_THE_FLIGHT]
-    if own:
+def _covariance(vehicle: ExportedVehicle, names: list[str]) -> Array:
+    """(n, n) of all that has a standard deviation."""
+    covariance = np.diag([(vehicle.known[name].std or 0.0) ** 2 for name in names])
+    if vehicle.result.covariance.get("names"):
+        listed, matrix = covariance_of(vehicle.result)
+        # A value from elsewhere is uncorrelated with the flight's.
+        own = [n for n in names if n in listed and vehicle.known[n].origin in _OF_THE_FLIGHT]
         here, there = [names.index(n) for n in own], [listed.index(n) for n in own]
         covariance[np.ix_(here, here)] = matrix[np.ix_(there, there)]
-    if not names:
-        return names, np.zeros((0, 0))
-    # Units differ by many powers of ten.
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return names, scale[:, None] * vectors * np.sqrt(values.clip(0.0))
+    return covariance
 
 
 _OF_THE_FLIGHT = ("identified", "weak", "zero", "given")
 
 
-def _shifted(vehicle: ExportedVehicle, shift: dict[str, float]) -> ExportedVehicle | None:
-    """The vehicle with values moved; None where there can be no such thing."""
-    known: dict[str, KnownEstimate] = {}
-    for name, quantity in vehicle.known.items():
-        if quantity.derived:
-            continue
-        value = quantity.value + shift.get(name, 0.0)
-        sign = REGISTRY[name].sign if name in REGISTRY else "positive"
-        if sign == "positive" and value <= 0.0:
-            return None
-        known[name] = replace(quantity, value=max(value, 0.0) if sign == "not negative" else value)
+def _with_values(vehicle: ExportedVehicle, values: Mapping[str, float]) -> ExportedVehicle:
+    """The vehicle with other values, and what follows from them."""
+    known = {name: replace(vehicle.known[name], value=value) for name, value in values.items()}
     if {"k_T", "k_M", "moment_ratio"} <= known.keys():
         # Two give the third.
         ratio = known["k_M"].value / known["k_T"].value
@@ -448,8 +430,4 @@ def _shifted(vehicle: ExportedVehicle, shift: dict[str, float]) -> ExportedVehic
     if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():
         del known["rotor_speed_max"]
     complete(known)
-    if all(n in known for n in INERTIA):
-        elements = np.array([known[n].value for n in INERTIA])
-        if not rb.is_physical(elements):
-            return None
     return replace(vehicle, known=known)

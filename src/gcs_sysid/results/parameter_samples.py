@@ -89,7 +89,7 @@ def draw_samples(result: ResultData, n: int, seed: int, *, given: bool = True) -
     found = tried = 0
     while found < n:
         drawn = center + rng.standard_normal((max(n, 64), len(names))) @ root.T
-        drawn, good = _physical(names, drawn)
+        drawn, good = physical(names, drawn)
         kept.append(drawn[good])
         found, tried = found + int(good.sum()), tried + len(drawn)
         # Below a thousandth the covariance says nothing.
@@ -145,7 +145,7 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
         estimates = _estimates(result)
         names = tuple(n for n, e in estimates.items() if e.value is not None)
         center = np.array([[estimates[name].value for name in names]], np.float64)
-        samples = ParameterSamples(names, _physical(names, center)[0])
+        samples = ParameterSamples(names, physical(names, center)[0])
         values = {name: samples[name][0] for name in samples}
     else:
         values = dict(samples)
@@ -205,9 +205,14 @@ def _root(result: ResultData, names: tuple[str, ...], *, given: bool) -> Array:
             ]
         whole[np.ix_(to, to)] -= effects[at] @ effects[at].T
         whole[np.diag_indices(len(names))] = [(e.std_data or 0.0) ** 2 for e in estimates]
-    scale = np.sqrt(np.diag(whole))
+    return covariance_root(whole)
+
+
+def covariance_root(covariance: Array) -> Array:
+    """(n, n) A with A A' an (n, n) covariance, and its variances though it is rounded."""
+    scale = np.sqrt(np.diag(covariance))
     scale[scale == 0.0] = 1.0
-    correlation = whole / np.outer(scale, scale)
+    correlation = covariance / np.outer(scale, scale)
     # Units differ by many powers of ten. Rounding, and rounded shares, leave negative powers.
     power, axes = np.linalg.eigh(correlation)
     root: Array = axes * np.sqrt(np.maximum(power, 0.0))
@@ -236,14 +241,15 @@ def _shares(result: ResultData, name: str, rotors: int) -> Array:
     return values / values.mean()
 
 
-def _physical(names: tuple[str, ...], drawn: Array) -> tuple[Array, Array]:
-    """Draws with what cannot be negative cut at zero, and (n,) which of them are vehicles."""
+def physical(names: tuple[str, ...], drawn: Array) -> tuple[Array, Array]:
+    """(n, names) draws with what cannot be negative cut at zero, and (n,) which are vehicles."""
     drawn = drawn.copy()
     good = np.ones(len(drawn), bool)
     for i, name in enumerate(names):
-        if REGISTRY[name].sign == "not negative":
+        sign = REGISTRY[name].sign if name in REGISTRY else "positive"
+        if sign == "not negative":
             drawn[:, i] = np.maximum(drawn[:, i], 0.0)
-        elif REGISTRY[name].sign == "positive":
+        elif sign == "positive":
             good &= drawn[:, i] > 0.0
     if set(INERTIA) <= set(names):
         good &= rb.are_physical(drawn[:, [names.index(name) for name in INERTIA]])
