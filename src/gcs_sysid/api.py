@@ -29,8 +29,9 @@ from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
-from gcs_sysid.signals.columns import RecordBlock, Track
+from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.track_collector import in_order
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight
 
@@ -360,8 +361,10 @@ def identify(
     """
     whole = load_airframe(airframe, **known)
     chain = Chain(whole, ChainOptions(history_interval=None, offline=offline))
-    block = RecordBlock(_in_order(signals.tracks(len(whole.rotors))))
-    for window in block.windows(WINDOW):
+    tracks = [track for track in signals.tracks(len(whole.rotors)) if len(track.t)]
+    if not tracks:
+        raise InputError("all values are NaN")
+    for window in in_order(tracks).windows(WINDOW):
         chain.take(window)
     return replace(chain.finish(), source="arrays")
 
@@ -370,18 +373,3 @@ def _without_gaps(track: Track) -> Track:
     """The track without samples in which nothing is known; the chain sees a gap there."""
     known = np.isfinite(track.values).any(axis=1)
     return replace(track, t=track.t[known], values=track.values[known])
-
-
-def _in_order(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
-    """The tracks with the order in which their samples come: by time, then as listed."""
-    tracks = tuple(track for track in tracks if len(track.t))
-    if not tracks:
-        raise InputError("all values are NaN")
-    times = np.concatenate([track.t for track in tracks])
-    order = np.empty(len(times), np.int64)
-    order[np.argsort(times, kind="stable")] = np.arange(len(times))
-    ends = np.cumsum([len(track.t) for track in tracks])[:-1]
-    return tuple(
-        replace(track, order=part)
-        for track, part in zip(tracks, np.split(order, ends), strict=True)
-    )

@@ -217,7 +217,7 @@ def assemble(
     """
     result.need_scale()
     rotors, label = _rotors(result, airframe)
-    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _of_flight(e))}
+    known = {n: q for n, e in result.estimates.items() if (q := _of_flight(e))}
     known.pop("rotor_delay", None)
     if airframe is not None:
         for n, quantity in _of_airframe(airframe).items():

@@ -206,9 +206,9 @@ def scatter_of(results: Sequence[Result], level: float) -> Scatter:
     Returns:
         Variances; zero with fewer than `FEWEST` flights.
     """
-    names = dict.fromkeys(name for result in results for name in _estimates(result))
+    names = dict.fromkeys(name for result in results for name in result.estimates)
     series = {
-        name: [e for r in results if (e := _estimates(r).get(name)) is not None and is_sound(e)]
+        name: [e for r in results if (e := r.estimates.get(name)) is not None and is_sound(e)]
         for name in names
     }
     tested = max(sum(len(known) > 1 for known in series.values()), 1)
@@ -280,10 +280,10 @@ def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
     """
     last = flights[-1]
     source = f"{len(flights)} flights from {flights[0].source} to {last.source}"
-    names = dict.fromkeys(name for flight in flights for name in _estimates(flight))
+    names = dict.fromkeys(name for flight in flights for name in flight.estimates)
     expected = {}
     for name in names:
-        known = [_estimates(flight)[name] for flight in flights if name in _estimates(flight)]
+        known = [flight.estimates[name] for flight in flights if name in flight.estimates]
         sound = [estimate for estimate in known if is_sound(estimate)]
         expected[name] = known[-1]
         if sound:
@@ -296,10 +296,6 @@ def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
         parameters={name: e for name, e in expected.items() if name in PARAMETERS},
         timing={name: e for name, e in expected.items() if name in TIMING},
     )
-
-
-def _estimates(result: Result) -> dict[str, Estimate]:
-    return result.parameters | result.timing
 
 
 def is_sound(estimate: Estimate) -> bool:

@@ -180,16 +180,12 @@ def link_status(
         intake: that counts.
         too_slow: whether the session cannot keep up.
     """
-    monitor = intake.monitor
     chosen = None if intake.vehicle is None else intake.vehicle.address
     return LinkStatus(
         state=state,
         url=str(source.url),
         vehicle=str(intake.vehicle or ""),
         asked=dict(station.asked),
-        lost=monitor.lost,
-        gaps=monitor.gap_count,
-        last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
         clock_ppm=intake.drift.ppm,
         vehicles=tuple(
             FoundVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
@@ -198,7 +194,7 @@ def link_status(
         waiting=source.waiting,
         too_slow=too_slow,
         dropped=source.link_report.dropped,
-        **vars(intake.health()),
+        **intake.health(),
     )
 
 

@@ -26,7 +26,13 @@ from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import digest_of, log_file
-from gcs_sysid.live.acceleration_prediction import Model, Predictor, RotationSamples, half_window
+from gcs_sysid.live.acceleration_prediction import (
+    Model,
+    PredictionRows,
+    Predictor,
+    RotationSamples,
+    half_window,
+)
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
@@ -39,23 +45,15 @@ from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """Rows of the forward form over a flight, NaN where a window held a missing sample.
+class Prediction(PredictionRows):
+    """Rows of the forward form over a flight.
 
     Attributes:
-        t: (n,) s, centers of the windows.
-        rates: (n, 3) averaged, rad/s.
-        measured: (n, 3) angular acceleration, rad/s^2.
-        predicted: (n, 3) the same of the model.
         step: s between rows.
         held_out: (n,) which rows were not fitted.
         speed_noise: (3,) variance of a row's prediction by white noise of the rotors' stream.
     """
 
-    t: Array
-    rates: Array
-    measured: Array
-    predicted: Array
     step: float
     held_out: Mask
     speed_noise: Array

@@ -147,7 +147,7 @@ def compare(before: Result, after: Result) -> Comparison:
         'no_change_seen'
     """
     notes = [*_rotor_notes(before, after), *_flight_notes(before, after)]
-    names = [n for n in _KNOWN if any(_estimate(r, n) is not None for r in (before, after))]
+    names = [n for n in _KNOWN if any(n in r.estimates for r in (before, after))]
     found = {name: _difference(name, before, after) for name in names}
     found = _corrected(found)
     notes += _scale_notes(before, after, found)
@@ -157,12 +157,8 @@ def compare(before: Result, after: Result) -> Comparison:
     return Comparison(before, after, found, verdict, tuple(notes))
 
 
-def _estimate(result: Result, name: str) -> Estimate | None:
-    return (result.parameters | result.timing).get(name)
-
-
 def _difference(name: str, before: Result, after: Result) -> Difference:
-    first, second = _estimate(before, name), _estimate(after, name)
+    first, second = before.estimates.get(name), after.estimates.get(name)
     values: list[tuple[float, float]] = []
     for estimate, result, which in ((first, before, "A"), (second, after, "B")):
         why = ""

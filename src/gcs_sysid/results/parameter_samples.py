@@ -10,7 +10,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import parse_airframe
-from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.flight_model import FURTHER, FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
 from gcs_sysid.results.notebook_view import needed
@@ -80,7 +79,7 @@ def draw_samples(result: ResultData, n: int, seed: int, *, given: bool = True) -
     """
     if n < 1:
         raise InputError(f"samples: n must be 1 or more, got {n}")
-    mean = {name: e.value for name, e in _estimates(result).items() if e.value is not None}
+    mean = {name: e.value for name, e in result.estimates.items() if e.value is not None}
     names = tuple(mean)
     center = np.array(list(mean.values()))
     root = _root(result, names, given=given)
@@ -142,7 +141,7 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
     airframe = parse_airframe(table, "the result's airframe")
     geometry = airframe.geometry
     if samples is None:
-        estimates = _estimates(result)
+        estimates = result.estimates
         names = tuple(n for n, e in estimates.items() if e.value is not None)
         center = np.array([[estimates[name].value for name in names]], np.float64)
         samples = ParameterSamples(names, physical(names, center)[0])
@@ -182,15 +181,10 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
     )
 
 
-def _estimates(result: ResultData) -> dict[str, Estimate]:
-    """All that a vehicle is drawn of."""
-    return result.parameters | result.timing
-
-
 def _root(result: ResultData, names: tuple[str, ...], *, given: bool) -> Array:
     """(names, names) A with A A' the covariance; what it does not name varies by itself."""
     names_known, matrix = covariance_of(result)
-    estimates = [_estimates(result)[name] for name in names]
+    estimates = [result.estimates[name] for name in names]
     whole = np.diag([(e.std or 0.0) ** 2 for e in estimates])
     at = [i for i, name in enumerate(names_known) if name in names]
     to = [names.index(names_known[i]) for i in at]

@@ -88,6 +88,11 @@ class ResultData:
     prediction: "Acceleration | None" = field(default=None, compare=False)
     """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
 
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """All of parameters and timing, by name."""
+        return self.parameters | self.timing
+
     def need_scale(self) -> None:
         """Check that values are those of a vehicle, not per kg of its mass.
 

@@ -210,7 +210,7 @@ class ParameterRow:
 
 def rows(result: ResultData) -> list[tuple[Parameter, Estimate]]:
     """The parameters and timing values of a result, in the order of all tables."""
-    there = result.parameters | result.timing
+    there = result.estimates
     return [(p, there[name]) for name, p in REGISTRY.items() if name in there]
 
 

@@ -17,7 +17,7 @@ from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, REPEATED, FrameBlock, S
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes, picker
-from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
+from gcs_sysid.telemetry.monitor import Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.tlog_writer import is_reset_mark
 from gcs_sysid.telemetry.track_collector import TrackCollector
@@ -303,7 +303,7 @@ class Intake:
         events, self._events = self._events, []
         return events
 
-    def health(self) -> LinkHealth:
+    def health(self) -> dict[str, Any]:
         """Figures of the moment, for the live screen."""
         return self.monitor.health(self.garbage_bytes)
 

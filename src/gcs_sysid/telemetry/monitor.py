@@ -11,7 +11,6 @@ intervals have samples missing in them.
 
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -240,19 +239,6 @@ class SequenceCount:
         return self.expected - self.received
 
 
-@dataclass(frozen=True)
-class LinkHealth:
-    """Figures of the moment, named as in `results.snapshot.LinkStatus`."""
-
-    rates: dict[str, float] = field(default_factory=dict)
-    """Messages a second of vehicle time by name."""
-    received: int = 0
-    rejected: int = 0
-    unknown: int = 0
-    lost_percent: float = 0.0
-    bytes_per_second: float = 0.0
-
-
 class Monitor:
     """Counts the frames of a session.
 
@@ -446,7 +432,8 @@ class Monitor:
 
     def rates(self) -> dict[str, float]:
         """Messages a second over the last whole steps of the window, by name."""
-        return self.health().rates
+        rates: dict[str, float] = self.health()["rates"]
+        return rates
 
     def _window(self) -> tuple[Counter[int], int, float]:
         """Messages by id, bytes, and s of the whole steps in the window."""
@@ -465,19 +452,24 @@ class Monitor:
         seconds = (self._steps[-1][0] - whole[0][0]) * self.STEP if whole else 0.0
         return total, size, seconds
 
-    def health(self, garbage_bytes: int = 0) -> LinkHealth:
-        """Figures of the moment. Garbage counts as one rejection a started 64 bytes."""
+    def health(self, garbage_bytes: int = 0) -> dict[str, Any]:
+        """Figures of the moment, named as in `results.snapshot.LinkStatus`.
+
+        Garbage counts as one rejection a started 64 bytes.
+        """
         counts, size, seconds = self._window()
-        return LinkHealth(
-            rates={message_name(i): n / seconds for i, n in sorted(counts.items())}
-            if seconds
-            else {},
-            received=self.received,
-            rejected=self.bad_crc + -(-garbage_bytes // 64),
-            unknown=self.unknown,
-            lost_percent=self.lost_percent,
-            bytes_per_second=size / seconds if seconds else 0.0,
-        )
+        each = {message_name(i): n / seconds for i, n in sorted(counts.items())} if seconds else {}
+        return {
+            "rates": each,
+            "received": self.received,
+            "rejected": self.bad_crc + -(-garbage_bytes // 64),
+            "unknown": self.unknown,
+            "lost": self.lost,
+            "lost_percent": self.lost_percent,
+            "gaps": self.gap_count,
+            "last_gap": self.gaps[-1][1] if self.gaps else None,
+            "bytes_per_second": size / seconds if seconds else 0.0,
+        }
 
     def as_dict(self, systems: Iterable[str] = (), garbage_bytes: int = 0) -> dict[str, Any]:
         """The result's `telemetry`: figures of the whole flight."""

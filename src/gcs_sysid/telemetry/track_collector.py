@@ -5,7 +5,7 @@ its topics into a `Track`; merging those by time gives the same records as a lin
 given. A ground station's log (.tlog) gives its tracks block by block, in the order of its frames.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -213,22 +213,29 @@ class Recording:
 
     def block(self) -> RecordBlock:
         """Everything in the order of time; at the same time, parameters first, then tracks."""
-        reported = np.array([t for t, _, _ in self.parameters])
-        order = _ranks(np.concatenate([reported, *(track.t for track in self.tracks)]))
-        ends = np.cumsum([len(reported), *(len(track.t) for track in self.tracks)])
-        parameters = [
-            (number, Record(Stream.PARAMETER, t, (value,), source=name))
-            for number, (t, name, value) in zip(
-                order[: len(reported)].tolist(), self.parameters, strict=True
-            )
-        ]
-        return RecordBlock(
-            tuple(
-                replace(track, order=order[end - len(track.t) : end])
-                for track, end in zip(self.tracks, ends[1:].tolist(), strict=True)
-            ),
-            tuple(sorted(parameters)),
+        return in_order(self.tracks, self.parameters)
+
+
+def in_order(
+    tracks: Sequence[Track], parameters: Sequence[tuple[float, str, float]] = ()
+) -> RecordBlock:
+    """As `Recording.block` says, of its tracks and parameters."""
+    reported = np.array([t for t, _, _ in parameters])
+    order = _ranks(np.concatenate([reported, *(track.t for track in tracks)]))
+    ends = np.cumsum([len(reported), *(len(track.t) for track in tracks)])
+    records = [
+        (number, Record(Stream.PARAMETER, t, (value,), source=name))
+        for number, (t, name, value) in zip(
+            order[: len(reported)].tolist(), parameters, strict=True
         )
+    ]
+    return RecordBlock(
+        tuple(
+            replace(track, order=order[end - len(track.t) : end])
+            for track, end in zip(tracks, ends[1:].tolist(), strict=True)
+        ),
+        tuple(sorted(records)),
+    )
 
 
 def upright(q: Array) -> Array:
