@@ -17,6 +17,7 @@ from pathlib import Path
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
 from gcs_sysid.live.live_view import RESULT_EVERY, Backlog, Session, link_status, with_link
+from gcs_sysid.live.receiver_process import Source
 from gcs_sysid.live.reception import (
     POLL,
     Ended,
@@ -26,7 +27,6 @@ from gcs_sysid.live.reception import (
     RecordingCut,
     ResetMark,
     SessionRecording,
-    Source,
     Toggled,
 )
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, ScaleReference

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.judgement.judge import object_to
-from gcs_sysid.live.reception import Source
+from gcs_sysid.live.receiver_process import Source
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.history import Acceleration

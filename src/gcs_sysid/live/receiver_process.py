@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.live.reception import Item, RecordingReport
+from gcs_sysid.live.reception import Item, Reception, RecordingReport
 from gcs_sysid.processes import apart
 from gcs_sysid.telemetry.frames import join_frames, split_frames
 from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Requests
@@ -340,3 +340,7 @@ class ReceiverProcess:
                 self._messages.append(message)
                 self._size += len(message.body)
             self._wake.notify_all()
+
+
+Source = Reception | ReceiverProcess
+"""Where a session's data come from: a reception, here or in another process."""

@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
-from gcs_sysid.telemetry.transceiver import LinkReport, Port, ReceivedFrames, Requests, Transceiver
+from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Requests, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
 POLL = 0.05
@@ -163,46 +163,6 @@ class RecordingReport:
     path: str = ""
     dropped: int = 0
     lines: tuple[str, ...] = ()
-
-
-class Source(Port, Protocol):
-    """Where a session's data come from: a reception, here or in another process."""
-
-    @property
-    def recording_report(self) -> RecordingReport:
-        """As things stand."""
-
-    @property
-    def waiting(self) -> float:
-        """Arrived data that were not taken yet, s."""
-
-    @property
-    def withheld(self) -> int:
-        """Frames that are recorded and were not handed over, because too many waited."""
-
-    def next_items(self, timeout: float) -> Sequence[Item]:
-        """Wait up to `timeout` s; what comes next, in order."""
-
-    def take_events(self) -> list[str]:
-        """What happened to the recording since this was last asked, one line each."""
-
-    def mark_reset(self) -> None:
-        """Have a `ResetMark` recorded and handed over."""
-
-    def start_recording(self, path: Path) -> None:
-        """Record into another file from now on; `Toggled` reports it."""
-
-    def stop_recording(self) -> None:
-        """End the recording; `Toggled` reports it."""
-
-    def cut_recording(self, path: Path) -> None:
-        """Go on in another file, if it is recorded at all; hand over a `RecordingCut`."""
-
-    def flushed_recording(self) -> Path | None:
-        """The latest recording, all that was written so far in the file; None without one."""
-
-    def finish(self) -> None:
-        """End: what is left is handed over, and `Ended`."""
 
 
 class Reception:
