@@ -26,6 +26,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.control.rate_loops import HoverPoint, RateLoop
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
+from gcs_sysid.model.rotor_input import RotorInput
 
 FLIGHT_FOR = {
     "inertia": "fly doublets on all axes until Ixx, Iyy and Izz are identified (gcs-sysid plan)",
@@ -173,7 +174,7 @@ def hover_point(v: ExportedVehicle) -> HoverPoint:
     if not T_max:
         return HoverPoint(None, turning)
     share = np.array(min(mass * GRAVITY / (n * T_max), 1.0))
-    return HoverPoint(float(_command(share, c or 0.0)), turning)
+    return HoverPoint(float(RotorInput.COMMAND.at_load(share, np.array(c or 0.0))), turning)
 
 
 def check_needs(vehicle: ExportedVehicle) -> None:
@@ -219,7 +220,7 @@ def _one(
     f = loop.curve
     c = v.get("thrust_curve")
     c = f if c is None else c
-    u = _command(share, c)
+    u = RotorInput.COMMAND.at_load(share, np.array(c))
     slope = v["T_max"] * thrust * (1.0 - c + 2.0 * c * u) / (1.0 - f + 2.0 * f * u)
     inverse = np.linalg.inv(J)
     B = inverse @ (E * slope) @ loop.mixer
@@ -248,12 +249,6 @@ def _of_each_rotor(v: ExportedVehicle) -> tuple[Array, Array]:
         return np.ones(n), np.full(n, v["moment_ratio"])
     k_T, ratio = np.array([v.rotor_coefficients(i) for i in range(n)]).T
     return k_T / v["k_T"], ratio
-
-
-def _command(share: Array, c: float) -> Array:
-    """Command u with (1 - c) u + c u^2 = share."""
-    linear = 1.0 - c
-    return 2.0 * share / (linear + np.sqrt(np.maximum(linear**2 + 4.0 * c * share, 1e-12)))
 
 
 _SECONDS = 16.0

@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number
 from gcs_sysid.model.parameter_file import INT32, REAL32
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
@@ -138,7 +138,7 @@ def _sitl_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     share = vehicle.hover_load
     c = vehicle.get("thrust_curve")
     curve = 0.65 if c is None else min(max(c, 0.0), 1.0)
-    u = thrust_command(share, curve)
+    u = vehicle.hover_command(curve)
     arm = float(np.mean([math.hypot(r.x, r.y) for r in vehicle.rotors]))
     # d(thrust)/du over d(u thrust)/du.
     slope = 1.0 - curve + 2.0 * curve * u

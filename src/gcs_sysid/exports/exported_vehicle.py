@@ -19,6 +19,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, REGISTRY, Sign
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.parameter_samples import covariance_of, covariance_root, physical
 from gcs_sysid.results.result import Result
 
@@ -168,6 +169,10 @@ class ExportedVehicle:
     def hover_load(self) -> float:
         """Thrust of a rotor in hover over its full thrust, after `need` of mass and T_max."""
         return self["mass"] * GRAVITY / (len(self.rotors) * self["T_max"])
+
+    def hover_command(self, curve: float) -> float:
+        """Command of a rotor in hover by a thrust curve, after `need` of mass and T_max."""
+        return float(RotorInput.COMMAND.at_load(np.array(self.hover_load), np.array(curve)))
 
     @property
     def inertia(self) -> Array:
@@ -356,13 +361,6 @@ def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, KnownEstimate]) -
             known[name] = KnownEstimate(
                 own.value + cant * share, own.std, origin=f"{own.origin}, cant added"
             )
-
-
-def thrust_command(load: float, curve: float) -> float:
-    """The command u at which (1 - c) u + c u^2 is a load."""
-    linear = 1.0 - curve
-    root = math.sqrt(max(linear**2 + 4.0 * curve * load, 0.0))
-    return 2.0 * load / (linear + root)
 
 
 def _identifier(name: str) -> str:

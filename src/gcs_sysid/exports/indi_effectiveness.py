@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number, xml_comment
 from gcs_sysid.model.parameters import AXES, GRAVITY, INERTIA
 
@@ -88,7 +88,7 @@ def _integers(values: Array, most: int = 32767) -> str:
 def _around_hover(vehicle: ExportedVehicle) -> tuple[float, float]:
     """Command in hover, and slope there of thrust over full thrust by command."""
     c = vehicle.get("thrust_curve") or 0.0
-    u = thrust_command(vehicle.hover_load, c)
+    u = vehicle.hover_command(c)
     return u, 1.0 - c + 2.0 * c * u
 
 

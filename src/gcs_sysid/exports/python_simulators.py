@@ -29,7 +29,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, thrust_command
+from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
@@ -188,7 +188,7 @@ def _l2f_text(vehicle: ExportedVehicle, head: list[str]) -> str:
         "gravity": [0.0, 0.0, -GRAVITY],
         "J": J.tolist(),
         "J_inv": np.linalg.inv(J).tolist(),
-        "hovering_throttle_relative": thrust_command(vehicle.hover_load, c),
+        "hovering_throttle_relative": vehicle.hover_command(c),
         "action_limit": {"min": 0.0, "max": 1.0},
     }
     lines = ",\n".join(map(json.dumps, head))
