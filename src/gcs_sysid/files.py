@@ -115,10 +115,15 @@ def with_mapping(path: Path, mapping: Path) -> Path:
     return Path(f"{path}#{mapping.name if near else mapping.absolute()}")
 
 
+def split_log(path: Path) -> tuple[Path, int | None, Path | None]:
+    """The file of a log, and its session or the mapping that it may be named with."""
+    table, mapping = split_mapping(path)
+    return (*split_session(path), None) if mapping is None else (table, None, mapping)
+
+
 def log_file(path: Path) -> Path:
     """The file of a log that may be named with a session or a mapping."""
-    table, mapping = split_mapping(path)
-    return split_session(path)[0] if mapping is None else table
+    return split_log(path)[0]
 
 
 def unreadable(path: Path, error: OSError | ValueError) -> str:

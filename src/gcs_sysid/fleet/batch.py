@@ -22,8 +22,8 @@ from gcs_sysid.files import (
     is_bag_folder,
     log_file,
     read_text,
+    split_log,
     split_mapping,
-    split_session,
     utf8,
     with_mapping,
     write_whole,
@@ -426,9 +426,7 @@ def find_logs(paths: Iterable[Path], mapping: Path | None = None) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in paths:
-        file, session = split_session(path)
-        if (table := split_mapping(path))[1] is not None:
-            file = table[0]
+        file, session, _ = split_log(path)
         if not file.exists():
             raise InputError(f"{path}: no such file or folder")
         if not path.is_dir():

@@ -32,12 +32,12 @@ from concurrent.futures import (
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import digest_of, split_mapping, split_session
+from gcs_sysid.files import digest_of, split_log
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.whole_analysis import analyze_whole
@@ -131,8 +131,7 @@ def make_task(job: Job) -> Task:
     Raises:
         OSError: it cannot be read.
     """
-    table, mapping = split_mapping(job.log)
-    path, session = (table, None) if mapping is not None else split_session(job.log)
+    path, session, mapping = split_log(job.log)
     more = b"" if mapping is None else mapping.read_bytes()
     more += b"" if session is None else f"#{session}".encode()
     digest, size = digest_of(path, more)
@@ -287,20 +286,6 @@ def _within_memory(megabytes: float) -> Iterator[None]:
 _GONE = "the Dask scheduler is gone; run the same command again for the rest"
 
 
-class Pool(Protocol):
-    """Processes that do tasks."""
-
-    @property
-    def capacity(self) -> int:
-        """How many tasks keep it busy."""
-
-    def submit(self, task: Task) -> Future[Document]:
-        """Have a task done."""
-
-    def close(self) -> None:
-        """Give up what is under way, at once."""
-
-
 class LocalPool:
     """Processes of this machine, started when there is work.
 
@@ -334,11 +319,11 @@ class LocalPool:
 
     @property
     def capacity(self) -> int:
-        """As `Pool` says: one more than there are processes, so that none waits for us."""
+        """How many tasks keep it busy: one more than there are processes, so that none waits."""
         return self._workers + 1
 
     def submit(self, task: Any) -> Future[Any]:
-        """As `Pool` says; where a process has died, with new ones."""
+        """Have a task done; where a process has died, by new ones."""
         if self._executor is not None:
             try:
                 return self._executor.submit(self._work, task)
@@ -348,7 +333,7 @@ class LocalPool:
         return self._executor.submit(self._work, task)
 
     def close(self) -> None:
-        """As `Pool` says."""
+        """Give up what is under way, at once."""
         if self._leash is None or self._executor is None:
             return
         self._leash.close()
@@ -410,7 +395,7 @@ class ClusterPool:
 
     @property
     def capacity(self) -> int:
-        """As `Pool` says: workers come and go.
+        """How many tasks keep it busy: workers come and go.
 
         Raises:
             InputError: the scheduler is gone.
@@ -423,7 +408,7 @@ class ClusterPool:
         return max(2 * threads, 2)
 
     def submit(self, task: Task) -> Future[Document]:
-        """As `Pool` says; Dask itself tries again where a worker dies.
+        """Have a task done; Dask itself tries again where a worker dies.
 
         Raises:
             InputError: the scheduler is gone.
@@ -437,9 +422,13 @@ class ClusterPool:
             raise InputError(_GONE)
 
     def close(self) -> None:
-        """As `Pool` says."""
+        """Give up what is under way, at once."""
         self._executor.shutdown(wait=False)
         self._client.close()
+
+
+Pool = LocalPool | ClusterPool
+"""Processes that do tasks."""
 
 
 def _version() -> str:

@@ -23,8 +23,7 @@ from gcs_sysid.files import (
     BAG_SUFFIXES,
     check_regular,
     is_bag_folder,
-    split_mapping,
-    split_session,
+    split_log,
     unreadable,
 )
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
@@ -211,8 +210,7 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     Raises:
         InputError: it is none of these, or cannot be read.
     """
-    table, mapping = split_mapping(path)
-    file_path, session = (table, None) if mapping is not None else split_session(path)
+    file_path, session, mapping = split_log(path)
     with ExitStack() as until:
         try:
             if file_path.is_dir() and not is_bag_folder(file_path):
