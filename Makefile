@@ -42,9 +42,8 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 # One thread a process: more would only wait for each other.
 test test-all test-web quick mutate soak soak-short: export OMP_NUM_THREADS = 1
 # Workers and the programs that tests start would compile every file again: bytecode is kept,
-# in build/, whatever PYTHONDONTWRITEBYTECODE says.
+# whatever PYTHONDONTWRITEBYTECODE says, beside its source, where that of packages lies already.
 test test-all test-web quick mutate: export PYTHONDONTWRITEBYTECODE =
-test test-all test-web quick mutate: export PYTHONPYCACHEPREFIX = $(CURDIR)/build/bytecode
 
 test: $(SIMULATORS_INSTALLED) ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder

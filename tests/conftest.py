@@ -1,6 +1,7 @@
 """What several test folders share: emulated flights, each flown once, and onboard logs."""
 
 import contextlib
+import gc
 import hashlib
 import io
 import json
@@ -37,6 +38,17 @@ AS_THE_ARTICLE = ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "
 def pytest_xdist_auto_num_workers() -> int:
     """One worker more than cores: a fifth of the time tests wait for links and processes."""
     return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is collected is there to the end, and is not looked through for garbage."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -23,7 +23,7 @@ ANSWERS = {
 def test_without_an_accelerometer_analysis_and_inspection_say_so(shared_log):
     log = shared_log("field/betaflight/hiro-no-accelerometer.bfl")
     airframe = load_airframe("betaflight-quad-x").with_arm(0.11).with_anchor("mass", 0.5)
-    result = analyze_log(log, airframe, options=ChainOptions(end=10.0))
+    result = analyze_log(log, airframe, options=ChainOptions(end=6.0))
     found = inspect_log(log)
     assert (result.verdict, found.verdict, found.obtainable) == ("refused", "no", "nothing")
     for objections in (result.objections, found.objections):

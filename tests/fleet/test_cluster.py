@@ -1,4 +1,4 @@
-"""A batch on a real Dask scheduler with two workers on this machine."""
+"""A batch on a real Dask scheduler with a worker on this machine."""
 
 import contextlib
 import os
@@ -8,9 +8,6 @@ import sys
 import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
-pytest.importorskip("distributed", reason="needs the extra cluster")
-
-import distributed
 
 from gcs_sysid.fleet.batch import read_table
 from gcs_sysid.fleet.jobs import reason
@@ -19,8 +16,14 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    """The address of a scheduler, its process and those of two workers."""
+def distributed():
+    """Dask, which takes a second to load."""
+    return pytest.importorskip("distributed", reason="needs the extra cluster")
+
+
+@pytest.fixture(scope="module")
+def cluster(distributed, tmp_path_factory):
+    """The address of a scheduler, its process and that of a worker, and what starts another."""
     folder = tmp_path_factory.mktemp("dask")
     file = folder / "scheduler.json"
     program = [sys.executable, "-m", "distributed.cli."]
@@ -33,12 +36,15 @@ def cluster(tmp_path_factory):
         return subprocess.Popen(command, env=environment, **options)
 
     processes = [start("dask_scheduler", "--port", "0")]
-    processes += [start("dask_worker", "--nthreads", "1", "--no-nanny") for _ in range(2)]
-    try:
+
+    def add_worker():
+        processes.append(start("dask_worker", "--nthreads", "1", "--no-nanny"))
         with distributed.Client(scheduler_file=str(file), timeout=60) as client:
-            client.wait_for_workers(2, timeout=60)
-            address = client.scheduler.address
-        yield address, processes
+            client.wait_for_workers(len(processes) - 1, timeout=60)
+            return client.scheduler.address
+
+    try:
+        yield add_worker(), processes, add_worker
     finally:
         for process in reversed(processes):
             process.terminate()
@@ -50,7 +56,7 @@ def scheduler(cluster):
     return cluster[0]
 
 
-def test_a_batch_over_two_workers(batch, logs, scheduler, tmp_path):
+def test_a_batch_over_a_cluster(batch, logs, scheduler, tmp_path):
     out = tmp_path / "out"
     status, err = batch(logs, "-o", out, "--airframe", "paper", "--scheduler", scheduler)
     assert status == 0
@@ -62,7 +68,7 @@ def test_a_batch_over_two_workers(batch, logs, scheduler, tmp_path):
     assert (status, "(5 done before)" in err) == (0, True)
 
 
-def test_a_log_that_kills_workers_is_told_as_on_one_machine():
+def test_a_log_that_kills_workers_is_told_as_on_one_machine(distributed):
     assert "died" in reason(distributed.scheduler.KilledWorker("task", None, 3))
 
 
@@ -84,7 +90,9 @@ def test_no_scheduler_is_a_line(batch, logs, tmp_path, monkeypatch):
 @pytest.mark.thorough
 def test_a_worker_that_is_killed_and_a_scheduler_that_dies(logs, cluster, tmp_path):
     """Last in the file, as the cluster is then gone."""
-    address, (scheduler, victim, _) = cluster
+    address, processes, add_worker = cluster
+    scheduler, victim = processes
+    add_worker()
     command = [sys.executable, "-m", "gcs_sysid", "batch", str(logs), "--airframe", "paper"]
     command += ["--scheduler", address, "-o"]
 

@@ -80,14 +80,15 @@ def test_a_step_without_an_end_costs_the_process():
 @pytest.mark.slow
 def test_logs_over_their_time_are_rows_and_are_tried_again(batch, flights, tmp_path):
     out, logs = tmp_path / "out", flights[:2]
-    status, said = batch(*logs, "-o", out, "--airframe", "paper", "--log-timeout", "0.01")
+    status, said = batch(*logs, "-o", out, "--airframe", "paper", "--log-timeout", "0.01",
+                         "--workers", "1")  # fmt: skip
     assert status == 2
     rows = pyarrow.parquet.read_table(out / "fleet.parquet").to_pylist()
     slow = [row for row in rows if row["error"] and "not done after 0.01 s" in row["error"]]
     assert len(slow) == 2
     assert all(row["verdict"] is None and row["result"] is None for row in slow)
     assert said.count("--log-timeout") >= 2
-    status, said = batch(*logs, "-o", out, "--airframe", "paper")
+    status, said = batch(*logs, "-o", out, "--airframe", "paper", "--workers", "1")
     assert status == 0
     rows = pyarrow.parquet.read_table(out / "fleet.parquet").to_pylist()
     assert sum(row["verdict"] is not None for row in rows) == 2

@@ -95,7 +95,9 @@ def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airf
     path = tmp_path / "live.tlog"
     gone = lambda: process.poll() is not None  # noqa: E731
     told = []
-    session = LiveSession(udp, airframe, LiveOptions(rate=100.0), path, gone, told.append)
+    session = LiveSession(
+        udp, airframe, LiveOptions(rate=100.0, refit_interval=1.0), path, gone, told.append
+    )
     session.start()
     final = finish(session)
     assert process.returncode == 0

@@ -160,7 +160,7 @@ def test_it_keeps_the_pace_of_the_vehicles_clock_and_ends_with_the_analysis(reco
 
 
 def test_a_pause_stops_it_and_nothing_is_lost(recorded):
-    stage, other = Stage(recorded), Stage(recorded)
+    stage = Stage(recorded)
     stage.play(5.0)
     assert stage.session.toggle_pause() == "Replay paused."
     stage.play(100.0)
@@ -168,8 +168,7 @@ def test_a_pause_stops_it_and_nothing_is_lost(recorded):
     assert stage.playback.position <= 5.0
     assert stage.session.toggle_pause() == "Replay resumed."
     stage.play(3.0)
-    other.play(8.0)
-    assert stage.playback.position == pytest.approx(other.playback.position, abs=0.25)
+    assert 7.7 < stage.playback.position <= 8.0
     assert not stage.playback.paused
 
 

@@ -121,7 +121,7 @@ def test_parameters_are_no_samples():
     ],
 )
 def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe, shared_logs):
-    options = ChainOptions(end=100.0)
+    options = ChainOptions(end=75.0)
     result = analyze_log(shared_logs / name, airframe, options=options)
     assert result.vehicle == {"sysid": 1, "compid": 1, "autopilot": autopilot}
     assert result.telemetry["late"] == 0

@@ -18,7 +18,10 @@ pytestmark = [
 ]
 
 
-ENOUGH = {"px4-esc-cg.tlog": ChainOptions(end=120.0)}
+ENOUGH = {
+    "px4-esc-cg.tlog": ChainOptions(end=120.0),
+    "ardupilot-sitl.tlog": ChainOptions(end=150.0),
+}
 """As much of a log as reaches the bars."""
 
 
@@ -130,7 +133,7 @@ def test_a_change_in_flight_on_commands_is_found(shared_log):
     [
         ("real/LOG00264", "real/cinerat"),  # a landing in the log
         pytest.param("real/LOG00281", "real/cinerat", marks=pytest.mark.thorough),  # full throttle
-        ("foreign/aclimb_0", "foreign/aclimb_0"),  # a climb of 2 m
+        pytest.param("foreign/aclimb_0", "foreign/aclimb_0", marks=pytest.mark.thorough),  # a climb
         pytest.param("foreign/rp1_4", "foreign/rp1_4", marks=pytest.mark.thorough),  # aerodynamics
     ],
 )
