@@ -137,6 +137,7 @@ class Told:
     vehicle = PX4
     systems = (PX4,)
     parameters: dict[str, float] = {}  # noqa: RUF012
+    problems = ()
 
 
 def health(rotors, **how):
@@ -207,3 +208,10 @@ def test_frames_of_ardupilot():
     assert not plus.assumed
     with pytest.raises(InputError, match="FRAME_CLASS 5 and FRAME_TYPE 1 are not a known frame"):
         guess_airframe(vehicle, {"FRAME_CLASS": 5.0, "FRAME_TYPE": 1.0}, None, None)
+
+
+def test_rotors_that_change_places_in_flight_are_named():
+    blocks = flight(BETAFLIGHT)
+    speeds = blocks[0].tracks[1].values
+    speeds[2500:, [0, 1]] = speeds[2500:, [1, 0]]
+    assert "for a part" in layout(blocks, Airframe("given", BETAFLIGHT)).as_flown

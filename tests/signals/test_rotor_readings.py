@@ -6,6 +6,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.rotor_readings import (
     held_rotor,
+    late_reading,
     moved_columns,
     odd_reading,
     unbalanced_reading,
@@ -90,7 +91,7 @@ def columns(values):
     return [(T, column) for column in values.T]
 
 
-def test_columns_that_change_places_are_found():
+def test_columns_that_change_places_or_come_late_are_found():
     rng = np.random.default_rng(3)
     u = 0.4 + 0.05 * np.sin(2.0 * T[:, None] * (1.0, 2.0, 3.0, 4.0))
     omega = 800.0 * np.sqrt(u / 0.4) + rng.normal(0.0, 5.0, u.shape)
@@ -98,7 +99,12 @@ def test_columns_that_change_places_are_found():
     assert "rotor 2 follows the command of rotor 4" in moved_columns(
         columns(omega[:, [0, 3, 2, 1]]), columns(u)
     )
-    assert moved_columns(columns(rng.normal(800.0, 5.0, u.shape)), columns(u)) == ""
+    noise = columns(rng.normal(800.0, 5.0, u.shape))
+    assert moved_columns(noise, columns(u)) == late_reading(noise, columns(u)) == ""
+    read = [(T + 0.04, column) for column in omega.T]
+    assert late_reading(read, columns(u)) == ""
+    read[1] = T + 0.14, omega[:, 1]
+    assert "reads rotor 2 100 ms later" in late_reading(read, columns(u))
 
 
 def test_a_weak_motor_turns_as_fast_as_it_must():

@@ -190,7 +190,8 @@ def layout_by_motion(
     first = likeliest if likeliest is not None and likeliest.least >= clear else None
     if not guess.assumed:
         as_flown = "" if guess.shown or first is None else _contradiction(first, ours)
-        shown = guess.shown or (shown and not as_flown)
+        as_flown = as_flown or _moved_in_flight(ours, seen)
+        shown = (guess.shown or shown) and not as_flown
         return replace(guess, shown=shown, as_flown=as_flown), streams
     if first is None:
         return replace(guess, shown=shown), streams
@@ -245,6 +246,23 @@ def _contradiction(first: _Candidate, own: _Candidate) -> str:
     if first.least < TUNING.more_explained * own.least or not first.differs(own):
         return ""
     return "motor " + first.places.replace(" ", " is ", 1)
+
+
+def _moved_in_flight(own: _Candidate, seen: Sequence[tuple[Array, Array]]) -> str:
+    """Where the motors are in a third of a flight which another layout explains; empty: in none."""
+    own_geometry = Airframe(own.name, own.rotors).geometry
+    long = [motion for motion in seen if len(motion[0]) >= 3 * TUNING.fewest_for_order]
+    if not long:
+        return ""
+    thrust, turning = max(long, key=lambda motion: _least(_explained(own_geometry, *motion)))
+    for rows in np.array_split(np.arange(len(thrust)), 3):
+        part = thrust[rows], turning[rows] - turning[rows].mean(axis=0)
+        first, rival = _likeliest(len(own.rotors), [part])
+        here = replace(own, least=_least(_explained(own_geometry, *part)))
+        clear = max(TUNING.least_explained, TUNING.more_explained * rival)
+        if first is not None and first.least >= clear and (places := _contradiction(first, here)):
+            return f"for a part of the flight {places}"
+    return ""
 
 
 def _ranked(count: int, thrust: Array, turning: Array) -> list[_Candidate]:

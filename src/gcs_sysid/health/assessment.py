@@ -49,7 +49,7 @@ _ORDER = (
 )
 _AS_FLOWN = (
     "the motion does not match this motor order ({}); as flown, {}",
-    "give --airframe with the rotors in that order",
+    "give --airframe with the rotors in that order, or see what changed places in the record",
 )
 _WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, and {}"
 

@@ -95,6 +95,7 @@ class Evidence:
         assumed: of the unit of the rotors' input, in words; empty where it is known.
         unlike: share by which rotors' speeds squared are not those of their commands; None where no
             commands show it.
+        stale: that the rotor stream in use held old readings in a part of the flight; else empty.
         reread: whether rotor speeds declared as rpm were read as rad/s.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
@@ -125,6 +126,7 @@ class Evidence:
     given: Mapping[str, float] = field(default_factory=dict)
     assumed: str = ""
     unlike: float | None = None
+    stale: str = ""
     reread: bool = False
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None

@@ -156,7 +156,20 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
 def unseen_rotors(evidence: Evidence) -> Iterator[Objection]:
     """Rotors that differ by their commands, where no flight shows whether they do."""
     unlike = evidence.unlike
-    if unlike is None or unlike < 0.5 * APART or np.allclose(unseen_shift(evidence.airframe), 0.0):
+    if evidence.rotor_input.motors or np.allclose(unseen_shift(evidence.airframe), 0.0):
+        return
+    if unlike is None:
+        if evidence.fit.rotation is not None:
+            share = evidence.airframe.uncertainty.rotor_thrust.of(1.0)
+            yield Objection(
+                "CG, k_T and k_M hold for rotors that give one thrust for one speed, within "
+                f"{100.0 * share:.0f} %: speeds alone do not show one side unlike the other",
+                verdict="identified",
+                by="alike",
+                how="record the commands too, and check that all ESCs count the same poles",
+            )
+        return
+    if unlike < 0.5 * APART:
         return
     yield Objection(
         f"at their commands rotors differ by {100.0 * unlike:.0f} % in speed squared: those of one "
@@ -171,8 +184,18 @@ def unseen_rotors(evidence: Evidence) -> Iterator[Objection]:
 def aged_readings(evidence: Evidence) -> Iterator[Objection]:
     """Rotors whose readings are older than those of others: the fit has one delay for all.
 
-    A speed that is read wrong looks so, too.
+    A speed that is read wrong looks so, too. One that was held at times was so unseen at others.
     """
+    by_rotation = frozenset(n for n in evidence.estimates if REGISTRY[n].fit == "rotation")
+    if evidence.stale:
+        yield Objection(
+            evidence.stale,
+            by_rotation,
+            cap="weak",
+            verdict="partial",
+            how="mend the telemetry of that ESC, or have commands recorded too",
+        )
+        return
     rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
     if rotation is None or not len(rotation.ages) or unlike_rotors(rotation, rotors)[0]:
         return
@@ -182,7 +205,7 @@ def aged_readings(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(
             "the readings of one rotor are older or younger than those of the others, by some "
             f"{1e3 * apart:.0f} ms",
-            frozenset(name for name in evidence.estimates if REGISTRY[name].fit == "rotation"),
+            by_rotation,
             cap="weak",
             verdict="partial",
             evidence={f"rotor {i}": age for i, age in enumerate(rotation.ages.tolist(), 1)},

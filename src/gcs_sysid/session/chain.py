@@ -695,6 +695,7 @@ class Findings:
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
             assumed="" if source is None else source.assumed,
             unlike=None if source is None else source.unlike,
+            stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale != 1.0,
             clock=None if chain.origin is None else chain.origin.clock_doubt,
             confirmed=chain.origin is not None and chain.origin.confirms(chain.airframe),

@@ -275,6 +275,45 @@ def moved_columns(
     )
 
 
+def late_reading(
+    speeds: Sequence[tuple[Array, Array]], commands: Sequence[tuple[Array, Array]]
+) -> str:
+    """Why speeds are not used of which one rotor's follow its command later than the others' do.
+
+    Args:
+        speeds: times and values of each rotor, of the same stretch of flight as
+        commands: likewise.
+    """
+    delays = AGE * np.arange(50)  # a motor's lag, and that of its reading
+    t = speeds[0][0]
+    t = t[(t > commands[0][0][0] + delays[-1]) & (t < commands[0][0][-1])]
+    if len(t) < _FEW:
+        return ""
+    left = np.empty((len(speeds), len(delays)))
+    for own, asked, row in zip(speeds, commands, left, strict=True):
+        read = np.interp(t, *own)
+        for i, delay in enumerate(delays.tolist()):
+            row[i] = 1.0 - _correlation(read, np.interp(t - delay, *asked))
+    best = left.argmin(axis=1)
+    usual = int(np.median(best))
+    rotor = int(np.argmax(np.abs(best - usual)))
+    apart = AGE * float(best[rotor] - usual)
+    sure = left[:, usual].min() < 0.5 and left[rotor, usual] > 2.0 * left[rotor, best[rotor]]
+    if not sure or abs(apart) < 2.0 * AGE:
+        return ""
+    way = "later" if apart > 0.0 else "earlier"
+    return (
+        f"reads rotor {rotor + 1} {1e3 * abs(apart):.0f} ms {way} after its command than the "
+        "others: have all ESCs read at once"
+    )
+
+
+def _correlation(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    power = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / power if power > 0.0 else 0.0
+
+
 def held_reading(rotors: Sequence[tuple[Array, Array]]) -> str:
     """Why speeds are not used of which one rotor's are old; empty where none are.
 

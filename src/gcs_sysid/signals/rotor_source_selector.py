@@ -31,6 +31,7 @@ from gcs_sysid.signals.rotor_readings import (
     AGE,
     OddReading,
     held_reading,
+    late_reading,
     moved_columns,
     odd_reading,
     together,
@@ -183,6 +184,8 @@ class RotorSourceSelector:
         """Source -> repeats in flight."""
         self.never_moved = False
         """Whether the latest choice was lost for a rotor that has stood still ever since."""
+        self.stale: dict[str, str] = {}
+        """Source of speeds -> that it held old readings at any time, where it does not show too."""
         self._standing: set[tuple[int, float]] = set()
         self._misread: dict[str, str] = {}
         self._found_dead: dict[str, set[tuple[int, float]]] = {}
@@ -327,8 +330,9 @@ class RotorSourceSelector:
                     return (
                         f"repeats old readings of rotor {rotor + 1}, {least:.0f} new ones a second"
                     )
-            if all(map(np.ptp, values)):
-                return held_reading(rotors)
+            if all(map(np.ptp, values)) and (held := held_reading(rotors)):
+                self.stale[name] = f"{name} {held}"
+                return held
         return ""
 
     def _dead(self, name: str, stretch: Stretch) -> str:
@@ -421,14 +425,15 @@ class RotorSourceSelector:
         )
 
     def _moved(self, stretches: Mapping[str, Stretch]) -> dict[str, str]:
-        """Of speeds whose columns changed places those not to be used, and why."""
+        """Of speeds that follow another's command, or late, those not to be used, and why."""
         count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)[:1]
         found = {
-            name: moved_columns(stretches[name].rotors(count), stretches[asked].rotors(count))
+            name: moved_columns(*both) or late_reading(*both)
             for asked in commands
             for name in self._ranked(stretches, Stream.ROTOR_SPEED)
             if not is_in_several_orders(name)
+            for both in [[stretches[each].rotors(count) for each in (name, asked)]]
         }
         return {name: problem for name, problem in found.items() if problem}
 
