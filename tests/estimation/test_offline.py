@@ -26,6 +26,7 @@ from gcs_sysid.estimation.offline.offline import (
 )
 from gcs_sysid.estimation.offline.prediction_error import estimate
 from gcs_sysid.estimation.online.fit import Fit
+from gcs_sysid.estimation.record.input_noise import with_unknown_noise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.model import rigid_body as rb
 from testbed.rate_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
@@ -213,6 +214,14 @@ def test_calm_air_needs_no_instruments():
     assert combined(fit, (far, far)) == (fit, False)
 
 
+def test_all_that_is_left_may_be_noise_of_slow_speeds():
+    fit = replace(fit_with(), r_squared=np.array([0.99, 0.9, 1.0]))
+    assert with_unknown_noise(fit, 0.02) is fit
+    off = fit.theta[:3] * [0.01, 0.1, 0.0] / np.sqrt(3.0)
+    grown = with_unknown_noise(fit, 0.05).std[:3]
+    np.testing.assert_allclose(grown, np.hypot(fit.std[:3], off))
+
+
 # ---- whole flights ---------------------------------------------------------------------------
 
 
@@ -268,6 +277,13 @@ def test_noise_that_spares_low_frequencies_is_used_at_20_hz(truth, flight):
     assert np.abs((fit.theta - truth.theta) / fit.std).max() < 4.0
     assert abs(fit.delay) < 4.0 * fit.delay_std
     assert np.median(fit.std / online.std) < 0.9
+    # These speeds are exact. Noise that is not there is not taken out.
+    signals = samples.speeds**2 @ rb.mixer(truth.geometry)
+    silent = SpeedRows([noisy], truth.geometry, dt, 0.0, 0.0, SILENT)
+    rounded = np.diag([*(1e-4 * signals.std(axis=0) ** 2), 0.0])
+    loud = SpeedRows([noisy], truth.geometry, dt, 0.0, 0.0, rounded)
+    by_both = [estimate(rows, online).fit.rotation.theta for rows in (silent, loud)]
+    np.testing.assert_array_equal(*by_both)
 
 
 def test_why_there_is_no_offline_estimate_is_said(truth, flight):

@@ -20,7 +20,11 @@ from gcs_sysid.estimation.fit.window_fit import axis_damping_doubt, fit_lag_plac
 from gcs_sysid.estimation.online.fit import FitMoments, Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LEAST_OWN, LeftOut, WhitenedEstimator
-from gcs_sysid.estimation.record.input_noise import is_sparse, with_sparse_readings
+from gcs_sysid.estimation.record.input_noise import (
+    is_sparse,
+    with_sparse_readings,
+    with_unknown_noise,
+)
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.model import rigid_body
 from gcs_sysid.model.rigid_body import CG_X, CG_Y
@@ -266,7 +270,10 @@ class RotationEstimator:
 
         Speeds miss what happens between readings. The window has one damping for three axes.
         """
-        sparse = is_sparse(self._speed_interval) and fit.lag_place is None
+        speeds = fit.lag_place is None and self._record.article is None
+        if speeds:
+            fit = with_unknown_noise(fit, self._speed_interval)
+        sparse = speeds and is_sparse(self._speed_interval)
         by_window = not fit.whiteners and self._record.article is None
         if not (sparse or by_window):
             return fit
