@@ -234,7 +234,7 @@ class _LogAgain:
         self.share_read = 0.0
 
     def blocks(self) -> Iterator[RecordBlock]:
-        """As `Log` says."""
+        """As of the log."""
         for number, block in enumerate(self._blocks, 1):
             self.share_read = number / len(self._blocks)
             yield block

@@ -40,7 +40,7 @@ def step_for(dt: float) -> "OneStep":
 
 
 class OneStep:
-    """Averages and derivatives over one step, block by block; a `signals.smoothers.Smoother`.
+    """Averages and derivatives over one step, block by block, as of a smoother.
 
     Args:
         dt: s between samples.

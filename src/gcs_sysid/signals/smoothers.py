@@ -25,7 +25,7 @@ what it should be: next to nothing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -272,33 +272,6 @@ class Smoothed:
     late_derivative: Array
 
 
-class Smoother(Protocol):
-    """A filter pair that works block by block."""
-
-    step: int
-    """Samples between rows."""
-    delays: Array
-    """(delays,) s, by which the first signals may be stamped late."""
-
-    @property
-    def late_taps(self) -> Array:
-        """(delays, length) response of the late signals' averages to a single sample."""
-
-    def noise_gains(self, memory: float) -> tuple[float, float]:
-        """Variance of an average and of a derivative (1/s^2) over that of white noise on the
-        samples, when rows are then summed with a leak of `memory` s (0: not at all).
-        """
-
-    def restart(self) -> None:
-        """What comes next does not join on to what came before."""
-
-    def count_after(self, samples: int) -> int:
-        """How many rows so many more samples will complete."""
-
-    def update(self, signals: Array, late: int) -> Smoothed:
-        """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
-
-
 class WindowSmoother:
     """The symmetric window: zero phase, finite memory. The default.
 
@@ -455,6 +428,10 @@ class DifferentiatorSmoother:
         average = np.where(settled, z1, np.nan)[rows]
         derivative = np.where(settled, z2, np.nan)[rows]
         return Smoothed(average, derivative, average[None, :, :late], derivative[None, :, :late])
+
+
+Smoother = WindowSmoother | DifferentiatorSmoother
+"""A filter pair that works block by block."""
 
 
 def _columns_whole(signals: Array) -> bool:

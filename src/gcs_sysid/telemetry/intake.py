@@ -68,7 +68,7 @@ class Intake:
     """Factor by which the next part is longer than what was taken."""
 
     recorded: float | None = None
-    """As `Telemetry` says; a reader of files knows it."""
+    """When a log begins, s of Unix time; None of a link, or before its reader knows it."""
 
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.selector = VehicleSelector(wanted)

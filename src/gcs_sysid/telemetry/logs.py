@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -37,51 +37,6 @@ from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 
-class Telemetry(Protocol):
-    """What a link or a log has beside its records."""
-
-    recorded: float | None
-    """When a log begins, seconds of Unix time; None when it does not say, is not yet read, or it is
-    a link."""
-
-    @property
-    def vehicle(self) -> MavlinkSystem | None:
-        """The chosen vehicle; None until it is found."""
-
-    @property
-    def systems(self) -> list[MavlinkSystem]:
-        """All systems found, in the order found."""
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The vehicle's parameters, as far as they were received."""
-
-    @property
-    def drift(self) -> ClockDrift:
-        """Of the vehicle's clock against the receiving computer's or GPS time, where known."""
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """Why what comes may not be the vehicle's, one line each."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """The result's `telemetry`."""
-
-
-class Log(Telemetry, Protocol):
-    """A recording. Its figures are those of what was read so far."""
-
-    kind: str
-    """Name of its row in `log_formats.FORMATS`."""
-
-    def blocks(self) -> Iterator[RecordBlock]:
-        """The records of the chosen vehicle and the events, once; blocks follow each other."""
-
-    @property
-    def share_read(self) -> float:
-        """How much of it was read, 0 to 1."""
-
-
 class TlogLog(Intake):
     """What a ground station recorded."""
 
@@ -93,7 +48,7 @@ class TlogLog(Intake):
         self._size = max(path.stat().st_size, 1)
 
     def blocks(self) -> Iterator[RecordBlock]:
-        """As `Log` says."""
+        """The records of the chosen vehicle and the events, once; blocks follow each other."""
         for frames in self._reader.blocks():
             if self.recorded is None:
                 self.recorded = float(frames.time_us[0]) * 1e-6
@@ -101,11 +56,11 @@ class TlogLog(Intake):
 
     @property
     def share_read(self) -> float:
-        """As `Log` says."""
+        """How much of it was read, 0 to 1."""
         return self._reader.bytes_read / self._size
 
     def as_dict(self) -> dict[str, Any]:
-        """As `Telemetry` says."""
+        """The result's `telemetry`."""
         self.garbage_bytes = self._reader.counts.garbage_bytes
         torn = self._reader.counts.cut_short
         facts = {"clock_drift_ppm": self.drift.ppm} | ({"cut_short": torn} if torn else {})
@@ -138,7 +93,7 @@ class OnboardLog:
         self.share_read = 0.0
 
     def blocks(self) -> Iterator[RecordBlock]:
-        """As `Log` says: one block."""
+        """The records of the vehicle, once: one block."""
         if self.vehicle is not None:
             self.share_read = 1.0
             yield replace(self._recording.block(), events=self._notes)
@@ -149,7 +104,7 @@ class OnboardLog:
         return self._recording.extras
 
     def as_dict(self) -> dict[str, Any]:
-        """As `Telemetry` says, with the writing's pauses as `dropouts`."""
+        """The result's `telemetry`, with the writing's pauses as `dropouts`."""
         recording = self._recording
         start, end = self._span()
         span = end - start
@@ -197,6 +152,12 @@ class OnboardLog:
                 ]
                 return {"count": len(long), "last": last}
         return {"count": 0, "last": []}
+
+
+Telemetry = Intake | OnboardLog
+"""What a link or a log has beside its records."""
+Log = TlogLog | OnboardLog
+"""A recording. Its figures are those of what was read so far."""
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
