@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
+from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, REGISTRY, Sign
 from gcs_sysid.model.rotor_input import RotorInput
@@ -292,14 +292,13 @@ def _checked(name: str, value: float) -> KnownEstimate:
 
 
 def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...], str]:
-    if not result.airframe:
+    own = result.layout
+    if own is None:
         if airframe is None:
             raise InputError(
                 "the result has no rotor positions: give the --airframe that it was analyzed with"
             )
         return airframe.rotors, airframe.name
-    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
-    own = parse_airframe(table, "the result's airframe")
     if airframe is not None and not np.array_equal(own.geometry.shape, airframe.geometry.shape):
         raise InputError(
             f"the result is for a vehicle with {len(own.rotors)} rotors, --airframe "

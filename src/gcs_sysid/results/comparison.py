@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
@@ -214,14 +213,11 @@ def _rotor_notes(before: Result, after: Result) -> Iterable[str]:
     Raises:
         InputError: there are more or fewer of them.
     """
-    geometries = []
-    for result in (before, after):
-        if not result.airframe:
-            yield "a result has no rotor positions: assumed to be the same"
-            return
-        table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
-        geometries.append(parse_airframe(table, "the result's airframe").geometry)
-    first, second = geometries
+    layouts = before.layout, after.layout
+    if layouts[0] is None or layouts[1] is None:
+        yield "a result has no rotor positions: assumed to be the same"
+        return
+    first, second = layouts[0].geometry, layouts[1].geometry
     if first.shape != second.shape:
         raise InputError(
             f"{before.source or 'A'} has {first.shape[1]} rotors, {after.source or 'B'} has "

@@ -9,7 +9,6 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.flight_model import FURTHER, FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
 from gcs_sysid.results.notebook_view import needed
@@ -135,10 +134,9 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
     Raises:
         InputError: the result lacks rotors or a parameter that no flight does without.
     """
-    if not result.airframe:
+    airframe = result.layout
+    if airframe is None:
         raise InputError("the result has no rotor positions; analyze the log again")
-    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
-    airframe = parse_airframe(table, "the result's airframe")
     geometry = airframe.geometry
     if samples is None:
         estimates = result.estimates

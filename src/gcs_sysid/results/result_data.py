@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
-from gcs_sysid.model.airframe import own_units_words
+from gcs_sysid.model.airframe import Airframe, own_units_words, parse_airframe
 from gcs_sysid.model.estimate import Estimate, IdentifiedEstimate, Objection, Verdict
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.strict_json import json_text
@@ -92,6 +92,18 @@ class ResultData:
     def estimates(self) -> dict[str, Estimate]:
         """All of parameters and timing, by name."""
         return self.parameters | self.timing
+
+    @property
+    def layout(self) -> Airframe | None:
+        """Its rotors, under the airframe's name; None where they are not known.
+
+        Raises:
+            InputError: what a file has makes no vehicle.
+        """
+        if not self.airframe:
+            return None
+        table = {"name": self.airframe.get("name"), "rotor": self.airframe.get("rotors")}
+        return parse_airframe(table, "the result's airframe")
 
     def need_scale(self) -> None:
         """Check that values are those of a vehicle, not per kg of its mass.

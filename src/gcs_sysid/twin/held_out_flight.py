@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.estimation.checks.validation import FITTED_SHARE
-from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe, parse_airframe
+from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -215,10 +215,9 @@ def airframe_of_result(result: Result) -> Airframe:
     Raises:
         InputError: it has no rotors or no scale.
     """
-    if not result.airframe:
+    airframe = result.layout
+    if airframe is None:
         raise InputError("the result has no rotor positions: give --airframe")
-    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
-    airframe = parse_airframe(table, "the result's airframe")
     if airframe.name in builtin_names():
         # It also says how well the rotors' positions are known.
         named = load_airframe(airframe.name)
