@@ -10,7 +10,7 @@ import stat
 import sys
 import tempfile
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -226,6 +226,41 @@ def parse_toml(text: str, where: str, what: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise InputError(f"{where}: not valid TOML: {error}") from error
+
+
+def reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> None:
+    """Check that a table has no other keys.
+
+    Raises:
+        InputError: it has one.
+    """
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}")
+
+
+def real_number(value: object, where: str) -> float:
+    """A finite number of a table.
+
+    Raises:
+        InputError: it is none.
+    """
+    # TOML's integers have no limit, floats have.
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) <= sys.float_info.max
+    ):
+        raise InputError(f"{where} must be a number, got {as_it_is(value)}")
+    return float(value)
+
+
+def as_it_is(value: object) -> str:
+    """What a file has in place of something else, cut to a bearable length."""
+    try:
+        return f"{value!r:.40}"
+    except (ValueError, RecursionError):  # Python writes no whole number of 4300 digits
+        return "a number of thousands of digits"
 
 
 def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -> None:

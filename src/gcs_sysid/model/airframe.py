@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError, nearest
-from gcs_sysid.files import parse_toml, read_text
+from gcs_sysid.files import as_it_is, parse_toml, read_text, real_number, reject_unknown
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
 
@@ -513,15 +513,15 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         InputError: a key is unknown, missing or has a value that makes no sense.
     """
     tables = {"command", "imu", "rotor", "prior", "uncertainty", SIMULATION_TABLE}
-    _reject_unknown(table, {"name", "rotor_input", *ANCHORS, *tables}, where)
+    reject_unknown(table, {"name", "rotor_input", *ANCHORS, *tables}, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
-        raise InputError(f"{where}: name must be text, got {_shown(name)}")
+        raise InputError(f"{where}: name must be text, got {as_it_is(name)}")
     rotor_input = table.get("rotor_input", "auto")
     kinds = ["auto", *RotorInput]
     if rotor_input not in kinds:
         names = " or ".join([", ".join(f"'{kind}'" for kind in kinds[:-1]), f"'{kinds[-1]}'"])
-        raise InputError(f"{where}: rotor_input must be {names}, got {_shown(rotor_input)}")
+        raise InputError(f"{where}: rotor_input must be {names}, got {as_it_is(rotor_input)}")
     anchors: dict[str, Any] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }
@@ -565,8 +565,8 @@ def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
     for name, entry in table.items():
         at = f"{where}: [prior] {name}"
         if not isinstance(entry, list) or len(entry) != 2:
-            raise InputError(f"{at}: must be [value, standard deviation], got {_shown(entry)}")
-        value, std = (_number(number, at) for number in entry)
+            raise InputError(f"{at}: must be [value, standard deviation], got {as_it_is(entry)}")
+        value, std = (real_number(number, at) for number in entry)
         _check_prior(name, value, std, where)
         out[name] = (value, std)
     return out
@@ -595,14 +595,14 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         at = f"{where}: [[rotor]] number {i}"
         if not isinstance(entry, dict):
             raise InputError(f"{at}: must be a table with x, y and spin")
-        _reject_unknown(entry, {"x", "y", "spin", "axis"}, at)
+        reject_unknown(entry, {"x", "y", "spin", "axis"}, at)
         for key in ("x", "y", "spin"):
             if key not in entry:
                 raise InputError(f"{at}: {key} is missing")
         spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
         if spin is None:
-            raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {_shown(entry['spin'])}")
-        x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
+            raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {as_it_is(entry['spin'])}")
+        x, y = (real_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
         if math.hypot(x, y) > MOST_ARM:
             raise InputError(f"{at}: x and y are in meters; {math.hypot(x, y):g} m is too far out")
         rotors.append(Rotor(x, y, spin, _axis(entry.get("axis"), f"{at}: axis")))
@@ -633,15 +633,15 @@ def _axis(entry: object, where: str) -> tuple[float, float, float]:
         return _UPRIGHT
     if not isinstance(entry, list) or len(entry) != 3:
         raise InputError(
-            f"{where} must be [x, y, z], forward, right and down, got {_shown(entry)}; "
+            f"{where} must be [x, y, z], forward, right and down, got {as_it_is(entry)}; "
             "[0, 0, -1] is upright"
         )
-    numbers = [_number(value, where) for value in entry]
+    numbers = [real_number(value, where) for value in entry]
     length = math.hypot(*numbers)
     if not 0.0 < length < math.inf or -numbers[2] < math.cos(_MOST_TILT) * length:
         raise InputError(
             f"{where} must point up to within {math.degrees(_MOST_TILT):.0f} degrees, as "
-            f"[0, 0, -1] does, got {_shown(entry)}"
+            f"[0, 0, -1] does, got {as_it_is(entry)}"
         )
     x, y, z = (value / length for value in numbers)
     return x, y, z
@@ -650,14 +650,14 @@ def _axis(entry: object, where: str) -> tuple[float, float, float]:
 def _command(table: object, where: str) -> CommandRange:
     if not isinstance(table, dict):
         raise InputError(f"{where} must be a table")
-    _reject_unknown(table, {"min", "max", "thrust_curve"}, where)
-    low = _number(table.get("min", 1000.0), f"{where} min")
-    high = _number(table.get("max", 2000.0), f"{where} max")
+    reject_unknown(table, {"min", "max", "thrust_curve"}, where)
+    low = real_number(table.get("min", 1000.0), f"{where} min")
+    high = real_number(table.get("max", 2000.0), f"{where} max")
     if not high > low:
         raise InputError(f"{where}: max ({high:g}) must be larger than min ({low:g})")
     curve = table.get("thrust_curve")
     if curve is not None:
-        curve = _number(curve, f"{where} thrust_curve")
+        curve = real_number(curve, f"{where} thrust_curve")
         if not 0.0 <= curve <= 1.0:
             raise InputError(f"{where}: thrust_curve must lie in 0..1, got {curve:g}")
     return CommandRange(low, high, curve, given="min" in table or "max" in table)
@@ -666,7 +666,7 @@ def _command(table: object, where: str) -> CommandRange:
 def _imu(table: object, where: str) -> tuple[float | None, tuple[float, float, float] | None]:
     if not isinstance(table, dict):
         raise InputError(f"{where} must be a table")
-    _reject_unknown(table, {"gyro_filter", "position"}, where)
+    reject_unknown(table, {"gyro_filter", "position"}, where)
     position = _imu_position(table.get("position"), f"{where} position")
     return _gyro_filter(table, where), position
 
@@ -675,17 +675,17 @@ def _imu_position(entry: object, where: str) -> tuple[float, float, float] | Non
     if entry is None:
         return None
     if not isinstance(entry, list) or len(entry) != 3:
-        raise InputError(f"{where} must be [x, y, z] in m, got {_shown(entry)}")
-    x, y, z = (_number(value, where) for value in entry)
+        raise InputError(f"{where} must be [x, y, z] in m, got {as_it_is(entry)}")
+    x, y, z = (real_number(value, where) for value in entry)
     if max(abs(x), abs(y), abs(z)) > MOST_ARM:
-        raise InputError(f"{where} must be in m, got {_shown(entry)}")
+        raise InputError(f"{where} must be in m, got {as_it_is(entry)}")
     return x, y, z
 
 
 def _gyro_filter(table: Mapping[str, Any], where: str) -> float | None:
     if "gyro_filter" not in table:
         return None
-    cutoff = _number(table["gyro_filter"], f"{where} gyro_filter")
+    cutoff = real_number(table["gyro_filter"], f"{where} gyro_filter")
     if cutoff and not _LEAST_CUTOFF <= cutoff <= 1000.0:
         raise InputError(
             f"{where}: gyro_filter must be 0 or {_LEAST_CUTOFF}..1000 Hz, got {cutoff:g}"
@@ -693,33 +693,8 @@ def _gyro_filter(table: Mapping[str, Any], where: str) -> float | None:
     return cutoff
 
 
-def _reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}")
-
-
-def _number(value: object, where: str) -> float:
-    # TOML's integers have no limit, floats have.
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not abs(value) <= sys.float_info.max
-    ):
-        raise InputError(f"{where} must be a number, got {_shown(value)}")
-    return float(value)
-
-
-def _shown(value: object) -> str:
-    """What a file has in place of something else, cut to a bearable length."""
-    try:
-        return f"{value!r:.40}"
-    except (ValueError, RecursionError):  # Python writes no whole number of 4300 digits
-        return "a number of thousands of digits"
-
-
 def _positive(value: object, where: str) -> float:
-    number = _number(value, where)
+    number = real_number(value, where)
     if number <= 0:
         raise InputError(f"{where} must be positive, got {number:g}")
     return number

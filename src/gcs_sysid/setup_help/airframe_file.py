@@ -5,14 +5,13 @@ Usual layouts are in autopilots' motor orders; their picture is of characters.
 
 import json
 import math
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import cannot_write
+from gcs_sysid.files import cannot_write, parse_toml
 from gcs_sysid.model.airframe import (
     ANCHORS,
     Airframe,
@@ -254,11 +253,7 @@ def checked(text: str, where: str) -> Airframe:
     Raises:
         InputError: it makes none.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: not valid TOML: {error}") from error
-    return parse_airframe(table, where)
+    return parse_airframe(parse_toml(text, where, "an airframe file"), where)
 
 
 def check_new(path: Path) -> None:

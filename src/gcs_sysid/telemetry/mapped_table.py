@@ -19,7 +19,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import MOST_BYTES_OF_TEXT, parse_toml, read_text
+from gcs_sysid.files import (
+    MOST_BYTES_OF_TEXT,
+    parse_toml,
+    read_text,
+    real_number,
+    reject_unknown,
+)
 from gcs_sysid.model.attitude import conjugate, multiply, rotate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
@@ -134,7 +140,7 @@ def mapping_of(path: Path, table: Mapping[str, Any]) -> TableMapping:
     Raises:
         InputError: it is inconsistent.
     """
-    _check_keys(path, "", table, _TOP)
+    reject_unknown(table, _TOP, str(path))
     common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
     delimiter = _text(path, "delimiter", table.get("delimiter", ","), ",")
     if len(delimiter) != 1:
@@ -163,7 +169,7 @@ def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> Sig
         table = {"columns": table}
     if not isinstance(table, dict):
         raise InputError(f"{path}: {name}: must be a table with columns")
-    _check_keys(path, f"{name}: ", table, _KEYS)
+    reject_unknown(table, _KEYS, f"{path}: {name}")
     columns = table.get("columns", [])
     columns = [columns] if isinstance(columns, str) else columns
     if not (isinstance(columns, list) and columns and all(isinstance(c, str) for c in columns)):
@@ -179,7 +185,7 @@ def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> Sig
     if not isinstance(inverse, bool):
         raise InputError(f"{path}: {name}: inverse must be true or false")
     low, high = (
-        _number(path, f"{name}: {k}", table.get(k, d)) for k, d in (("min", 0), ("max", 1))
+        real_number(table.get(k, d), f"{path}: {name}: {k}") for k, d in (("min", 0), ("max", 1))
     )
     if not low < high:
         raise InputError(f"{path}: {name}: min {low:g} must be less than max {high:g}")
@@ -205,14 +211,6 @@ def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> Sig
     )
 
 
-def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: set[str]) -> None:
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise InputError(
-            f"{path}: {where}unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}"
-        )
-
-
 def _text(path: Path, key: str, value: Any, default: str) -> str:
     if not isinstance(value, str):
         raise InputError(f"{path}: {key} must be text in quotes, not {value!r}")
@@ -230,16 +228,12 @@ def _choice(path: Path, key: str, value: Any, known: Mapping[str, float]) -> flo
     return known[_name(path, key, value, known)]
 
 
-def _number(path: Path, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{path}: {key} must be a number, not {value!r}")
-    return float(value)
-
-
 def _parameters(path: Path, table: Any) -> dict[str, float]:
     if not isinstance(table, dict):
         raise InputError(f"{path}: parameters must be a table of NAME = number")
-    return {name: _number(path, f"parameters: {name}", value) for name, value in table.items()}
+    return {
+        name: real_number(value, f"{path}: parameters: {name}") for name, value in table.items()
+    }
 
 
 def read_table(path: Path, mapping_path: Path) -> Recording:

@@ -6,6 +6,7 @@ from typing import Any, Literal, get_args
 
 from gcs_sysid.argument_types import GivenName, Measured, parse_given
 from gcs_sysid.errors import InputError, printable
+from gcs_sysid.files import reject_unknown
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, builtin_names, parse_airframe
 
 Kind = Literal["log", "builtin", "rotors", "file"]
@@ -100,9 +101,7 @@ def _scale(entry: object) -> tuple[AnchorName, Measured] | None:
 def _table(value: object, what: str, known: set[str]) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         raise InputError(f"{what}: must be a JSON object")
-    unknown = set(value) - known
-    if unknown:
-        raise InputError(f"{what}: unknown key {min(unknown)!r}")
+    reject_unknown(value, known, what)
     return value
 
 
