@@ -282,7 +282,9 @@ def test_swapped_coaxial_rotors_are_not_identified():
     (found,) = objections(twice)
     assert "check upper and lower rotors, motor order" in found.words
     weak = {name for name, e in judged(twice).items() if e.status == "weak"}
-    assert weak == {"k_M", "moment_ratio", "rotor_inertia"}
+    # What shows is that torque and speeds do not fit: either may be wrong.
+    assert weak == {"k_M", "moment_ratio", "rotor_inertia", "k_T"}
+    assert found.words.endswith("or the unit of the rotor speeds")
 
 
 def test_with_commands_neighboring_rotors_bound_the_propellers():

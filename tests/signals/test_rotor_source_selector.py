@@ -319,6 +319,7 @@ BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
+        ("actuator_outputs", USUAL, "px4", {"PWM_MIN": 1075, "PWM_MAX": 1950}, 1500, (1075, 1950)),
         # A mapping has made them commands already, whatever the airframe's range is of.
         ("commands", CommandRange(0, 65535, given=True), "generic", {}, 0.7, (0, 1)),
         ("commands", CommandRange(0.1, 0.9, given=True), "generic", {}, 0.7, (0.1, 0.9)),
@@ -348,7 +349,7 @@ def test_a_unit_that_firmware_defines_is_not_guessed(source, low):
     t, _u, v = signals()
     rotor_selector = judged(speeds(0.1 * v, t, source))
     assert (rotor_selector.choice.scale == 1.0) is low
-    assert rotor_selector.choice.assumed == (
+    assert rotor_selector.assumed(rotor_selector.choice) == (
         "eRPM without motor_poles in the log: 14 poles assumed" if low else ""
     )
 
@@ -433,4 +434,19 @@ def test_groups_of_rotors_repeat_on_their_own():
 )  # fmt: skip
 def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
     found = command_range("RCOU", CommandRange(), "ardupilot", parameters, 1600.0)
+    assert not found.assumed
     assert (found.low, found.high) == (pytest.approx(low, abs=0.1), pytest.approx(high, abs=0.1))
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "parameters"),
+    [
+        ("ardupilot", {"MOT_PWM_MIN": 0.0, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}),
+        ("ardupilot", {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}),
+        ("px4", {"PWM_MAIN_FUNC1": 101.0}),
+    ],
+)
+def test_a_range_that_the_parameters_leave_open_is_assumed(autopilot, parameters):
+    found = command_range("SERVO_OUTPUT_RAW", CommandRange(), autopilot, parameters, 1600.0)
+    assert found.assumed
+    assert "assumed" in found.origin

@@ -247,7 +247,9 @@ def implausible(evidence: Evidence) -> Iterator[Objection]:
     if own:  # and no propeller's size follows from what is per kg
         found.pop("k_T", None)
     found_wrong = [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
-    found_wrong += [(each, _BY_SPIN) for each in _spins(found, airframe, evidence.rotor_input)]
+    # The propeller's size is by the speeds: as well as the torque, their unit may be wrong.
+    by_spin = _BY_SPIN if evidence.rotor_input.motors else _BY_SPIN | _BY_SPEED
+    found_wrong += [(each, by_spin) for each in _spins(found, airframe, evidence.rotor_input)]
     for (reason, how), names in found_wrong:
         yield Objection(reason, names, cap="weak", verdict="partial", how=how)
 
@@ -387,11 +389,12 @@ def _spins(
     if ratio is None or ratio <= 0.0 or _within(ratio, (low * diameter, high * diameter)):
         return
     what = "upper and lower rotors, " if _coaxial(airframe) else ""
+    speeds = "" if rotor_input.motors else "; or the unit of the rotor speeds"
     least = f"{low * diameter:.2g} to" if low else "at most"
     yield (
         f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
         f"{high * diameter:.2g} m of propellers of {diameter:.2g} m",
-        f"check {what}motor order, spin and tilt of the rotors in the airframe file",
+        f"check {what}motor order, spin and tilt of the rotors in the airframe file{speeds}",
     )
 
 

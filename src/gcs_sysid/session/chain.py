@@ -693,7 +693,7 @@ class Findings:
         return replace(
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
-            assumed="" if source is None else source.assumed,
+            assumed="" if source is None else chain.rotor_selector.assumed(source),
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale != 1.0,

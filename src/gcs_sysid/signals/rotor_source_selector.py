@@ -234,14 +234,22 @@ class RotorSourceSelector:
         """Whether parameters that came since would have given the commands another range."""
         if self.choice is None:
             return False
-        used = self.choice.range
+        used, now = self.choice.range, self._range_now(self.choice)
         if self.choice.order != self._known_order:
             return True
-        if used is None:
-            return False
-        command = self._airframe.command
-        now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
-        return not isinstance(now, str) and (now.low, now.high) != (used.low, used.high)
+        return used is not None and now is not None and (now.low, now.high) != (used.low, used.high)
+
+    def _range_now(self, source: RotorSource) -> Range | None:
+        """The range of commands by the parameters that there are now."""
+        if source.range is None:
+            return None
+        command, largest = self._airframe.command, source.range.high
+        found = command_range(source.name, command, self.autopilot, self.parameters, largest)
+        return source.range if isinstance(found, str) else found
+
+    def assumed(self, source: RotorSource) -> str:
+        """What is still assumed of the unit of a source, in words; empty where it is known."""
+        return assumed_unit(source.name, self._range_now(source), self.parameters)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""
@@ -291,9 +299,9 @@ class RotorSourceSelector:
             name = self.choice.name
             gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
-            assumed = assumed_unit(chosen.name, chosen.range, self.parameters)
+            assumed = self.assumed(chosen)
             why = gone + chosen.why + (f" ({assumed})" if assumed else "")
-            chosen = replace(chosen, why=why, refused=refused, order=self.order, assumed=assumed)
+            chosen = replace(chosen, why=why, refused=refused, order=self.order)
         self.choice, self.refused = chosen, refused
         self.twin = None if chosen is None else self._twin(chosen, judgements)
         if chosen is not None:

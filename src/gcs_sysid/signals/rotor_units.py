@@ -6,7 +6,7 @@ part of the result.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from gcs_sysid.signals.motor_order import MotorOrder, motor_outputs
 Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
-PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
+PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
                    "SIM_GZ_EC_", "HIL_ACT_M", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
@@ -82,17 +82,21 @@ def command_range(
     if found is not None and largest <= 1.05 * found.high:
         return found
     if _USUAL[0] <= largest <= _USUAL[1]:
-        return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention")
+        return replace(_CONVENTION, assumed=bool(parameters))
     return (
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
     )
 
 
+_CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us assumed", assumed=True)
+"""Where an autopilot has shown none of its parameters, it is what nearly all of them have."""
+
+
 def _of_ardupilot(parameters: Parameters) -> Range:
-    low, high, pulses = _pulses_of_ardupilot(parameters)
+    pulses = _pulses_of_ardupilot(parameters)
     start, full = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
-    spin = "MOT_SPIN_*"
+    spin, assumed = "MOT_SPIN_*", pulses.assumed
     if "MOT_SPIN_MIN" not in parameters and parameters.get("MOT_TCRV_ENABLE") == 1.0:
         # Copter up to 3.2: THR_MIN in thousandths, the curve's end in percent.
         start = 1e-3 * parameters.get("THR_MIN", 130.0)
@@ -102,28 +106,26 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         not {"MOT_SPIN_MIN", "MOT_SPIN_MAX"} <= parameters.keys() or not 0.0 <= start < full <= 1.0
     ):
         start, full = 0.15, 0.95
-        return Range(
-            low + start * (high - low),
-            low + full * (high - low),
-            "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed",
-        )
-    return Range(low + start * (high - low), low + full * (high - low), f"{pulses} and {spin}")
+        spin, assumed = "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed", True
+    low, span = pulses.low, pulses.high - pulses.low
+    origin = f"{pulses.origin} and {spin}"
+    return Range(low + start * span, low + full * span, origin, assumed and bool(parameters))
 
 
-def _pulses_of_ardupilot(parameters: Parameters) -> tuple[float, float, str]:
-    """Least and largest pulse in us, and where they are from.
+def _pulses_of_ardupilot(parameters: Parameters) -> Range:
+    """Least and largest pulse in us.
 
     Zero, as of Copter up to 3.3, which has no MOT_PWM_*, is the range of the throttle's channel;
     there that is channel 3, whatever RCMAP_THROTTLE says.
     """
     low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
     if 0.0 < low < high:
-        return low, high, "MOT_PWM_*"
+        return Range(low, high, "MOT_PWM_*")
     channel = int(parameters.get("RCMAP_THROTTLE", 3.0)) if "MOT_PWM_MIN" in parameters else 3
     low, high = (parameters.get(f"RC{channel}_{end}", 0.0) for end in ("MIN", "MAX"))
     if 0.0 < low < high:
-        return low, high, f"RC{channel}_MIN, RC{channel}_MAX"
-    return 1000.0, 2000.0, "MOT_PWM_*"
+        return Range(low, high, f"RC{channel}_MIN, RC{channel}_MAX")
+    return _CONVENTION
 
 
 def _of_blackbox(parameters: Parameters) -> Range:
@@ -138,7 +140,7 @@ def _of_blackbox(parameters: Parameters) -> Range:
     if 0.0 < low < high:
         origin = "minthrottle and maxthrottle" + lost * " assumed: the log has no motorOutput"
         return Range(low, high, origin, lost)
-    return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention", assumed=True)
+    return _CONVENTION
 
 
 def are_pulses(source: str, parameters: Parameters, values: Array) -> Mask:
@@ -164,6 +166,10 @@ def _of_px4(parameters: Parameters) -> Range | None:
         low, high = (parameters.get(f"{driver}_{end}{output}") for end in ("MIN", "MAX"))
         if low is not None and high is not None and low < high:
             return Range(low, high, f"{driver}_MIN{output}, {driver}_MAX{output}")
+    for all_outputs in ("PWM_MAIN", "PWM"):  # up to version 1.12, and up to 1.11
+        low, high = (parameters.get(f"{all_outputs}_{end}", 0.0) for end in ("MIN", "MAX"))
+        if 0.0 < low < high:
+            return Range(low, high, f"{all_outputs}_MIN, {all_outputs}_MAX")
     return None
 
 
@@ -212,7 +218,6 @@ class RotorSource:
         refused: name -> why not, of the others.
         interval: s between readings; 0 where that does not matter.
         order: of motors among outputs, by which the stream is sorted.
-        assumed: of its unit, in words; empty where that is known.
         stops: whether speeds of 0 are rotors that stand, which have been seen to slow down.
         unlike: of speeds, see `rotor_readings.unlike_squares`; None: no commands show it.
     """
@@ -225,7 +230,6 @@ class RotorSource:
     refused: Mapping[str, str] | None = None
     interval: float = 0.0
     order: MotorOrder = field(default_factory=MotorOrder)
-    assumed: str = ""
     stops: bool = False
     unlike: float | None = None
 

@@ -8,6 +8,7 @@ holds them too. There is no clock in here: the caller says what time it is.
 from collections import deque
 from collections.abc import Collection, Mapping
 
+from gcs_sysid.signals.motor_order import MotorOrder, is_function, motor_outputs
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
@@ -62,6 +63,16 @@ _ARDUPILOT = (
     "SIM_SPEEDUP",
 )
 _ARDUPILOT_PER_OUTPUT = ("SERVO{0}_FUNCTION",)
+_FURTHER_OUTPUTS = {
+    "ardupilot": tuple(f"SERVO{n}_FUNCTION" for n in range(1, 33)),
+    "px4": (
+        "SYS_HITL",
+        "UAVCAN_ENABLE",
+        *[f"{driver}_FUNC{n}" for n in range(1, 17) for driver in ("PWM_MAIN", "PWM_AUX")],
+        *[f"{driver}_FUNC{n}" for n in range(1, 13) for driver in ("UAVCAN_EC", "SIM_GZ_EC")],
+    ),
+}
+"""Where motors may be that are not on the first outputs."""
 
 MOST_ROTORS = 12
 """PX4 has no parameters for more."""
@@ -124,6 +135,7 @@ class ParameterRequests:
         self._asked_at: dict[str, float] = {}
         self._followed_up: set[str] = set()
         self._layout: set[str] = set()
+        self._further: set[str] = set()
         self._last = -self.ASK_EVERY
 
     def tick(self, now: float, vehicle: MavlinkSystem | None, arrived: Mapping[str, float]) -> None:
@@ -144,6 +156,7 @@ class ParameterRequests:
                 self._followed_up.add(trigger)
                 self._queue.extend(names)
         self._follow_count(vehicle, arrived)
+        self._follow_motors(now, vehicle, arrived)
         if now - self._last < self.ASK_EVERY:
             return
         for _ in range(self.LAYOUT_AT_ONCE):
@@ -167,6 +180,29 @@ class ParameterRequests:
         self._layout.update(more)
         self._queue.extendleft(reversed(more))
 
+    def _follow_motors(
+        self, now: float, vehicle: MavlinkSystem, arrived: Mapping[str, float]
+    ) -> None:
+        """Ask for further outputs where the first do not drive all motors, and for ranges."""
+        if not arrived or any(
+            name not in arrived and now - self._asked_at.get(name, now) < self.ROUND_EVERY
+            for name in self._layout
+        ):
+            return
+        order = MotorOrder.of(vehicle.key, arrived, self._rotors)
+        more: list[str] = []
+        if not order.orders and not order.split:
+            more += _FURTHER_OUTPUTS.get(vehicle.key, ())
+        elif vehicle.key == "px4":
+            for driver, outputs in motor_outputs(vehicle.key, arrived).items():
+                more += [f"{driver}_{end}{outputs.get(0, -1) + 1}" for end in ("MIN", "MAX")]
+        elif arrived.get("MOT_PWM_MIN") == 0.0:  # then the throttle's channel has the range
+            more += ("RCMAP_THROTTLE", "RC3_MIN", "RC3_MAX")
+        more = [n for n in more if n not in arrived and n not in self._further]
+        self._further.update(more)
+        self._layout.update(n for n in more if is_function(n))
+        self._queue.extend(n for n in more if n not in self._asks)
+
     def _begin(self, vehicle: MavlinkSystem) -> None:
         self.missing = []
         self._queue = deque(wanted_parameters(vehicle.key, self._rotors))
@@ -174,6 +210,7 @@ class ParameterRequests:
         self._asks.clear()
         self._asked_at.clear()
         self._followed_up.clear()
+        self._further.clear()
 
     def _next(self, now: float, arrived: Collection[str]) -> str | None:
         """The next name to ask for; it goes to the end of the queue."""
@@ -195,4 +232,5 @@ class ParameterRequests:
         self._queue.extend(self.missing)
         for name in self._queue:
             self._asks.pop(name, None)
+            self._asked_at.pop(name, None)
         self.missing = []
