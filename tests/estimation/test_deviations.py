@@ -177,7 +177,7 @@ def test_nothing_is_chosen_on_an_ideal_flight():
     ("physics", "seed", "kinds"),
     [
         pytest.param("damping=0.5:0.5:0.05", 6, 3, marks=pytest.mark.thorough),
-        ("scatter=0.03", 6, 6),
+        pytest.param("scatter=0.03", 6, 6, marks=pytest.mark.thorough),
         ("tilt=1", 5, 6),
     ],
 )

@@ -76,9 +76,9 @@ def assert_same(fits, others):
 @pytest.mark.slow
 @pytest.mark.parametrize("smoother", ["window", pytest.param("td", marks=pytest.mark.thorough)])
 def test_blocks_give_what_single_fits_give(truth, flight, smoother):
-    samples, tuning = measured(flight).part(slice(4000)), EstimatorTuning(smoother=smoother)
+    samples, tuning = measured(flight).part(slice(3400)), EstimatorTuning(smoother=smoother)
     alone = single(truth, samples, tuning)
-    for block in (7, 250, 100_000):
+    for block in (7, 250):
         fits = series(truth, samples, block, tuning)
         assert sum(fit.rotation is not None for fit in fits) > 120
         assert_same(fits, alone)

@@ -27,7 +27,7 @@ def test_seeds_and_inputs_kept_hold(harness):
 @pytest.mark.parametrize("harness", BY_NAME)
 def test_what_is_drawn_holds(harness):
     @settings(
-        max_examples=25, derandomize=True, deadline=None, database=None,
+        max_examples=15, derandomize=True, deadline=None, database=None,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     )  # fmt: skip
     @given(st.data())

@@ -147,7 +147,7 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
-    turned = fly(*HOVER[:6], "--airframe", "ardupilot-quad-x", "--seed", "5")
+    turned = fly(*HOVER[:6], "--airframe", "ardupilot-quad-x", "--seed", "5", "--duration", "22")
     out, report = tmp_path / "r.json", tmp_path / "r.html"
     rotors = load_airframe("ardupilot-quad-x").rotors
     tables = "".join(

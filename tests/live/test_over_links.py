@@ -265,7 +265,7 @@ class CountsFrames:
 
 
 def emulated(autopilot):
-    """A flight of 14 s as one of the two autopilots; its simulation and what speaks."""
+    """A flight of 12 s as one of the two autopilots; its simulation and what speaks."""
     gusts, sensors = np.random.SeedSequence(4).spawn(2)
     mission = MISSIONS["all-axes"]
     if autopilot == "px4":
@@ -299,7 +299,7 @@ def test_every_message_of_the_emulator_is_used_or_accounted_for(wire, autopilot)
     final = live(
         wire,
         airframe,
-        lambda: fly(simulation, speaks, [out], 14.0, OnceAsked(wire.pace, speaks), truth),
+        lambda: fly(simulation, speaks, [out], 12.0, OnceAsked(wire.pace, speaks), truth),
         options,
     )
     told = final.telemetry

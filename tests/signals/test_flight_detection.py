@@ -309,7 +309,10 @@ def of_log(path, airframe):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
+@pytest.mark.parametrize(
+    "told",
+    [pytest.param(True, id="told", marks=pytest.mark.thorough), pytest.param(False, id="untold")],
+)
 def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(told, tmp_path):
     """From take-off after 6 s on; standing rotors read noise, as ESCs do."""
     log = tmp_path / "cut.tlog"
