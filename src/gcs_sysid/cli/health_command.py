@@ -20,8 +20,14 @@ from gcs_sysid.health.health_file import condition_text, document_of, read_basel
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
-from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.results.health_view import cg_facts, health_fact, off_words, quantity_text, telling
+from gcs_sysid.results.health_view import (
+    cg_facts,
+    health_fact,
+    off_words,
+    quantity_text,
+    rotor_cells,
+    telling,
+)
 from gcs_sysid.results.words import PLAIN, TEXT_WIDTH, wrapped
 
 
@@ -122,7 +128,7 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
     parameters = _parameters(suggested(health))
-    whole = [*_head(health, document), "", *_rotors(health), *parameters, *foot]
+    whole = [*_head(health, document), "", *_rotors(document), *parameters, *foot]
     return "\n".join([*answer, *whole])
 
 
@@ -179,25 +185,11 @@ def _fact(document: Mapping[str, Any], key: str) -> Iterator[str]:
         yield _line(*found)
 
 
-def _rotors(health: Health) -> Iterator[str]:
+def _rotors(document: Mapping[str, Any]) -> Iterator[str]:
     columns = ["rotor", "thrust share", "motor gain", "throttle left", "at full", "vibration"]
     yield "".join(f"{name:>14}" if i else f"{name:<6}" for i, name in enumerate(columns))
-    for number, rotor in enumerate(health.rotors, 1):
-        cells = [
-            _cell(rotor.thrust_share, 100.0, "%"),
-            _cell(rotor.motor_gain, 1.0, ""),
-            _cell(rotor.headroom, 100.0, "%"),
-            "-" if rotor.saturated is None else f"{100.0 * rotor.saturated:.1f} %",
-            _cell(rotor.vibration, 1.0, "m/s^2"),
-        ]
-        yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in cells)
-
-
-def _cell(quantity: Estimate | None, scale: float, unit: str) -> str:
-    if quantity is None or quantity.value is None:
-        return "-"
-    value = scale * quantity.value
-    return f"{value:.1f} {unit}" if unit == "%" else f"{value:.3f} {unit}".rstrip()
+    for number, rotor in enumerate(document["rotors"], 1):
+        yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in rotor_cells(rotor, "m/s^2"))
 
 
 def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:

@@ -215,8 +215,8 @@ class LiveEstimate:
             self.note(f"{in_words(defect)}: health is no longer updated")
             return
         if news is not None:
-            self._health = news.document
-            self.note(news.text)
+            self._health, text = news
+            self.note(text)
 
     def final(
         self, complete: Callable[[Result], Result], last: Result, problem: Exception | None
@@ -295,19 +295,6 @@ _NEW_FLIGHT = ("reboot", "reset", "vehicle")
 """Events after which what was flown before is another flight's."""
 
 
-@dataclass(frozen=True)
-class HoverNews:
-    """Findings of a look at the hover.
-
-    Attributes:
-        document: a health file's content; its `verdict` is "refused" where nothing hovers.
-        text: of a rotor that is named weak and was not before; else empty.
-    """
-
-    document: dict[str, Any]
-    text: str
-
-
 class HoverWatch:
     """Keeps the last minutes of records, and assesses the vehicle's health by their hover.
 
@@ -340,8 +327,11 @@ class HoverWatch:
 
     def look(
         self, airframe: Airframe, result: Callable[[], Result] | None = None
-    ) -> HoverNews | None:
+    ) -> tuple[dict[str, Any], str] | None:
         """Findings of the hover now; None where it is not time for another look.
+
+        They are a health file's content, whose verdict is "refused" where nothing hovers, and the
+        words on a rotor that is weak and was not before, if one is.
 
         Args:
             airframe: with the scale in force.
@@ -363,7 +353,7 @@ class HoverWatch:
         if weakened is not None and weakened.condition.rotor != self._named:
             self._named = weakened.condition.rotor
             text = condition_text(weakened.condition)
-        return HoverNews(document_of(health), text)
+        return document_of(health), text
 
     def _join(self) -> None:
         joined = by_key([*self._kept, *by_key(self._fresh).values()])

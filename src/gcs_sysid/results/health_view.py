@@ -157,6 +157,27 @@ def _differs(quantity: Mapping[str, Any]) -> bool:
     return abs(float(quantity["value"])) > half_of(quantity)
 
 
+_CELLS = (
+    ("thrust_share", 100.0, " %", 1), ("motor_gain", 1.0, "", 3), ("headroom", 100.0, " %", 1),
+    ("saturated", 100.0, " %", 1),
+)  # fmt: skip
+
+
+def rotor_cells(rotor: Mapping[str, Any], unit: str) -> list[str]:
+    """Share of thrust, motor gain, throttle left, time at full command, vibration of a rotor.
+
+    Args:
+        rotor: of a health file.
+        unit: m/s^2, as it is written there.
+    """
+    cells = []
+    for key, factor, behind, digits in (*_CELLS, ("vibration", 1.0, f" {unit}", 3)):
+        found = rotor[key]
+        value = found["value"] if isinstance(found, Mapping) else found
+        cells.append("-" if value is None else f"{factor * value:.{digits}f}{behind}")
+    return cells
+
+
 def quantity_text(quantity: Mapping[str, Any]) -> str:
     """A coefficient with its interval, in a power of ten where that is easier to read."""
     value, half, unit = quantity["value"], half_of(quantity), quantity["unit"]

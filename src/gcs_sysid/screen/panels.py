@@ -18,7 +18,13 @@ from textual.message import Message
 from gcs_sysid.model.parameters import AXES, Parameter
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import words
-from gcs_sysid.results.health_view import absent_health, cg_facts, half_of, health_facts
+from gcs_sysid.results.health_view import (
+    absent_health,
+    cg_facts,
+    half_of,
+    health_facts,
+    rotor_cells,
+)
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.results.snapshot import Event, LinkStatus
 from gcs_sysid.results.words import (
@@ -294,27 +300,17 @@ def _rotors(health: Mapping[str, Any], width: int) -> Iterator[Line]:
     head = f"{'rotor':<6}{'share':>8}{'':>{_BAR + 3}}{'motor gain':>11}{'margin':>9}"
     yield [(head + (f"{'at full':>10}{'vibration':>14}" if wide else ""), fmt.MUTED)]
     for number, (rotor, share) in enumerate(zip(rotors, shares, strict=True), 1):
+        carried, gain, margin, full, vibration = rotor_cells(rotor, "m/s²")
         parts: Line = [
             (f"{number:<6}", fmt.MUTED),
-            (f"{100.0 * share:6.1f} % ", "bold"),
+            (f"{carried:>8} ", "bold"),
             (fmt.bar(share / max(shares), _BAR), "$text-primary on $panel"),
-            (_cell(rotor["motor_gain"], 1.0, "", 13, 3), ""),
-            (_cell(rotor["headroom"], 100.0, " %", 9, 1), ""),
+            (f"{gain:>13}{margin:>9}", ""),
         ]
         if wide:
-            full = rotor["saturated"]
-            saturated = "-" if full is None else f"{100.0 * full:.1f} %"
-            parts.append((f"{saturated:>10}", "" if not full else _BOLD_WARNING))
-            parts.append((_cell(rotor["vibration"], 1.0, " m/s²", 14, 3), ""))
+            parts.append((f"{full:>10}", _BOLD_WARNING if rotor["saturated"] else ""))
+            parts.append((f"{vibration:>14}", ""))
         yield parts
-
-
-def _cell(
-    quantity: Mapping[str, Any] | None, factor: float, unit: str, width: int, digits: int
-) -> str:
-    known = quantity is not None and quantity["value"] is not None
-    text = f"{factor * quantity['value']:.{digits}f}{unit}" if known and quantity else "-"
-    return f"{text:>{width}}"
 
 
 class HealthPanel(Lines, Shown):
