@@ -101,6 +101,7 @@ class Evidence:
         gyro: what it reads of what the attitude turns; None where that is not known.
         saturated: sensors that stood at a limit.
         frozen: share of the IMU's samples that repeat the one before in all values.
+        disordered: share of the IMU's samples that came after later ones, and are not used.
         contradicted: parameters as the flight alone has them, whose priors it contradicts.
         received: what came; None where only a fit is judged, not a flight.
         no_vehicle: why there is no vehicle; empty where there is one.
@@ -132,6 +133,7 @@ class Evidence:
     gyro: GyroAgainstAttitude | None = None
     saturated: tuple[Saturated, ...] = ()
     frozen: float = 0.0
+    disordered: float = 0.0
     contradicted: Mapping[str, Estimate] = field(default_factory=dict)
     received: Received | None = None
     no_vehicle: str = ""

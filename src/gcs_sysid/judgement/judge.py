@@ -68,6 +68,7 @@ PRODUCERS = (
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
     Producer("saturation", imu_faults.saturated_sensors, Stage.BELIEF),
     Producer("frozen", received.frozen_samples, Stage.BELIEF),
+    Producer("order", received.disordered_samples, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),
     Producer("prediction", prediction.held_out, Stage.FLIGHT),
     Producer("whiteness", prediction.white, Stage.FLIGHT),

@@ -118,6 +118,9 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
         return
     likely, share = unlike_rotors(rotation, rotors)
     apart = rotor_coefficients(rotation, rotors)[0] - 1.0
+    how = "check its propeller, and the pole count of its ESC"
+    if apart.min() < -1.0:  # no propeller pulls the other way
+        how = "check the motor order, and that no two columns change places"
     if 0 < len(likely) < rotors:
         apart = share * (np.eye(rotors)[likely[0]] - 1.0 / rotors) / (1.0 + share / rotors)
         which = " or ".join(str(i + 1) for i in sorted(likely))
@@ -138,7 +141,7 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
                 if name in ("k_T", "k_M") and e.value is not None
             },
             evidence={"share": share},
-            how="check its propeller, and the pole count of its ESC",
+            how=how,
         )
         # Thrust and torque of each rotor are fitted; what its own inertia does goes with the speed,
         # and looks like yaw with roll and pitch.

@@ -132,6 +132,19 @@ def frozen_samples(evidence: Evidence) -> Iterator[Objection]:
         )
 
 
+def disordered_samples(evidence: Evidence) -> Iterator[Objection]:
+    """IMU samples that came after later ones: half of a flight may be passed over for that."""
+    share = evidence.disordered
+    if share >= NAMED_LOSS:
+        yield Objection(
+            f"{100.0 * share:.0f} % of the IMU's samples came after later ones, or twice, and are "
+            "not used",
+            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
+            evidence={"share": share},
+            how="record where messages keep their order: at the autopilot, or on one link alone",
+        )
+
+
 def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
     """Share of the IMU's samples that are missing, and the longest gap, s."""
     return 0.01 * imu_loss.get("missing_percent", 0.0), imu_loss.get("longest", 0.0)
@@ -196,7 +209,7 @@ def _unexplained(fit: Fit, *, cut: bool, still: bool) -> _Reasons:
     what = f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis"
     # Harder inputs would be cut off the more.
     harder = "fly in less wind" if cut else "fly harder inputs or in less wind"
-    return ((what, f"{harder}, and check the motor order"),)
+    return ((what, f"check the motor order and each rotor's readings; if right, {harder}"),)
 
 
 def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> _Reasons:

@@ -115,6 +115,7 @@ _OF_THE_MOTION = {
     "saturation": "the IMU",
     "sensors": "the IMU",
     "frozen": "the IMU",
+    "order": "the record",
     READINGS: "the rotors",
     "ages": "the rotors",
     "swap": "the motor order",

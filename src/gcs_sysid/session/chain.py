@@ -424,6 +424,7 @@ class Chain:
             gyro=self.sampler.gyro_check.result(),
             saturated=self.sampler.time_base.saturation.found(),
             frozen=self.sampler.time_base.frozen_share,
+            disordered=self.sampler.time_base.disordered_share,
             contradicted=self.contradicted,
         )
 

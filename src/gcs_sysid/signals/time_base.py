@@ -157,6 +157,12 @@ class TimeBase:
         return self.faults.frozen / max(self.saturation.samples, 1)
 
     @property
+    def disordered_share(self) -> float:
+        """Share of the IMU's samples whose stamp was not newer than the one before."""
+        passed = self._buffers[_IMU].repeated if _IMU in self._buffers else 0
+        return passed / max(self.saturation.samples + passed, 1)
+
+    @property
     def repeated(self) -> int:
         """Samples dropped because their stamp was not newer than the one before."""
         return sum(b.repeated for b in self._buffers.values())
