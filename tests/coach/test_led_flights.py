@@ -45,7 +45,7 @@ def test_progress_is_of_motion_and_not_of_time():
 
 
 def test_a_reset_between_looking_and_thinking_ends_the_thought():
-    flight = Flight("px4-sih", ManoeuvreMission(), 2)
+    flight = Flight("px4-sih", ManoeuvreMission(), 2, rate=100.0)
     coach = Coach(flight.chain, CoachOptions(TARGET))
     flight.fly(4.5)
     coach.look()
@@ -59,7 +59,7 @@ def test_a_reset_between_looking_and_thinking_ends_the_thought():
 @pytest.mark.slow
 def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
     mission = ManoeuvreMission()
-    flight = Flight("px4-sih", mission, 2)
+    flight = Flight("px4-sih", mission, 2, rate=100.0)
     coach = Coach(flight.chain, CoachOptions(TARGET))
     flight.fly(4.5)
     assert coach.advise() is not None

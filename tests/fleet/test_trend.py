@@ -129,8 +129,7 @@ def test_weak_and_given_values_make_no_change():
     assert only(rows).changed == []
 
 
-@pytest.mark.parametrize("scatter", [0.0, 1.0, 20.0])
-@pytest.mark.parametrize("count", [5, 12])
+@pytest.mark.parametrize(("scatter", "count"), [(0.0, 12), (1.0, 5), (20.0, 12)])
 def test_one_vehicle_of_twenty_at_most_is_called_changed_by_chance(scatter, count):
     rng = np.random.default_rng([count, int(scatter)])
     vehicles = 60

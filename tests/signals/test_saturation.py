@@ -67,7 +67,7 @@ def test_less_than_gravity_on_average_is_a_wrong_scale(share):
     assert found(samples[:1000]) == ()
 
 
-@pytest.mark.parametrize("block", [5, 97, 5000])
+@pytest.mark.parametrize("block", [pytest.param(5, marks=pytest.mark.thorough), 97, 5000])
 @pytest.mark.parametrize(("axis", "limit"), [(0, 4.0), (5, 12.5)])
 def test_what_goes_on_from_the_other_end_wraps_around(axis, limit, block):
     samples = motion(1)

@@ -79,7 +79,7 @@ def test_both_autopilots_fly_with_everything_on(
     log, truth = fly(
         tmp_path,
         *("--autopilot", autopilot, "--airframe", f"{autopilot}-quad-x", "--mission", "climbs"),
-        *("--rate", "20", "--duration", "32", "--physics", "all"),
+        *("--rate", "20", "--duration", "25", "--physics", "all"),
     )
     heights, volts, frozen = [], [], 0
     for _, message in read_tlog(log):

@@ -32,7 +32,7 @@ def autocorrelation(x: np.ndarray, lag: int) -> float:
 @pytest.mark.parametrize("rate", [20.0, 250.0])
 @pytest.mark.parametrize("kind", [LowPass, HighPass])
 def test_colored_noise_has_the_stationary_sigma(kind, rate: float) -> None:  # type: ignore[no-untyped-def]
-    block = channel(kind(0.02), width=20000, dt=1.0 / rate).block(40)
+    block = channel(kind(0.02), width=6000, dt=1.0 / rate).block(40)
     assert block[0].std() == pytest.approx(0.02, rel=0.03)  # from the first sample on
     assert block[-1].std() == pytest.approx(0.02, rel=0.03)
     assert abs(block.mean()) < 0.002
