@@ -118,15 +118,15 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
         return
     likely, share = unlike_rotors(rotation, rotors)
     apart = rotor_coefficients(rotation, rotors)[0] - 1.0
-    how = "check its propeller, and the pole count of its ESC"
-    if apart.min() < -1.0:  # no propeller pulls the other way
-        how = "check the motor order, and that no two columns change places"
     if 0 < len(likely) < rotors:
         apart = share * (np.eye(rotors)[likely[0]] - 1.0 / rotors) / (1.0 + share / rotors)
         which = " or ".join(str(i + 1) for i in sorted(likely))
         what = f"rotor {which} by {100.0 * share:+.0f} % of the others"
     else:
         what = f"by up to {100.0 * np.abs(apart).max():.0f} % of the mean"
+    how = "check its propeller, and the pole count of its ESC"
+    if apart.min() < -1.0:  # no propeller pulls the other way
+        how = "check the motor order, and that no two columns change places"
     excess = float(np.mean(apart**2)) - (0.5 * APART) ** 2
     if excess > 0.0:
         share = math.sqrt(excess / rotors)
