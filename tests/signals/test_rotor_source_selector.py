@@ -443,7 +443,6 @@ def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
     [
         ("ardupilot", {"MOT_PWM_MIN": 0.0, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}),
         ("ardupilot", {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}),
-        ("px4", {"PWM_MAIN_FUNC1": 101.0}),
     ],
 )
 def test_a_range_that_the_parameters_leave_open_is_assumed(autopilot, parameters):

@@ -82,15 +82,15 @@ def command_range(
     if found is not None and largest <= 1.05 * found.high:
         return found
     if _USUAL[0] <= largest <= _USUAL[1]:
-        return replace(_CONVENTION, assumed=bool(parameters))
+        # PX4's simulators have no parameters of a range, and these pulses.
+        return replace(_CONVENTION, assumed=bool(parameters) and autopilot != "px4")
     return (
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
     )
 
 
-_CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us assumed", assumed=True)
-"""Where an autopilot has shown none of its parameters, it is what nearly all of them have."""
+_CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us, assumed", assumed=True)
 
 
 def _of_ardupilot(parameters: Parameters) -> Range:
