@@ -118,19 +118,6 @@ def test_what_the_rotors_own_is_known_at_once_after_a_change(flights):
 
 
 @pytest.mark.slow
-def test_blocks_and_how_often_others_look_do_not_matter(flights, tracked):
-    plain, samples = tracked["payload"], flights["payload"]
-    looked = Tracker(GEOMETRY, DT, EstimatorTuning(), ChangeTuning())
-    t = np.arange(len(samples.gyro)) * DT
-    for k in range(0, len(t), 47):
-        looked.update(t[k : k + 47], samples.part(slice(k, k + 47)))
-        if k % 235 == 0:
-            looked.fit(quick=True)
-    assert looked.events[0].detected == pytest.approx(plain.events[0].detected, abs=1e-9)
-    assert looked.fit().rotation.theta == pytest.approx(plain.fit().rotation.theta, rel=1e-9)
-
-
-@pytest.mark.slow
 def test_a_failing_rotor_stops_the_estimate(flights):
     samples = replace(flights["none"], speeds=flights["none"].speeds.copy())
     samples.speeds[round(AT / DT) :, 1] /= np.sqrt(0.85)

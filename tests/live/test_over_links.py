@@ -280,7 +280,7 @@ def emulated(autopilot):
 @pytest.mark.parametrize(
     ("wire", "autopilot"),
     [
-        (udp, "px4"),
+        pytest.param(udp, "px4", marks=pytest.mark.thorough),
         pytest.param(udp, "ardupilot", marks=pytest.mark.thorough),
         pytest.param(tcp, "px4", marks=pytest.mark.thorough),
         (serial, "ardupilot"),

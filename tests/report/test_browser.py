@@ -137,9 +137,7 @@ def test_pointing_tells_the_numbers(visit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "width", [390, 1600, *(pytest.param(w, marks=pytest.mark.thorough) for w in (800, 1280))]
-)
+@pytest.mark.parametrize("width", [390, 1600])
 def test_fits_wide_and_narrow(visit, width):
     page = visit(width)
     assert page.evaluate("document.documentElement.scrollWidth") <= width

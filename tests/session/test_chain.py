@@ -179,10 +179,7 @@ def test_a_gap_is_bridged(paper_records, whole):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("share", "believed"),
-    [(1.0, True), (1.5, False), pytest.param(0.7, False, marks=pytest.mark.thorough)],
-)
+@pytest.mark.parametrize(("share", "believed"), [(1.0, True), (1.5, False)])
 def test_a_prior_that_the_flight_contradicts_is_named_and_not_used(
     paper_records, paper_flight, whole, share, believed
 ):

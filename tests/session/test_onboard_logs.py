@@ -2,12 +2,11 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import Chain
 from gcs_sysid.signals.records import Record, Stream
 from testbed.recordings import block_of
 
@@ -110,19 +109,3 @@ def test_parameters_are_no_samples():
     chain.take(block_of([first, parameter, second]))
     assert chain.sampler.recorded == 1.0
     assert chain.rotor_selector.parameters == {"MOT_SPIN_MIN": 1.0}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "autopilot"),
-    [
-        pytest.param("px4-sih-default.ulg", "px4", marks=pytest.mark.thorough),
-        ("ardupilot-sitl.bin", "ardupilot"),
-    ],
-)
-def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe, shared_logs):
-    options = ChainOptions(end=75.0)
-    result = analyze_log(shared_logs / name, airframe, options=options)
-    assert result.vehicle == {"sysid": 1, "compid": 1, "autopilot": autopilot}
-    assert result.telemetry["late"] == 0
-    assert np.isfinite(result.telemetry["grid_rate"])

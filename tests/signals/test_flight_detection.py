@@ -309,16 +309,12 @@ def of_log(path, airframe):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "told",
-    [pytest.param(True, id="told", marks=pytest.mark.thorough), pytest.param(False, id="untold")],
-)
-def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(told, tmp_path):
-    """From take-off after 6 s on; standing rotors read noise, as ESCs do."""
+def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(tmp_path):
+    """From take-off after 6 s on, untold; standing rotors read noise, as ESCs do."""
     log = tmp_path / "cut.tlog"
     words = ["--airframe", "px4-quad-x", "--mission", "all-axes", "--rate", "50"]
     words += ["--duration", "18", "--physics", "throttle-cut=12:0.5", "--physics", "idle=0"]
-    words += [] if told else ["--trap", "never-sent=EXTENDED_SYS_STATE"]
+    words += ["--trap", "never-sent=EXTENDED_SYS_STATE"]
     assert sim_bridge([*words, "--trap", "ground=6", "--tlog", str(log)]) == 0
     t, flies = of_log(log, load_airframe("px4-quad-x"))
     assert 6.5 < t[flies][0] < 8.2

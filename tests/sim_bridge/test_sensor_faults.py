@@ -74,12 +74,12 @@ def rpm_of(messages: list[Any]) -> np.ndarray:
 @pytest.mark.parametrize("autopilot", ["px4", "copter"])
 def test_rotor_speeds_that_lie(autopilot: str, request: pytest.FixtureRequest) -> None:
     make: OpenDesk = request.getfixturevalue(autopilot)
-    plain = rpm_of(make().notice(3.0))
-    assert not rpm_of(make("rpm-zero").notice(3.0)).any()
-    dead = rpm_of(make("rpm-dead=3").notice(3.0))
+    plain = rpm_of(make().notice(2.0))
+    assert not rpm_of(make("rpm-zero").notice(2.0)).any()
+    dead = rpm_of(make("rpm-dead=3").notice(2.0))
     assert not dead[:, 2].any()
     np.testing.assert_array_equal(dead[:, [0, 1, 3]], plain[:, [0, 1, 3]])
-    radians = rpm_of(make("rpm-rad").notice(3.0))
+    radians = rpm_of(make("rpm-rad").notice(2.0))
     np.testing.assert_allclose(radians * 30.0 / np.pi, plain, atol=6.0)
 
 
@@ -124,7 +124,7 @@ def force_of(messages: list[Any]) -> np.ndarray:
 
 @pytest.mark.slow
 def test_gyro_outliers(px4: OpenDesk) -> None:
-    off = np.abs(gyro_of(px4("gyro-outliers=0.01").notice(8.0)) - gyro_of(px4().notice(8.0)))
+    off = np.abs(gyro_of(px4("gyro-outliers=0.01").notice(5.0)) - gyro_of(px4().notice(5.0)))
     struck = off.max(axis=1) > 1.0
     assert np.mean(struck) == pytest.approx(0.01, abs=0.006)
     assert off[struck].max(axis=1).min() >= 8.0
@@ -206,15 +206,15 @@ def test_the_gyro_is_the_mean_of_the_interval_that_ends_at_its_stamp(px4: OpenDe
 
 @pytest.mark.slow
 def test_streams_that_are_late(px4: OpenDesk) -> None:
-    plain = px4().notice(4.0)
-    late = px4("rotor-late=8").notice(4.0)
+    plain = px4().notice(2.5)
+    late = px4("rotor-late=8").notice(2.5)
     np.testing.assert_array_equal(rpm_of(late)[10:], rpm_of(plain)[8:-2])
     np.testing.assert_array_equal(gyro_of(late), gyro_of(plain))
     attitude = px4("attitude-late=20")
     imu = px4("imu-late=12")
-    np.testing.assert_array_equal(gyro_of(imu.notice(4.0))[10:], gyro_of(plain)[7:-3])
+    np.testing.assert_array_equal(gyro_of(imu.notice(2.5))[10:], gyro_of(plain)[7:-3])
     assert imu.autopilot.rotor_delay == pytest.approx(-0.012)
-    rolls = [[m.roll for m in of_type(h, "ATTITUDE")] for h in (plain, attitude.notice(4.0))]
+    rolls = [[m.roll for m in of_type(h, "ATTITUDE")] for h in (plain, attitude.notice(2.5))]
     assert rolls[1][10:] == rolls[0][8:-2]
     assert px4("rotor-late=8").autopilot.rotor_delay == pytest.approx(0.008)
 
