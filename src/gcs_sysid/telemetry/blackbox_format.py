@@ -15,7 +15,6 @@ finds the frames and adds the predictions.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -307,20 +306,6 @@ class ByteWindow:
         return values
 
 
-class _FieldRun(Protocol):
-    """Fields that lie together in a frame."""
-
-    first: int
-    count: int
-    """Of the fields."""
-
-    def behind(self, window: ByteWindow, at: Array) -> Array:
-        """(k,) where what follows it begins, in the window, for parts at (k,) positions."""
-
-    def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
-        """(k, which) of its fields, counted from 0."""
-
-
 class _Numbers:
     """Fields of a number each, or of nothing."""
 
@@ -489,6 +474,11 @@ _VARIABLE = (
     np.array([(2, 2, 2), (5, 5, 4), (8, 7, 7), (0, 0, 0)]),
 )
 _NEW, _OLD = _table(_nibbles), _table(_old_nibbles)
+
+
+_FieldRun = _Numbers | _TaggedNumbers | _Packed | _Tag2
+"""Fields that lie together in a frame: `behind` says where in the window what follows begins, for
+parts at (k,) positions; `read` gives (k, which) of the fields, counted from 0."""
 
 
 class FrameLayout:
