@@ -22,12 +22,13 @@ from typing import Any
 from gcs_sysid.cli import output
 from gcs_sysid.errors import GcsSysidError, InputError, NoAnswerError
 from gcs_sysid.files import check_target, write_whole
+from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.analysis import Observer, analyze_log
+from gcs_sysid.session.analysis import Observer
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
@@ -169,8 +170,10 @@ def write(job: ReportJob) -> None:
         reporter = Reporter(replace(job, log=log))
         with reporter as observers:
             history = ChainOptions(history_interval=reporter.history_interval)
-            found = analyze_log(log, job.airframe, job.vehicle, history, observers=observers)
-            reporter.write(replace(found, source=str(job.log)))
+            found = analyze_whole(
+                log, job.airframe, job.vehicle, history, observers=observers, name=str(job.log)
+            )
+            reporter.write(replace(found.result, source=str(job.log)), found.health_document)
 
 
 def main() -> int:

@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
 from gcs_sysid.live.live_view import RESULT_EVERY, Session, picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import FoundVehicle, LinkState, LinkStatus, Playback, speed_text
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
@@ -215,11 +213,10 @@ def survey(
     Raises:
         InputError: the file cannot be read as a log.
     """
-    seen, hover = _Survey(), HoverRecords()
-    result = analyze_log(path, airframe, wanted, progress=progress, observers=[seen], keeper=hover)
-    found = hover.health(str(path), HealthOptions(airframe))
-    health = document_of(beside_analysis(found, result))
-    return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)
+    seen = _Survey()
+    found = analyze_whole(path, airframe, wanted, progress=progress, observers=[seen])
+    health = document_of(found.health)
+    return Recorded(path, airframe, wanted, found.result, seen.duration, seen.options, health)
 
 
 @dataclass(frozen=True)
@@ -236,7 +233,7 @@ class LogPlayback:
 
     Args:
         recorded: the log.
-        course_interval: s of the flight between estimates of the history.
+        history_interval: s of the flight between estimates of the history.
 
     Raises:
         InputError: the file can no longer be read.
@@ -296,7 +293,7 @@ class ReplaySession(Session):
     Args:
         recorded: the log, as `survey` knows it.
         speed: one of `SPEEDS`.
-        course_interval: s of the flight between estimates of the history.
+        history_interval: s of the flight between estimates of the history.
         target: half the 95 % interval, as a share of its value, that every parameter is to reach.
         stay: whether to wait at the end of the log for a seek; else the session ends there.
         clock: s that only grow; tests put their own here.
