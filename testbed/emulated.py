@@ -84,6 +84,8 @@ def record(
     truth = simulation.vehicle.truth() if simulation.done else _start_truth(simulation)
     if simulation.physics.slosh[0]:
         truth = _sloshing(truth, simulation.physics, drawn.vehicle.rotors)
+    if physics.tilt:
+        truth |= {n: math.cos(physics.tilt) * truth[n] for n in ("k_T", "k_M")}  # along body z
     for name in scenario.unjudged:
         truth.pop(name, None)
     user, exact = measured(known, errors), known_exactly(known, physics)

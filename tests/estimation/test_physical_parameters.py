@@ -15,7 +15,7 @@ from gcs_sysid.estimation.parameters.physical_parameters import (
 )
 from gcs_sysid.estimation.parameters.scale import relative_prior, resolve_scale
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import ScaleReference
+from gcs_sysid.model.airframe import Cant, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
@@ -52,9 +52,10 @@ def test_either_true_anchor_gives_the_truth(anchor):
 
 
 def test_what_canted_rotors_add_is_no_drag_torque():
-    cant = 0.012
+    cant = Cant(0.012, 0.012 / ARM**2)
     theta = THETA.copy()
-    theta[rb.MOMENT_RATIO] += cant
+    theta[rb.MOMENT_RATIO] += cant.adds
+    theta /= 1.0 - TRUE["moment_ratio"] * cant.lean
     anchor = ScaleReference("mass", MASS)
     values = physical_parameters(
         anchor, replace(ROTATION, theta=theta), TRANSLATION, ARM, cant=cant

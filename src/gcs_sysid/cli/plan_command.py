@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     priors = priors_for(airframe.priors, rotor_input)
 
     def judge(fit: Fit) -> dict[str, float | None]:
-        values = values_of(fit, anchor, airframe.arm, priors, rotor_input, cant=airframe.cant)
+        values = values_of(fit, anchor, airframe.arm, priors, rotor_input, cant=airframe.canted)
         return shares(values, airframe.arm, rotor_input)
 
     known = prior_vehicle(airframe, rotor_input)

@@ -236,6 +236,31 @@ class Rotor:
 
 
 @dataclass(frozen=True)
+class Cant:
+    """What canted rotors do to a flight that upright ones would not.
+
+    Attributes:
+        adds: m, to the moment ratio, as more drag torque would; see `Airframe.cant`.
+        lean: 1/m, by which the moment ratio shortens all arms: the drag torque leans with the
+            rotor, against the roll and pitch torque of its thrust.
+    """
+
+    adds: float = 0.0
+    lean: float = 0.0
+
+    def shortened(self, ratio: float) -> float:
+        """What arms seem to be multiplied by, at the moment ratio that a flight shows."""
+        return (1.0 + self.adds * self.lean) / (1.0 + ratio * self.lean)
+
+    def shown(self, ratio: float) -> float:
+        """The moment ratio that a flight shows of rotors that have this one."""
+        return (ratio + self.adds) / (1.0 - ratio * self.lean)
+
+
+NOT_CANTED = Cant()
+
+
+@dataclass(frozen=True)
 class CommandRange:
     """How actuator outputs map to the rotor's command u in 0..1, and u to thrust."""
 
@@ -318,6 +343,11 @@ class Airframe:
         is, to any flight, that of upright rotors with more drag torque.
         """
         return sum(r.spin * r.yaw_arm for r in self.rotors) / len(self.rotors)
+
+    @property
+    def canted(self) -> Cant:
+        """All that their cant does."""
+        return Cant(self.cant, self.cant / self.arm**2)
 
     def as_json(self) -> dict[str, Any]:
         """Name and rotors, as a result states them."""

@@ -14,7 +14,7 @@ from gcs_sysid.estimation.changes.tracking import TrackingEvent
 from gcs_sysid.estimation.noise.uncertainty import watched_factor
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.parameters.physical_parameters import physical_parameters, rests_on_prior
-from gcs_sysid.model.airframe import Known, ScaleReference
+from gcs_sysid.model.airframe import NOT_CANTED, Cant, Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, REGISTRY
 from gcs_sysid.model.rotor_input import RotorInput
@@ -63,7 +63,7 @@ def values_of(
     known: Mapping[str, Known],
     rotor_input: RotorInput = RotorInput.SPEED,
     lateness: float = 0.0,
-    cant: float = 0.0,
+    cant: Cant = NOT_CANTED,
 ) -> dict[str, Estimate]:
     """Physical parameters of a fit, not judged, or nothing but the anchor while it is too early.
 

@@ -433,7 +433,7 @@ class Chain:
     ) -> dict[str, Estimate]:
         arm, late = self.airframe.arm, low_pass_delay(self.cutoffs[0])
         return summary.values_of(
-            fit, anchor, arm, known, self.rotor_input, late, self.airframe.cant
+            fit, anchor, arm, known, self.rotor_input, late, self.airframe.canted
         )
 
     def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:
@@ -537,7 +537,7 @@ class Chain:
         self.contradicted = self._contradicted(alone, anchor)
         known = self.known_beforehand(anchor)
         scale = resolve_scale(anchor, alone.translation, known)
-        return relative_prior(known, scale, self.airframe.cant)
+        return relative_prior(known, scale, self.airframe.canted)
 
     def _contradicted(self, alone: Fit, anchor: ScaleReference) -> dict[str, Estimate]:
         known = summary.priors_for(self.airframe.priors, self.rotor_input)
@@ -717,7 +717,7 @@ class Findings:
         """Each rotor's coefficients; with commands there are none."""
         if self.chain.rotor_input.motors:
             return ()
-        rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.cant
+        rotors, cant = len(self.chain.airframe.rotors), self.chain.airframe.canted
         each = of_rotors(rotor_values(self.chain.fit.rotation, self._scale, rotors, cant))
         return tuple(map(self._in_units, each))
 

@@ -19,7 +19,7 @@ from gcs_sysid.estimation.parameters.scale import AbsoluteScale, resolve_scale
 from gcs_sysid.estimation.record.input_noise import ROUNDING_STD
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES, Coordinate
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import Known, ScaleReference
+from gcs_sysid.model.airframe import NOT_CANTED, Cant, Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
@@ -85,7 +85,7 @@ def physical_parameters(
     known: Mapping[str, Known] | None = None,
     rotor_input: RotorInput = RotorInput.SPEED,
     lateness: float = 0.0,
-    cant: float = 0.0,
+    cant: Cant = NOT_CANTED,
     seconds: float = math.inf,
 ) -> dict[str, Estimate]:
     """Physical parameters of the fits, at the anchor's scale; none of them is judged.
@@ -101,7 +101,7 @@ def physical_parameters(
         known: priors on mass and k_T; those on the rotation are in its fit.
         rotor_input: what the fits are relative to.
         lateness: s, known delay of the gyro, and so of the attitude.
-        cant: m, what canted rotors add to the moment ratio.
+        cant: of the rotors.
         seconds: flight time of the fits.
     """
     scale = resolve_scale(anchor, translation, known or {})
@@ -180,7 +180,7 @@ def _rotation_values(
     rotor_input: RotorInput,
     bend: float,
     doubt: float,
-    cant: float,
+    cant: Cant,
 ) -> Raw:
     """Parameters read off theta: lengths directly, the rest times thrust where that is known.
 
@@ -191,11 +191,12 @@ def _rotation_values(
         rotor_input: what theta is relative to.
         bend: relative change of thrust with the thrust curve.
         doubt: relative error of parameters identified from commands.
-        cant: m, of canted rotors.
+        cant: of the rotors.
     """
     out: Raw = {}
     theta, std = rotation.theta.copy(), rotation.std
-    theta[rb.MOMENT_RATIO] -= cant
+    theta *= cant.shortened(float(theta[rb.MOMENT_RATIO]))
+    theta[rb.MOMENT_RATIO] -= cant.adds
     n, curve = rb.N_THETA, Unknown.CURVE
     full = rotation.full_covariance
     # Errors of the curve move the relative values and the scale together.
@@ -286,7 +287,7 @@ def _axis_values(rotation: RotationFit, scale: AbsoluteScale, bend: float, doubt
 
 
 def rotor_values(
-    rotation: RotationFit | None, scale: AbsoluteScale, rotors: int, cant: float = 0.0
+    rotation: RotationFit | None, scale: AbsoluteScale, rotors: int, cant: Cant = NOT_CANTED
 ) -> list[dict[str, Estimate]]:
     """k_T and k_M of each rotor, not judged, in motor order; empty where nothing sets the scale.
 
@@ -294,12 +295,12 @@ def rotor_values(
         rotation: of measured rotor speeds.
         scale: with the mean k_T.
         rotors: how many there are.
-        cant: m, what canted rotors add to the moment ratio.
+        cant: of the rotors.
     """
     if rotation is None or scale.thrust is None:
         return []
     k_T, k_T_std, ratio, ratio_std = rotor_coefficients(rotation, rotors)
-    ratio = ratio - cant * k_T
+    ratio = ratio * cant.shortened(float(rotation.theta[rb.MOMENT_RATIO])) - cant.adds * k_T
     out = []
     for i in range(rotors):
         each = {}

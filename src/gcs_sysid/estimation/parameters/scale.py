@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import COORDINATE_NAMES
-from gcs_sysid.model.airframe import Known, ScaleReference
+from gcs_sysid.model.airframe import NOT_CANTED, Cant, Known, ScaleReference
 from gcs_sysid.model.parameters import REGISTRY, THETA
 
 
@@ -110,14 +110,14 @@ _UNKNOWNS = (*THETA, *COORDINATE_NAMES)
 
 
 def relative_prior(
-    known: Mapping[str, Known], scale: AbsoluteScale, cant: float = 0.0
+    known: Mapping[str, Known], scale: AbsoluteScale, cant: Cant = NOT_CANTED
 ) -> Prior | None:
     """Priors on physical parameters as one on theta, as far as the scale is known.
 
     Args:
         known: priors.
         scale: with thrust.
-        cant: m, what canted rotors add to the moment ratio.
+        cant: of the rotors.
     """
     mean, information = np.zeros(N_UNKNOWNS), np.zeros(N_UNKNOWNS)
     for name, (value, std) in known.items():
@@ -131,7 +131,7 @@ def relative_prior(
             value, std = value / scale.thrust, std / scale.thrust
             std = math.hypot(std, value * scale.thrust_share, value * scale.thrust_given)
         if parameter.theta == "moment_ratio":
-            value += cant
+            value = cant.shown(value)
         # Two priors on one unknown (k_M and moment_ratio) add up.
         weight = 1.0 / std**2
         total = information[index] + weight
