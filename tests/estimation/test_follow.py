@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
-from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005
 STOP = 20
@@ -28,10 +26,8 @@ def measured(flight, *, commands=False):
     return replace(flight, gyro=gyro, rates=gyro, speeds=speeds, velocity=velocity)
 
 
-def series(truth, samples, block, tuning, **attributes):
+def series(truth, samples, block, tuning):
     estimator = OnlineEstimator(truth.geometry, DT, tuning)
-    for name, value in attributes.items():
-        setattr(estimator, name, value)
     fits = []
     n = len(samples.gyro)
     for start in range(0, n, block):
@@ -41,10 +37,8 @@ def series(truth, samples, block, tuning, **attributes):
     return fits
 
 
-def single(truth, samples, tuning, **attributes):
+def single(truth, samples, tuning):
     estimator = OnlineEstimator(truth.geometry, DT, tuning)
-    for name, value in attributes.items():
-        setattr(estimator, name, value)
     fits = []
     for start in range(0, len(samples.gyro) - STOP + 1, STOP):
         estimator.update(samples.part(slice(start, start + STOP)))
@@ -97,21 +91,6 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     # These motors have no lag, so that some searches are on their way to its bound.
     assert len(late[0]) > 100
     assert_same(*late)
-
-
-@pytest.mark.thorough
-def test_blocks_know_the_prior(truth, flight):
-    known = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    mean = np.zeros(N_UNKNOWNS)
-    at = rb.MOMENT_RATIO
-    mean[at] = truth.k_M / truth.k_T
-    known[at, at] = (0.01 * mean[at]) ** -2.0
-    sources = {"prior_source": lambda alone: Prior(mean, known)}
-    samples = measured(flight).part(slice(2500))
-    fits = series(truth, samples, 400, EstimatorTuning(), **sources)
-    assert_same(fits, single(truth, samples, EstimatorTuning(), **sources))
-    early = next(fit for fit in fits if fit.rotation is not None and fit.seconds > 2.0)
-    assert early.rotation.std[at] < 0.011 * mean[at]
 
 
 def test_quick_fits_are_near_full_ones(truth, flight):

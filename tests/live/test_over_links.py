@@ -281,8 +281,6 @@ def emulated(autopilot):
     ("wire", "autopilot"),
     [
         pytest.param(udp, "px4", marks=pytest.mark.thorough),
-        pytest.param(udp, "ardupilot", marks=pytest.mark.thorough),
-        pytest.param(tcp, "px4", marks=pytest.mark.thorough),
         (serial, "ardupilot"),
         pytest.param(tcp, "ardupilot", marks=pytest.mark.thorough),
         pytest.param(serial, "px4", marks=pytest.mark.thorough),

@@ -138,11 +138,11 @@ def moving(seconds=6.0, rate=250.0, seed=7):
     return t, np.round(speeds_of(t) * 9.55 + noise)
 
 
-def given_out(t, v, grid, at_once=25):
+def given_out(t, v, grid):
     """What a stream gives at grid times, each asked for as soon as it is settled."""
     buffer, values, done = RotorBuffer(v.shape[1]), np.full((len(grid), v.shape[1]), np.nan), 0
-    for start in range(0, len(t), at_once):
-        part = slice(start, start + at_once)
+    for start in range(0, len(t), 25):
+        part = slice(start, start + 25)
         give(buffer, t[part], v[part])
         upto = int(np.searchsorted(grid, buffer.settled(t[part][-1:])[0], side="right"))
         if upto > done:
