@@ -392,7 +392,7 @@ def _spins(
     if ratio is None or ratio <= 0.0 or _within(ratio, (low * diameter, high * diameter)):
         return
     what = "upper and lower rotors, " if _coaxial(airframe) else ""
-    speeds = "" if rotor_input.motors else "; or the unit of the rotor speeds"
+    speeds = "" if rotor_input.motors else "; or the arm, or the unit of the rotor speeds"
     least = f"{low * diameter:.2g} to" if low else "at most"
     yield (
         f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
