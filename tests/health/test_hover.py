@@ -137,6 +137,16 @@ def test_what_cannot_be_given_together_is_named_and_no_scale_comes_of_it(airfram
     assert (health.scale, health.mass) == (None, None)
 
 
+def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
+    known, streams = airframe.with_anchor("mass", 1.5), streams_of(flight(), airframe, "px4", {})
+    streams = replace(streams, speeds=replace(streams.speeds, source="eRPM"))
+    for parameters, is_assumed in (({}, True), ({"motor_poles": 14.0}, False)):
+        guess = GuessedAirframe(known, "given")
+        health = health_of(streams, guess, HealthOptions(known), parameters)
+        assert any("14 poles" in text for text in health.assumptions) is is_assumed
+        assert (health.scale is None) is is_assumed
+
+
 def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):
     for mass, named in ((20.0, False), (14000.0, True)):
         known = airframe.with_anchor("mass", mass)

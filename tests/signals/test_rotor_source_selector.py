@@ -438,14 +438,8 @@ def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
     assert (found.low, found.high) == (pytest.approx(low, abs=0.1), pytest.approx(high, abs=0.1))
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "parameters"),
-    [
-        ("ardupilot", {"MOT_PWM_MIN": 0.0, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}),
-        ("ardupilot", {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}),
-    ],
-)
-def test_a_range_that_the_parameters_leave_open_is_assumed(autopilot, parameters):
-    found = command_range("SERVO_OUTPUT_RAW", CommandRange(), autopilot, parameters, 1600.0)
-    assert found.assumed
-    assert "assumed" in found.origin
+def test_a_range_that_the_parameters_leave_open_is_assumed():
+    for parameters in (SPIN | {"MOT_PWM_MIN": 0.0}, {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}):
+        found = command_range("RCOU", CommandRange(), "ardupilot", parameters, 1600.0)
+        assert found.assumed
+        assert "assumed" in found.origin

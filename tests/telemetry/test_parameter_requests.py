@@ -95,11 +95,9 @@ def test_motors_are_looked_for_on_outputs_beyond_the_first(vehicle, has):
     autopilot = Autopilot(first | has)
     drive(ParameterRequests(autopilot.gate), autopilot, vehicle, 30.0)
     assert autopilot.told == autopilot.has.keys()
-    if vehicle is PX4:
-        usual = {f"PWM_MAIN_FUNC{n}": 100 + n for n in range(1, 5)}
-        usual_vehicle = Autopilot(first | usual)
-        drive(ParameterRequests(usual_vehicle.gate), usual_vehicle, vehicle, 30.0)
-        assert not any("AUX" in name for name in usual_vehicle.asked)
+    usual = Autopilot({f"PWM_MAIN_FUNC{n}": 100 + n for n in range(1, 5)})
+    drive(ParameterRequests(usual.gate), usual, PX4, 30.0)
+    assert not any("AUX" in name for name in usual.asked)
 
 
 def test_after_an_outage_those_given_up_get_another_chance():

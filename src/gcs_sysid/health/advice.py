@@ -67,7 +67,8 @@ def _to_know_more(health: Health, *, unlike: bool) -> Iterator[str]:
     """What would say more of a vehicle in which nothing need be wrong."""
     if not health.arm_known:
         yield "give --arm M, from the center to a motor: the CG is in mm then"
-    if health.scale is None and health.rotor_input is not None:
+    weighed = health.known_mass is not None
+    if health.scale is None and health.rotor_input is not None and not weighed:
         yield f"weigh the vehicle and give --mass KG for {health.rotor_input.thrust}"
     if health.condition is None and len(health.rotors) == 4 and not unlike:
         yield (

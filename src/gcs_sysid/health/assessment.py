@@ -41,6 +41,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_units import assumed_unit
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _ORDER = (
@@ -318,7 +319,10 @@ def health_of(
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     unfit = tuple(_misfits(health, guess))
-    if unfit:  # what is in proportion to it is no number
+    assumed = assumed_unit(source.source, source.range, parameters)
+    if assumed:
+        health = replace(health, assumptions=(*health.assumptions, assumed))
+    if unfit or assumed:  # what is in proportion to it is no number
         health = replace(health, scale=None, mass=None)
     doubts = (*sensors, *unfit)
     misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
