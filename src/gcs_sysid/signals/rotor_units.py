@@ -90,7 +90,7 @@ def command_range(
     )
 
 
-_CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us, assumed", assumed=True)
+_CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us assumed by convention", assumed=True)
 
 
 def _of_ardupilot(parameters: Parameters) -> Range:
