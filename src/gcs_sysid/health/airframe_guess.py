@@ -249,17 +249,23 @@ def _contradiction(first: _Candidate, own: _Candidate) -> str:
 
 
 def _moved_in_flight(own: _Candidate, seen: Sequence[tuple[Array, Array]]) -> str:
-    """Where the motors are in a third of a flight which another layout explains; empty: in none."""
+    """Where the motors are in a third of a flight that another layout explains, while the airframe
+    surely explains another third; empty: in none.
+    """
     own_geometry = Airframe(own.name, own.rotors).geometry
     long = [motion for motion in seen if len(motion[0]) >= 3 * TUNING.fewest_for_order]
     if not long:
         return ""
     thrust, turning = max(long, key=lambda motion: _least(_explained(own_geometry, *motion)))
-    for rows in np.array_split(np.arange(len(thrust)), 3):
-        part = thrust[rows], turning[rows] - turning[rows].mean(axis=0)
+    thirds = np.array_split(np.arange(len(thrust)), 3)
+    parts = [(thrust[rows], turning[rows] - turning[rows].mean(axis=0)) for rows in thirds]
+    owns = [_least(_explained(own_geometry, *part)) for part in parts]
+    if max(owns) < TUNING.surely_explained:
+        return ""
+    for part, least in zip(parts, owns, strict=True):
         first, rival = _likeliest(len(own.rotors), [part])
-        here = replace(own, least=_least(_explained(own_geometry, *part)))
-        clear = max(TUNING.least_explained, TUNING.more_explained * rival)
+        here = replace(own, least=least)
+        clear = max(TUNING.surely_explained, TUNING.more_explained * rival)
         if first is not None and first.least >= clear and (places := _contradiction(first, here)):
             return f"for a part of the flight {places}"
     return ""
