@@ -116,6 +116,10 @@ def test_an_imu_that_stands_still_is_named(share, verdict):
     assert all("stands still" in o.words for o in named)
 
 
+def test_an_imu_slower_than_rotor_data_may_be_identifies_nothing():
+    assert judge(replace(explaining(0.95), interval=0.1)).verdict == "refused"
+
+
 def test_what_link_or_log_say_is_a_reason_where_one_is_needed():
     assert judge(replace(explaining(0.95), problems=("few messages",))).reasons == ()
     assert judge(replace(NOTHING, problems=("few messages",))).reasons[-1] == "few messages"

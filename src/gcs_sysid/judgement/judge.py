@@ -67,6 +67,7 @@ PRODUCERS = (
     Producer("spin", plausibility.unseen_spins, Stage.BELIEF),
     Producer("gyro", imu_faults.misread_gyro, Stage.BELIEF),
     Producer("saturation", imu_faults.saturated_sensors, Stage.BELIEF),
+    Producer("rate", received.slow_imu, Stage.BELIEF),
     Producer("frozen", received.frozen_samples, Stage.BELIEF),
     Producer("order", received.disordered_samples, Stage.BELIEF),
     Producer("swap", prediction.swapped, Stage.FLIGHT),

@@ -16,7 +16,8 @@ from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model.airframe import ScaleKind
 from gcs_sysid.model.estimate import Objection, Verdict
 from gcs_sysid.model.parameters import REGISTRY
-from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.records import NEEDED_RATE, Stream
+from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 
 NAMED_LOSS = 0.1
 """Share of IMU samples missing from which it is reported: five times what PX4 leaves out."""
@@ -116,6 +117,19 @@ def lost_samples(evidence: Evidence) -> Iterator[Objection]:
             f"{longest:.2f} s at most: the estimate uses the rest",
             verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
             evidence={"share": share},
+        )
+
+
+def slow_imu(evidence: Evidence) -> Iterator[Objection]:
+    """An IMU that comes more slowly than rotor data may: what it turns in between is not seen."""
+    if evidence.interval > 1.0 / MIN_RATE:
+        rate = 1.0 / evidence.interval
+        yield Objection(
+            f"the IMU comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz",
+            frozenset(n for n in evidence.estimates if REGISTRY[n].fit in ("rotation", "actuator")),
+            cap="weak",
+            verdict="refused",
+            how="log or request it faster",
         )
 
 
