@@ -89,11 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     part = commands.add_parser("quiet", help="flights in which nothing changes")
     part.add_argument("--hours", type=positive, default=1.0, metavar="H", help="in all")
     part.add_argument(
-        "--vehicles",
-        type=count(1, 999),
-        default=VEHICLES,
-        metavar="N",
-        help="flown at once (%(default)s)",
+        "--vehicles", type=count(1, 999), default=VEHICLES, metavar="N", help="flown at once"
     )
     part.add_argument("--only", nargs="+", default=[], choices=list(QUIET), metavar="NAME")
     part = commands.add_parser("steps", help="flights with a change")

@@ -4,6 +4,7 @@ twice the usual, lag of speed, thrust or command), and what a live session shows
 They fly doublets; the mass is given exactly. Everything is seeded.
 """
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning
 from gcs_sysid.estimation.changes.tracking import Tracker
+from gcs_sysid.estimation.offline.offline import OfflineFit, fit_offline
+from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.judge import Stage, judged
@@ -24,6 +27,7 @@ from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.physics import Physics
 from sim_bridge.simulated_vehicle import LAGS, Vehicle, stack_vehicles
+from testbed import judge
 from testbed.fleets import DT, GEOMETRY, PAPER, RATE, samples_of, vehicles
 
 __all__ = ["LAGS", "RATE", "drawn", "flights", "samples_of", "shown"]
@@ -49,7 +53,9 @@ def drawn(count: int, seed: int) -> list[Vehicle]:
 
 def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
     """What a live session has on its screen at each of `TIMES`."""
-    tracker = Tracker(GEOMETRY, DT, tuning_for(RotorInput.COMMAND, DT), ChangeTuning())
+    offline = judge.OPTIONS.offline
+    tuning = tuning_for(RotorInput.COMMAND, DT)
+    tracker = Tracker(GEOMETRY, DT, tuning, ChangeTuning(), keep=offline)
     airframe = load_airframe("paper")
     anchor = ScaleReference("mass", mass)
     found = []
@@ -58,10 +64,20 @@ def shown(samples: Samples, t: Array, mass: float) -> list[dict[str, Estimate]]:
         tracker.update(t[now], samples.part(now))
         fit = tracker.fit(quick=True)
         if len(found) < len(TIMES) and t[min(k + 49, len(t) - 1)] >= TIMES[len(found)] - DT:
+            if offline:
+                fit = _offline(tracker)
             seen = values_of(fit, anchor, airframe.arm, {}, RotorInput.COMMAND)
             evidence = Evidence(seen, fit, airframe, RotorInput.COMMAND, checked=False)
             found.append(judged(evidence, Stage.FLIGHT))
     return found
+
+
+def _offline(tracker: Tracker) -> Fit:
+    """The offline estimate as of now, or the online one where there is none."""
+    tracker = deepcopy(tracker)  # a full fit takes what is held back
+    fit = tracker.fit()
+    found = fit_offline(tracker, fit)
+    return found.fit if isinstance(found, OfflineFit) else fit
 
 
 def flights(lag_of: str, count: int) -> list[dict[float, dict[str, tuple[float, float]]]]:

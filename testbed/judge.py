@@ -1,6 +1,7 @@
 """A flight analyzed as by a user, and its result compared with the truth."""
 
 import math
+import os
 import traceback
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,13 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.significance import Z95
 from testbed.emulated import Truth
 
+BY_OFFLINE = "GCS_SYSID_BY_OFFLINE"
+"""Environment variable, set where the offline estimate is judged, wherever there is one."""
+OPTIONS = ChainOptions(history_interval=None, offline=BY_OFFLINE in os.environ)
 MOMENTS = ("Ixx", "Iyy", "Izz")
 NO_CHANGE = ("disturbance", "rotor_input", "landing")
 """Kinds of events that claim nothing of the vehicle."""
@@ -27,7 +32,7 @@ def judge(log: Path, airframe: Airframe, truth: Truth) -> dict[str, Any]:
         truth: parameter -> value or values.
     """
     try:
-        result = analyze_log(log, airframe)
+        result = analyze_log(log, airframe, options=OPTIONS)
     except InputError as error:
         return {"verdict": "refused", "error": str(error).replace(str(log), log.name)}
     except Exception as error:  # noqa: BLE001 - a defect is an outcome here

@@ -300,3 +300,10 @@ def state_home(state_homes: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("XDG_STATE_HOME", "LOCALAPPDATA"):
         monkeypatch.setenv(name, str(folder))
     return folder
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """That the test runs in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

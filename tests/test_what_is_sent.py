@@ -263,12 +263,6 @@ def end_by(monkeypatch):
         signal.signal(number, handler)
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def streams_and_parameters(asked):
     return len(asked[SETS]) >= 5 and len(asked[READS]) >= 2
 

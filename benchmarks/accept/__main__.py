@@ -8,6 +8,7 @@ python -m benchmarks.accept judge --only truth early
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from benchmarks.accept import cost, emulated, equal, judge, recorded, trees
 from testbed import study
+from testbed.judge import BY_OFFLINE
 from testbed.recordings import KEPT
 
 REFERENCE = "d232f3d4"
@@ -59,11 +61,12 @@ def run_judge(options: argparse.Namespace) -> bool:
     studies = [s for s in STUDIES if not options.only or s.name in options.only]
     if not studies:
         sys.exit(f"no study is called {' or '.join(options.only)}")
-    short = bool(options.short)
-    outcomes = judge.measure(studies, options.workers, is_short=short)
-    judge.kept_outcomes(KEPT / f"outcomes{'-short' if short else ''}.json", outcomes)
+    if options.offline:
+        os.environ[BY_OFFLINE] = "1"
+    outcomes = judge.measure(studies, options.workers, is_short=options.short)
+    judge.kept_outcomes(KEPT / f"outcomes{'-short' if options.short else ''}.json", outcomes)
     stored = judge.load()
-    judged = judge.judge(studies, outcomes, stored[short])
+    judged = judge.judge(studies, outcomes, stored[options.short])
     print(*judged.table(), sep="\n")
     if options.details:
         for each in studies:
@@ -78,7 +81,7 @@ def run_judge(options: argparse.Namespace) -> bool:
     if options.write:
         written = {row.now.name: row.now for row in judged.rows}
         kept = [dict(figures) for figures in stored]
-        kept[short] |= written
+        kept[options.short] |= written
         judge.store(kept[0], kept[1], options.write)
     return judged.is_right
 
@@ -99,6 +102,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--store", type=Path, metavar="FILE", help="equal: write, do not compare")
     parser.add_argument("--lines", type=int, default=12, metavar="N", help="equal: of each case")
     parser.add_argument("--details", action="store_true", help="judge: tables of the studies too")
+    parser.add_argument("--offline", action="store_true", help="judge: by that where there is one")
     parser.add_argument("--write", metavar="COMMIT", help="judge: store the figures, as of COMMIT")
     return parser
 

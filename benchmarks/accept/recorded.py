@@ -72,7 +72,7 @@ class _Onlooker:
 def _log(unit: str) -> dict[str, Any]:
     log, seen = Path(unit), _Onlooker()
     change = change_in(log)
-    options = ChainOptions(history_interval=None if change is None else 1.0)
+    options = truth_judge.OPTIONS if change is None else ChainOptions(history_interval=1.0)
     try:
         result = analyze_log(log, recordings.airframe_for(log), options=options, observers=[seen])
     except InputError as error:

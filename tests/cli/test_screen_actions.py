@@ -18,12 +18,6 @@ def result(paper_result):
     return paper_result
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def test_an_export_never_takes_the_place_of_another(result, folder):
     said = [export_result("urdf", result) for _ in range(3)]
     assert [words.split(";")[0] for words in said] == [

@@ -5,43 +5,15 @@ import hashlib
 import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Link, ReceivedBytes
+from gcs_sysid.telemetry.link import ReceivedBytes
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name
 from gcs_sysid.telemetry.transceiver import Transceiver
-from gcs_sysid.telemetry.urls import parse_url
 from testbed.payloads import unpack
+from tests.telemetry.in_memory import Ether
 
 KEY = hashlib.sha256(b"correct horse").digest()
-
-
-class Ether(Link):
-    """A UDP link in memory."""
-
-    datagrams = True
-
-    def __init__(self, url="udpin:0.0.0.0:14550"):
-        super().__init__(parse_url(url) if isinstance(url, str) else url)
-        self.arriving = []
-        self.sent = []
-        self.to = None
-        self.closed = False
-
-    def receive(self, _timeout):
-        chunks, self.arriving = self.arriving, []
-        return chunks
-
-    def send(self, data):
-        assert not self.closed
-        self.sent.append((self.to, read_frame(data)))
-
-    def answer_to(self, source):
-        self.to = source
-
-    def close(self):
-        self.closed = True
 
 
 class Talk:

@@ -4,7 +4,6 @@ import errno
 import io
 import os
 import signal
-import struct
 import subprocess
 import sys
 import textwrap
@@ -17,6 +16,7 @@ from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter, unused_path
+from tests.telemetry.in_memory import as_bytes
 
 START = 1_750_000_000_000_000
 PATIENCE = 60.0
@@ -33,10 +33,6 @@ def hasty(monkeypatch):
     """Nothing waits for a disk to recover, or for one that does not answer."""
     monkeypatch.setattr(TlogWriter, "WRITE_EVERY", 0.005)
     monkeypatch.setattr(TlogWriter, "RETRY_EVERY", 0.005)
-
-
-def as_bytes(records):
-    return b"".join(struct.pack(">Q", t) + frame.raw for t, frame in records)
 
 
 def write_all(writer, records):
@@ -225,7 +221,7 @@ def test_a_disk_that_does_not_answer_holds_up_nobody(disk, flight, tmp_path, mon
     monkeypatch.setattr(TlogWriter, "STALLED_AFTER", -1.0)
     disk.answers.clear()
     with TlogWriter(tmp_path / "flight.tlog") as writer:
-        writer.write(*flight[0][:1], [flight[0][1]])
+        writer.write(START, [flight[0][1]])
         assert disk.reached.wait(PATIENCE)
         for _ in range(10):  # returns at once, every time
             write_all(writer, flight)

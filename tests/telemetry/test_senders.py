@@ -5,38 +5,15 @@ import pytest
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Link, ReceivedBytes
+from gcs_sysid.telemetry.link import ReceivedBytes
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.tlog_writer import RESET_TEXT
 from gcs_sysid.telemetry.transceiver import Receiver, Transceiver, Whereabouts
-from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import Contradictions
+from tests.telemetry.in_memory import Ether
 
 HOME, FORGER = ("10.0.0.1", 14550), ("10.6.6.6", 666)
 ARMED = {"base_mode": mavlink.MAV_MODE_FLAG_SAFETY_ARMED}
-
-
-class Ether(Link):
-    """Datagrams as a test lays them ready; notes whom it shall answer."""
-
-    datagrams = True
-
-    def __init__(self):
-        super().__init__(parse_url("udpin:127.0.0.1:14550"))
-        self.arriving, self.to = [], None
-
-    def receive(self, timeout):
-        chunks, self.arriving = self.arriving, []
-        return chunks
-
-    def send(self, data):
-        pass
-
-    def answer_to(self, source):
-        self.to = source
-
-    def close(self):
-        pass
 
 
 class Field:

@@ -1,10 +1,9 @@
 """Readers of recordings take whatever they find."""
 
-import struct
-
 import pytest
 
 from gcs_sysid.telemetry.tlog import read_tlog
+from tests.telemetry.in_memory import as_bytes
 
 START = 1_750_000_000_000_000
 
@@ -12,10 +11,6 @@ START = 1_750_000_000_000_000
 @pytest.fixture
 def flight(stream):
     return [(START + 4000 * i, frame) for i, frame in enumerate(stream[1])]
-
-
-def as_bytes(records):
-    return b"".join(struct.pack(">Q", t) + frame.raw for t, frame in records)
 
 
 def test_a_truncated_last_record_is_left_out(tmp_path, flight):

@@ -168,12 +168,12 @@ class OnlineEstimator:
     def _full_fit(self) -> Fit:
         self._renew_prior(afresh=True)
         rot = self._rotation.fit(None, self.prior)
-        trans, accelerometer = self.fit_translation(rot)
         validation = self._rotation.validate(self.prior)
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # Inertia in roll and pitch is left to determine.
             rot = self._rotation.without_products(self.prior)
+        trans, accelerometer = self.fit_translation(rot)
         return Fit(
             rot,
             trans,
