@@ -218,8 +218,7 @@ def test_all_that_is_left_may_be_noise_of_slow_speeds():
     fit = replace(fit_with(), r_squared=np.array([0.99, 0.9, 1.0]))
     assert with_unknown_noise(fit, 0.02) is fit
     off = fit.theta[:3] * [0.01, 0.1, 0.0] / np.sqrt(3.0)
-    grown = with_unknown_noise(fit, 0.05).std[:3]
-    np.testing.assert_allclose(grown, np.hypot(fit.std[:3], off))
+    np.testing.assert_allclose(with_unknown_noise(fit, 0.05).std[:3], np.hypot(fit.std[:3], off))
 
 
 # ---- whole flights ---------------------------------------------------------------------------
