@@ -226,14 +226,14 @@ def test_all_that_is_left_may_be_noise_of_slow_speeds():
 
 @pytest.fixture(scope="module")
 def gusty():
-    """10 s of doublets in gusts at 250 Hz, gyro samples means of two, and what was made of them.
+    """13 s of doublets in gusts at 250 Hz, gyro samples means of two, and what was made of them.
 
     Samples are missing twice, a sixth of a second apart.
     """
     vehicle = Vehicle()
     (flight,) = fly(
         vehicle, EXCITATIONS["doublets"], DISTURBANCES["ou3.5"],
-        flights=1, seconds=10.0, rate=250.0, seed=3,
+        flights=1, seconds=13.0, rate=250.0, seed=3,
     )  # fmt: skip
     gyro = flight.gyro.copy()
     gyro[1500:1530] = gyro[1572:1600] = np.nan
@@ -256,7 +256,7 @@ def test_in_disturbed_air_the_noise_is_looked_for(gusty):
         bound = found.bounding_fit.rotation.std[axis]
         assert 0.0 < bound <= fit.std[axis]
     assert fit.disturbance[:2].min() > 1.0
-    assert heard[0] == ("prediction error of 2500 samples", 0.0)
+    assert heard[0] == ("prediction error of 3250 samples", 0.0)
     assert heard[-1][1] == 1.0
     assert found.fit.validation.r_squared[:2].min() > 0.3
 
