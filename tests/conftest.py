@@ -304,6 +304,5 @@ def state_home(state_homes: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """That the test runs in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path

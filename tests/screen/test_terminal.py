@@ -2,12 +2,13 @@
 
 import errno
 import io
+import sys
 import threading
 
 import pytest
 from textual.drivers._writer_thread import MAX_QUEUED_WRITES, WriterThread
 
-from gcs_sysid.screen.terminal import HangingUpFile
+from gcs_sysid.screen.terminal import HangingUpFile, ending_with_its_terminal
 
 linux_driver = pytest.importorskip("textual.drivers.linux_driver")
 
@@ -53,3 +54,11 @@ def test_the_writer_of_a_lost_terminal_ends_however_much_is_queued():
     ending.start()
     ending.join(10.0)
     assert not ending.is_alive()
+
+
+def test_messages_that_go_to_a_file_take_no_picture_with_them(monkeypatch):
+    plain = type("Driver", (), {"_file": io.StringIO()})
+    monkeypatch.setattr(sys, "__stdout__", shown := HungUp(takes=1))
+    shown.isatty = lambda: True
+    ending_with_its_terminal(plain)()._file.write("picture")
+    assert shown.getvalue() == "picture"

@@ -12,6 +12,7 @@ handler of SIGCONT starts a second writer and a second reader, of which only one
 """
 
 import os
+import sys
 from types import FrameType
 from typing import IO, Any
 
@@ -63,6 +64,8 @@ def ending_with_its_terminal(base: type[Driver]) -> type[Driver]:
             super().__init__(*args, **options)
             terminal: IO[str] | None = getattr(self, "_file", None)
             if terminal is not None:
+                if not terminal.isatty() and sys.__stdout__ is not None and sys.__stdout__.isatty():
+                    terminal = sys.__stdout__  # what is said goes to a file, and no picture does
                 self._file = HangingUpFile(terminal)
             keys: int | None = getattr(self, "fileno", None)
             self._keys = keys if keys is not None and os.isatty(keys) else None
