@@ -248,6 +248,7 @@ def _with_bias(batches: Array, rows: int, total: Array, usual: Array) -> tuple[f
     # specific force over thrust about its middle.
     mean, output = total[[0, -1], -2] / rows
     apart = GAIN_DRIFT * GRAVITY / np.sqrt(max(float(total[-1, -1]) / rows - output**2, _TINY))
+    apart = min(apart, 1.0)  # a slope that is off by all of itself is not known
     tilted = np.zeros(len(information))
     tilted[0], tilted[-1] = (apart * float(balance.estimate[0, 0])) * np.array([1.0, -mean])
     moved = information @ tilted
