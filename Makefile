@@ -158,7 +158,7 @@ dist-try: dist ## install what is in dist/ in clean environments; PYTHONS="pytho
 	$(BIN)/python tools/try_wheel.py $(PYTHONS)
 
 VERSION ?= $(shell $(PYTHON) -c 'import sys; sys.path.insert(0, "src"); import gcs_sysid; print(gcs_sysid.__version__)')
-release-check: dist-try check ## what a release must pass; VERSION=... names its notes
+release-check: dist-try check soak-short ## what a release must pass; VERSION=... names its notes
 	$(BIN)/python tools/audit.py --release
 	$(BIN)/python tools/release_notes.py $(VERSION)
 
