@@ -111,13 +111,11 @@ def problems(evidence: Evidence) -> Iterator[Objection]:
 def lost_samples(evidence: Evidence) -> Iterator[Objection]:
     """IMU samples that are missing by the vehicle's own stamps."""
     share, longest = missing_share(evidence.imu_loss)
-    if share >= NAMED_LOSS:
-        yield Objection(
-            f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
-            f"{longest:.2f} s at most: the estimate uses the rest",
-            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
-            evidence={"share": share},
-        )
+    yield from _unused(
+        share,
+        f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
+        f"{longest:.2f} s at most: the estimate uses the rest",
+    )
 
 
 def slow_imu(evidence: Evidence) -> Iterator[Objection]:
@@ -135,28 +133,29 @@ def slow_imu(evidence: Evidence) -> Iterator[Objection]:
 
 def frozen_samples(evidence: Evidence) -> Iterator[Objection]:
     """IMU samples that measure nothing, though they come."""
-    share = evidence.frozen
-    if share >= NAMED_LOSS:
-        yield Objection(
-            f"the IMU stands still: {100.0 * share:.0f} % of its samples repeat the one before in "
-            "all values, and only the others are used",
-            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
-            evidence={"share": share},
-            how="check that sensor, and have the one recorded that the autopilot flies by",
-        )
+    yield from _unused(
+        evidence.frozen,
+        f"the IMU stands still: {100.0 * evidence.frozen:.0f} % of its samples repeat the one "
+        "before in all values, and only the others are used",
+        how="check that sensor, and have the one recorded that the autopilot flies by",
+    )
 
 
 def disordered_samples(evidence: Evidence) -> Iterator[Objection]:
     """IMU samples that came after later ones: half of a flight may be passed over for that."""
-    share = evidence.disordered
+    yield from _unused(
+        evidence.disordered,
+        f"{100.0 * evidence.disordered:.0f} % of the IMU's samples came after later ones, or "
+        "twice, and are not used",
+        how="record where messages keep their order: at the autopilot, or on one link alone",
+    )
+
+
+def _unused(share: float, words: str, how: str = "") -> Iterator[Objection]:
+    """A share of the IMU's samples that is not used, where it is large enough to be named."""
     if share >= NAMED_LOSS:
-        yield Objection(
-            f"{100.0 * share:.0f} % of the IMU's samples came after later ones, or twice, and are "
-            "not used",
-            verdict="partial" if share >= TOO_MUCH_LOSS else "identified",
-            evidence={"share": share},
-            how="record where messages keep their order: at the autopilot, or on one link alone",
-        )
+        verdict: Verdict = "partial" if share >= TOO_MUCH_LOSS else "identified"
+        yield Objection(words, verdict=verdict, evidence={"share": share}, how=how)
 
 
 def missing_share(imu_loss: Mapping[str, Any]) -> tuple[float, float]:
