@@ -22,7 +22,7 @@ from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder, _with_later_bias
 from gcs_sysid.twin.prediction_errors import Twin, basic_model
-from gcs_sysid.twin.twin_flight import twin_svg, twin_table
+from gcs_sysid.twin.twin_flight import twin_table
 
 SAMPLE = Path(__file__).resolve().parents[2] / "logs" / "sample.tlog"
 
@@ -102,7 +102,7 @@ def test_the_table_fits_a_terminal(twin):
 
 
 def test_the_picture_is_whole_and_escaped(twin):
-    page = ET.fromstring(twin_svg(replace(twin, source="<b>&.json")))
+    page = ET.fromstring(evidence_sections.twin_svg(replace(twin, source="<b>&.json")))
     namespace = "{http://www.w3.org/2000/svg}"
     assert len(page.findall(f"{namespace}polyline")) == 6
     assert len(page.findall(f"{namespace}circle")) == 3 * len(twin.accuracy)
@@ -121,7 +121,7 @@ def test_the_command_writes_what_the_function_gives(tmp_path, capsys, result, tw
     assert document["same_flight"] is True
     ahead = {h["seconds"]: h for h in document["horizons"]}
     assert ahead[1.0]["rates"]["rms"] == pytest.approx(twin.accuracy[1.0]["rates"].rms)
-    assert picture.read_text() == twin_svg(twin)
+    assert picture.read_text() == evidence_sections.twin_svg(twin)
     # Nothing is lost: files that are there stay.
     assert run(["twin", str(tmp_path / "sample.json"), str(SAMPLE), *files]) == 2
     assert "exists" in capsys.readouterr().err
@@ -239,7 +239,7 @@ def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
 
 
 def test_a_report_shows_what_the_command_prints(twin):
-    data = SimpleNamespace(twin=twin.as_json(), twin_picture=twin_svg(twin))
+    data = SimpleNamespace(twin=twin.as_json(), twin_picture=evidence_sections.twin_svg(twin))
     page = str(evidence_sections.twin(data))
     ahead = twin.accuracy[1.0]["rates"]
     row = re.search(r"Rates, 1 s ahead.*?</tr>", page, re.DOTALL)[0]

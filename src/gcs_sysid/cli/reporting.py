@@ -26,13 +26,14 @@ from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import gather, provenance_of
+from gcs_sysid.report.evidence_sections import twin_svg
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
-from gcs_sysid.twin.twin_flight import TwinFlight, twin_svg
+from gcs_sysid.twin.twin_flight import TwinFlight
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from pathlib import Path
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.report.evidence_sections import twin_svg
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.twin.held_out_flight import as_exact, fly_held_out
-from gcs_sysid.twin.twin_flight import twin_svg, twin_table
+from gcs_sysid.twin.twin_flight import twin_table
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,7 +1,7 @@
-"""The sections on how far the findings can be trusted."""
+"""The sections on how far the findings can be trusted; and the picture of a twin's errors."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.report.data import ReportData
+from gcs_sysid.report.drawing import BLUE, PALE, RED, SOFT, line, picture, polyline, text
 from gcs_sysid.report.page_figures import (
     ChartData,
     add_prediction,
@@ -32,6 +33,7 @@ from gcs_sysid.report.parts import (
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.results.words import PAGE, event_text
 from gcs_sysid.significance import Z95
+from gcs_sysid.twin.twin_flight import SHOWN, TwinFlight
 
 _NEEDED = {
     "imu": THRESHOLDS.imu_rate,
@@ -146,6 +148,73 @@ def twin(data: ReportData) -> Child:
         element("div", Markup(data.twin_picture.strip()), class_="health"),
         table("Errors at the end of the stretches", columns, rows),
     )
+
+
+_LEFT, _WIDE, _GAP, _TOP, _HIGH = 60.0, 250.0, 60.0, 64.0, 220.0
+"""Of the panels of a twin's picture."""
+
+
+def twin_svg(twin: TwinFlight) -> str:
+    """Error growth of model and guess, and the band, a panel each; complete, nothing is loaded."""
+    names = list(twin.growth.rms)
+    parts = [
+        text(_LEFT, 22.0, f"{twin.source or 'result'} along {twin.log}", size=15),
+        text(_LEFT, 40.0, f"held out: {twin.held_out}", size=12),
+    ]
+    for i, name in enumerate(names):
+        parts += _growth(twin, name, _LEFT + i * (_WIDE + _GAP))
+    x, y = _LEFT, _TOP + _HIGH + 56.0
+    for color, words in (
+        (BLUE, "rms error of the model"),
+        (SOFT, "of the constant guess"),
+        (RED, "predicted rms of the error (half of the 95 % band)"),
+    ):
+        parts.append(element("rect", x=x, y=y - 9.0, width=14, height=9, fill=color))
+        parts.append(text(x + 20.0, y, words, size=12))
+        x += 30.0 + 7.0 * len(words)
+    size = _LEFT + len(names) * (_WIDE + _GAP), _TOP + _HIGH + 76.0
+    return picture(size, f"The twin along {twin.log}", parts, letters=12)
+
+
+def _growth(twin: TwinFlight, name: str, left: float) -> Iterator[Markup]:
+    scale, unit = SHOWN[name]
+    bands = [
+        (seconds, 0.5 * scale * each[name].band)
+        for seconds, each in twin.accuracy.items()
+        if name in each and math.isfinite(each[name].band)
+    ]
+    curves = [
+        (color, scale * found[name])
+        for color, found in ((SOFT, twin.growth.guess), (BLUE, twin.growth.rms))
+    ]
+    values = np.concatenate([*(curve for _, curve in curves), [band for _, band in bands]])
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if not len(values):
+        return
+    end = float(twin.growth.t[-1])
+    high = math.ceil(math.log10(values.max()))
+    low = min(max(math.floor(math.log10(values.min())), high - 4), high - 1)
+    bottom, right = _TOP + _HIGH, left + _WIDE
+
+    def place(seconds: float, value: float) -> tuple[float, float]:
+        share = (math.log10(max(value, 10.0**low)) - low) / (high - low)
+        return left + _WIDE * min(seconds / end, 1.0), bottom - _HIGH * share
+
+    yield text(left, _TOP - 6.0, f"{name}, {unit}", size=12)
+    yield text(left + 0.5 * _WIDE, bottom + 30.0, "s since the measured state", size=12,
+               anchor="middle")  # fmt: skip
+    for power in range(low, high + 1):
+        _, y = place(0.0, 10.0**power)
+        yield text(left - 4.0, y + 4.0, f"{10.0**power:g}", size=12, anchor="end")
+        yield line(left, y, right, y, "grid", stroke=PALE)
+    for share in (0.0, 0.5, 1.0):
+        x = left + _WIDE * share
+        yield text(x, bottom + 14.0, f"{share * end:g}", size=12, anchor="middle")
+    for color, curve in curves:
+        seen = zip(twin.growth.t.tolist(), curve.tolist(), strict=True)
+        yield polyline((place(s, v) for s, v in seen if math.isfinite(v)), color, 1.6)
+    for x, y in (place(*band) for band in bands):
+        yield element("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=4, fill=RED)
 
 
 def residual(data: ReportData, figures: ChartData) -> Markup | None:

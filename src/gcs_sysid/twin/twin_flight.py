@@ -1,13 +1,9 @@
-"""A twin's flight: its errors, as JSON, as a table, as an SVG picture, as a figure in notebooks."""
+"""A twin's flight: its errors, as JSON, as a table, as a figure in notebooks."""
 
 import math
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from gcs_sysid.arrays import Array
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import significant, wrapped
 from gcs_sysid.twin.prediction_errors import QUANTITIES, Accuracy, Growth
@@ -16,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "gcs-sysid-twin/1"
-_SHOWN = {
+SHOWN = {
     "rates": (180.0 / math.pi, "deg/s"),
     "attitude": (180.0 / math.pi, "deg"),
     "velocity": (1.0, "m/s"),
@@ -113,7 +109,7 @@ def twin_table(twin: TwinFlight) -> str:
         f"{'R2':>8}{'basic':>9}{'guess':>8}{'count':>6}",
     ]
     for name in QUANTITIES:
-        scale, unit = _SHOWN[name]
+        scale, unit = SHOWN[name]
         for seconds, each in twin.accuracy.items():
             if name in each:
                 lines.append(_row(f"{name}, {unit}", seconds, each[name], scale))
@@ -137,96 +133,11 @@ def _row(name: str, seconds: float, a: Accuracy, scale: float) -> str:
     )
 
 
-_LEFT, _PANEL, _GAP, _TOP, _HEIGHT = 60.0, 250.0, 60.0, 64.0, 220.0
-_MODEL, _GUESS, _BAND = "#1f6fb4", "#888", "#c2571a"
-
-
-def twin_svg(twin: TwinFlight) -> str:
-    """Error growth of model and guess, and the band, a panel each; complete, nothing is loaded."""
-    names = list(twin.growth.rms)
-    width = _LEFT + len(names) * (_PANEL + _GAP)
-    height = _TOP + _HEIGHT + 76.0
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        'font-family="sans-serif" font-size="12" fill="#222" role="img">',
-        f"<title>The twin along {escape(twin.log)}</title>",
-        '<rect width="100%" height="100%" fill="#fff"/>',
-        f'<text x="{_LEFT:.0f}" y="22" font-size="15">{escape(twin.source or "result")} along '
-        f"{escape(twin.log)}</text>",
-        f'<text x="{_LEFT:.0f}" y="40">held out: {escape(twin.held_out)}</text>',
-    ]
-    for i, name in enumerate(names):
-        out += _panel(twin, name, _LEFT + i * (_PANEL + _GAP))
-    x, y = _LEFT, _TOP + _HEIGHT + 56.0
-    for color, words in (
-        (_MODEL, "rms error of the model"),
-        (_GUESS, "of the constant guess"),
-        (_BAND, "predicted rms of the error (half of the 95 % band)"),
-    ):
-        out.append(f'<rect x="{x:.0f}" y="{y - 9:.0f}" width="14" height="9" fill="{color}"/>')
-        out.append(f'<text x="{x + 20:.0f}" y="{y:.0f}">{words}</text>')
-        x += 30.0 + 7.0 * len(words)
-    return "\n".join([*out, "</svg>", ""])
-
-
-def _panel(twin: TwinFlight, name: str, left: float) -> list[str]:
-    scale, unit = _SHOWN[name]
-    t, model, guess = twin.growth.t, twin.growth.rms[name], twin.growth.guess[name]
-    bands = [
-        (seconds, 0.5 * scale * each[name].band)
-        for seconds, each in twin.accuracy.items()
-        if name in each and math.isfinite(each[name].band)
-    ]
-    values = np.concatenate([scale * model, scale * guess, [band for _, band in bands]])
-    values = values[np.isfinite(values) & (values > 0.0)]
-    if not len(values):
-        return []
-    high = math.ceil(math.log10(values.max()))
-    low = max(math.floor(math.log10(values.min())), high - 4)
-    low = min(low, high - 1)
-    bottom = _TOP + _HEIGHT
-
-    def place(seconds: float, value: float) -> tuple[float, float]:
-        share = (math.log10(max(value, 10.0**low)) - low) / (high - low)
-        return left + _PANEL * seconds / float(t[-1]), bottom - _HEIGHT * share
-
-    def line(series: Array, color: str) -> str:
-        points = " ".join(
-            "{:.1f},{:.1f}".format(*place(float(s), scale * float(v)))
-            for s, v in zip(t, series, strict=True)
-            if math.isfinite(v)
-        )
-        return f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>'
-
-    out = [
-        f'<rect x="{left:.0f}" y="{_TOP:.0f}" width="{_PANEL:.0f}" height="{_HEIGHT:.0f}" '
-        'fill="none" stroke="#999"/>',
-        f'<text x="{left:.0f}" y="{_TOP - 6:.0f}">{name}, {unit}</text>',
-        f'<text x="{left + _PANEL / 2:.0f}" y="{bottom + 30:.0f}" text-anchor="middle">'
-        "s since the measured state</text>",
-    ]
-    for power in range(math.ceil(low), high + 1):
-        _, y = place(0.0, 10.0**power)
-        out.append(
-            f'<text x="{left - 4:.0f}" y="{y + 4:.1f}" text-anchor="end">{10.0**power:g}</text>'
-            f'<line x1="{left:.0f}" x2="{left + _PANEL:.0f}" y1="{y:.1f}" y2="{y:.1f}" '
-            'stroke="#ddd"/>'
-        )
-    for share in (0.0, 0.5, 1.0):
-        seconds = share * float(t[-1])
-        out.append(
-            f'<text x="{left + _PANEL * share:.0f}" y="{bottom + 14:.0f}" text-anchor="middle">'
-            f"{seconds:g}</text>"
-        )
-    out += [line(guess, _GUESS), line(model, _MODEL)]
-    for seconds, band in bands:
-        x, y = place(min(seconds, float(t[-1])), band)
-        out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{_BAND}"/>')
-    return out
+_MODEL, _GUESS, _BAND = "#1f6fb4", "#888888", "#c2571a"
 
 
 def plot_growth(twin: TwinFlight) -> "Figure":
-    """The same with matplotlib.
+    """The errors over the stretches with matplotlib.
 
     Raises:
         InputError: it is not installed.
@@ -237,7 +148,7 @@ def plot_growth(twin: TwinFlight) -> "Figure":
     names = list(twin.growth.rms)
     figure = figures.Figure(figsize=(4.2 * len(names), 3.6), layout="constrained")
     for i, name in enumerate(names, 1):
-        scale, unit = _SHOWN[name]
+        scale, unit = SHOWN[name]
         axes = figure.add_subplot(1, len(names), i)
         axes.semilogy(twin.growth.t, scale * twin.growth.guess[name], color=_GUESS, label="guess")
         axes.semilogy(twin.growth.t, scale * twin.growth.rms[name], color=_MODEL, label="model")
