@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.model.attitude import from_angles
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import Stamp
@@ -111,22 +112,6 @@ class Message:
         return self.name if rotors else ""
 
 
-def _from_euler(angles: Array) -> Array:
-    """(n, 4) as `model.attitude.from_euler`, to the last bit: NumPy's sines may differ there."""
-    half = (0.5 * angles).T.tolist()
-    (cr, sr), (cp, sp), (cy, sy) = (
-        (np.array(list(map(math.cos, axis))), np.array(list(map(math.sin, axis)))) for axis in half
-    )
-    return np.column_stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
-
-
 def _sum_of_cells(volts: Array) -> Array:
     """(n, 1) of (n, cells), 0 where none is reported."""
     # UINT16_MAX: there is no such cell, or its voltage is not known.
@@ -147,7 +132,7 @@ MESSAGES: tuple[Message, ...] = (
     ),
     Message("SCALED_IMU", Stream.IMU, Stamp.MS32, _AXES, _MILLI, rank=2),
     Message(
-        "ATTITUDE", Stream.ATTITUDE, Stamp.MS32, ("roll", "pitch", "yaw"), convert=_from_euler
+        "ATTITUDE", Stream.ATTITUDE, Stamp.MS32, ("roll", "pitch", "yaw"), convert=from_angles
     ),
     Message(
         "ATTITUDE_QUATERNION", Stream.ATTITUDE, Stamp.MS32, ("q1", "q2", "q3", "q4"), rank=1
