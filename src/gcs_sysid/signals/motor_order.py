@@ -6,7 +6,6 @@ drives none is no rotor's. Readers and links leave streams as they are sent, and
 (the chain, health, inspection) have them sorted here.
 """
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
+from gcs_sysid.signals.rotor_readings import Rotors, apart, correlation
 
 _FUNCTION = {
     "ardupilot": re.compile(r"(SERVO)(\d+)_FUNCTION"),
@@ -195,10 +194,6 @@ def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
         yield replace(track, offset=run[0] if run else len(outputs), values=values)
 
 
-Rotors = Sequence[tuple[Array, Array]]
-"""(n,) s and (n,) values of each rotor."""
-
-
 def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]]) -> dict[str, str]:
     """Of streams that came in several orders, those that are not used, and why.
 
@@ -238,9 +233,4 @@ def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]]) -> dict[str, str]
 def _likeness(speeds: Rotors, commands: Rotors) -> float:
     """Correlation of what sets each rotor apart from the mean of all."""
     t = speeds[0][0]
-    own, asked = (
-        np.column_stack([np.interp(t, *rotor) for rotor in rotors]) for rotors in (speeds, commands)
-    )
-    own, asked = (v - v.mean(axis=1, keepdims=True) for v in (own, asked))
-    power = float((own**2).sum() * (asked**2).sum())
-    return float((own * asked).sum()) / math.sqrt(power) if power > 0.0 else 0.0
+    return correlation(apart(t, speeds), apart(t, commands))

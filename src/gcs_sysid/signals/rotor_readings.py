@@ -15,6 +15,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
 
+Rotors = Sequence[tuple[Array, Array]]
+"""(n,) s and (n,) values of each rotor."""
+
 APART = 0.1
 """Share by which a speed differs from what its command gives the others: motors of one make scatter
 by 3 %; pole counts of 12 and 14 make 15 %."""
@@ -227,15 +230,25 @@ def _likelihood(values: Array, covariance: Array) -> float:
     return -0.5 * (square + float(np.linalg.slogdet(variance)[1]))
 
 
-def together(rotors: Sequence[tuple[Array, Array]]) -> Array:
+def together(rotors: Rotors) -> Array:
     """(n, rotors) readings of all rotors, number by number, from the times and values of each."""
     n = min(len(v) for _, v in rotors)
     return np.column_stack([v[:n] for _, v in rotors])
 
 
-def moved_columns(
-    speeds: Sequence[tuple[Array, Array]], commands: Sequence[tuple[Array, Array]]
-) -> str:
+def apart(t: Array, rotors: Rotors) -> Array:
+    """(n, rotors) at (n,) times, what sets each rotor apart from the mean of all."""
+    values = np.column_stack([np.interp(t, *rotor) for rotor in rotors])
+    return values - values.mean(axis=1, keepdims=True)
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Of two arrays whose means are taken off; 0 where one does not vary."""
+    power = math.sqrt(float((a**2).sum() * (b**2).sum()))
+    return float((a * b).sum()) / power if power > 0.0 else 0.0
+
+
+def moved_columns(speeds: Rotors, commands: Rotors) -> str:
     """Why speeds are not used whose columns changed places; empty where each follows its command.
 
     Args:
@@ -246,12 +259,7 @@ def moved_columns(
     t = t[(t > commands[0][0][0]) & (t < commands[0][0][-1])]
     if len(t) < _FEW:
         return ""
-    # What sets a rotor apart from the others is that of its command.
-    own, asked = (
-        np.column_stack([np.interp(t, *rotor) for rotor in rotors]) for rotors in (speeds, commands)
-    )
-    own, asked = (v - v.mean(axis=0) for v in (own, asked))
-    own, asked = (v - v.mean(axis=1, keepdims=True) for v in (own, asked))
+    own, asked = (v - v.mean(axis=0) for v in (apart(t, speeds), apart(t, commands)))
     power = math.sqrt(float((own**2).sum() * (asked**2).sum()))
     if not power > 0.0:
         return ""
@@ -275,9 +283,7 @@ def moved_columns(
     )
 
 
-def late_reading(
-    speeds: Sequence[tuple[Array, Array]], commands: Sequence[tuple[Array, Array]]
-) -> str:
+def late_reading(speeds: Rotors, commands: Rotors) -> str:
     """Why speeds are not used of which one rotor's follow its command later than the others' do.
 
     Args:
@@ -293,7 +299,8 @@ def late_reading(
     for own, asked, row in zip(speeds, commands, left, strict=True):
         read = np.interp(t, *own)
         for i, delay in enumerate(delays.tolist()):
-            row[i] = 1.0 - _correlation(read, np.interp(t - delay, *asked))
+            sent = np.interp(t - delay, *asked)
+            row[i] = 1.0 - correlation(read - read.mean(), sent - sent.mean())
     best = left.argmin(axis=1)
     usual = int(np.median(best))
     rotor = int(np.argmax(np.abs(best - usual)))
@@ -308,13 +315,7 @@ def late_reading(
     )
 
 
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    power = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / power if power > 0.0 else 0.0
-
-
-def held_reading(rotors: Sequence[tuple[Array, Array]]) -> str:
+def held_reading(rotors: Rotors) -> str:
     """Why speeds are not used of which one rotor's are old; empty where none are.
 
     Args:
