@@ -107,8 +107,9 @@ class FlightRecord:
         # Beside whitened rows those of the window only judge.
         self.memories = (0.0,) if tuning.whitens(dt) and not commands else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
-        piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
-        self._held = _SampleBuffer(piece, geometry.shape[1])
+        self._piece = piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
+        self._held: Samples | None = None
+        """Samples that wait for a whole piece."""
         self._noted_every = piece * max(round(_NOTED_TIME / (piece * dt)), 1)
         self._since_noted = 0
         self._note: _SignalsNoise | None = None
@@ -196,17 +197,20 @@ class FlightRecord:
             After each stop, when so many of the samples have been taken; but for less than a
             piece, 0.1 s, which is held back.
         """
-        ends = self._held.ends(stops)
-        pieces = self._held.add(samples)
-        if pieces is None:
-            yield from (None for _ in stops)
+        known = [] if self._held is None else [self._held]
+        joined, before = Samples.joined([*known, samples]), sum(len(part.gyro) for part in known)
+        ends = [(before + stop) // self._piece * self._piece for stop in stops]
+        whole = len(joined.gyro) // self._piece * self._piece
+        self._held = joined.part(slice(whole, None))
+        if whole:
+            yield from self._add_pieces(joined.part(slice(whole)), ends)
         else:
-            yield from self._add_pieces(pieces, ends)
+            yield from (None for _ in stops)
 
     def flush(self) -> None:
         """Take the samples held back as an incomplete piece."""
-        rest = self._held.rest()
-        if rest is not None:
+        rest, self._held = self._held, None
+        if rest is not None and len(rest.gyro):
             for _ in self._add_pieces(rest, ()):
                 pass
 
@@ -463,51 +467,3 @@ def _places(rows: Array) -> _Places:
     sums: Array = rows.sum(axis=-1).reshape(-1, rows.shape[-2]).sum(axis=0)
     whole: Mask = np.isfinite(sums)
     return np.concatenate([[0], np.cumsum(whole)])
-
-
-class _SampleBuffer:
-    """Samples held back until there are enough for a piece.
-
-    Args:
-        size: samples of a piece.
-        rotors: how many there are.
-    """
-
-    def __init__(self, size: int, rotors: int) -> None:
-        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3, 1, 1])
-        self._size = size
-        self._buffer = np.empty((size, edges[-1]))
-        self._columns = [slice(a, b) for a, b in pairwise(edges)]
-        self._count = 0
-
-    def ends(self, stops: Sequence[int]) -> list[int]:
-        """How many samples whole pieces hold, once so many more samples have come."""
-        return [(self._count + stop) // self._size * self._size for stop in stops]
-
-    def add(self, samples: Samples) -> Samples | None:
-        """The whole pieces that these samples complete; valid until the next."""
-        signals, n = samples.signals, len(samples.gyro)
-        whole = (self._count + n) // self._size * self._size
-        taken = 0
-        pieces = None
-        if whole:
-            taken = whole - self._count
-            if self._count:
-                held = (self._buffer[: self._count, columns] for columns in self._columns)
-                signals_of = zip(held, signals, strict=True)
-                pieces = Samples(*(np.concatenate([h, s[:taken]]) for h, s in signals_of))
-            else:
-                pieces = samples.part(slice(0, taken))
-            self._count = 0
-        to = slice(self._count, self._count + n - taken)
-        for signal, columns in zip(signals, self._columns, strict=True):
-            self._buffer[to, columns] = signal[taken:]
-        self._count = to.stop
-        return pieces
-
-    def rest(self) -> Samples | None:
-        """The samples held back, if any."""
-        count, self._count = self._count, 0
-        if not count:
-            return None
-        return Samples(*(self._buffer[:count, columns] for columns in self._columns))
