@@ -20,7 +20,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
-from gcs_sysid.health.assessment import health_of, health_of_log
+from gcs_sysid.health.assessment import ReadLog, health_of
 from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of
@@ -124,7 +124,7 @@ def _scores(
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
         told = (
-            health_of_log(log, HealthOptions(airframe)) if speeds else _by_commands(log, airframe)
+            ReadLog(log).health(HealthOptions(airframe)) if speeds else _by_commands(log, airframe)
         )
         if not told.available:
             print(f"vehicle {number}: {told.reasons}")

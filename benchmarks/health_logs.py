@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
 from gcs_sysid.health.airframe_guess import GuessedAirframe
-from gcs_sysid.health.assessment import health_of, health_of_log
+from gcs_sysid.health.assessment import ReadLog, health_of
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
@@ -81,7 +81,7 @@ def repeated(folder: Path) -> Iterator[str]:
     t = hover_of(log, airframe, speeds=True).t
     ends = [t[0], *(t[len(t) * i // 3] for i in (1, 2)), t[-1] + 1.0]
     spans = [(0.0, np.inf), *((a, b - 1e-3) for a, b in pairwise(ends))]
-    told = [health_of_log(log, HealthOptions(airframe), span=span) for span in spans]
+    told = [ReadLog(log).health(HealthOptions(airframe), span) for span in spans]
     labels = ("all", "first", "second", "third")
     one_wind = [series.values for series in series_of(told[1:])[:2]]
     for i, (label, health) in enumerate(zip(labels, told, strict=True)):
@@ -100,7 +100,7 @@ def between(folder: Path) -> Iterator[str]:
     yield "|---|---|---|---|---|---|"
     for name, pattern, arm, mass in _FLEETS:
         given = HealthOptions(None, arm, mass)
-        told = [health_of_log(log, given) for log in sorted(folder.rglob(pattern))]
+        told = [ReadLog(log).health(given) for log in sorted(folder.rglob(pattern))]
         flights = [health for health in told if health.available]
         for number, pairs in _numbers(flights).items():
             value, std = np.array(pairs).T
@@ -149,7 +149,7 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
         name = file.relative_to(folder)
         count += 1
         try:
-            health = health_of_log(log, HealthOptions())
+            health = ReadLog(log).health(HealthOptions())
         except InputError as error:
             yield f"| {name} | | | | | | {error} |"
             continue

@@ -30,7 +30,7 @@ def failing(monkeypatch, module, name):
 @pytest.mark.parametrize(
     ("command", "module", "name", "verdicts"),
     [
-        ("health", health_command, "health_of_log", {"available"}),
+        ("health", health_command, "ReadLog", {"available"}),
         ("analyze", analyze_command, "analyze_whole", {"identified", "partial"}),
     ],
 )
@@ -53,7 +53,7 @@ def test_a_defect_with_one_log_is_a_line(
 
 def test_the_only_log_fails_as_the_call(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    failing(monkeypatch, health_command, "health_of_log")
+    failing(monkeypatch, health_command, "ReadLog")
     (tmp_path / "bad.tlog").write_bytes(b"x")
     assert main(["health", "bad.tlog", "--airframe", "paper"]) == 2
     assert "internal error (UnforeseenError" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log
@@ -34,6 +34,6 @@ def test_without_an_accelerometer_analysis_and_inspection_say_so(shared_log):
 @pytest.mark.parametrize("name", ANSWERS)
 def test_the_first_line_names_the_cause_and_what_to_do(name, shared_log):
     line, action = ANSWERS[name]
-    answer = document_of(health_of_log(shared_log(f"field/{name}"), HealthOptions()))["summary"]
+    answer = document_of(ReadLog(shared_log(f"field/{name}")).health(HealthOptions()))["summary"]
     assert answer["line"].startswith(line)
     assert action in answer["action"]

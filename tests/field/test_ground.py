@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 
@@ -26,7 +26,7 @@ FLIGHTS = {
 
 def health(log):
     airframe = load_airframe("betaflight-quad-x") if "betaflight" in str(log) else None
-    return health_of_log(log, HealthOptions(airframe, arm=0.1 if airframe else 0.67, mass=1.0))
+    return ReadLog(log).health(HealthOptions(airframe, arm=0.1 if airframe else 0.67, mass=1.0))
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.params import of_vehicle
 from gcs_sysid.__main__ import main
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import Proposal, determined, proposal_file
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, HoverCommand
@@ -24,7 +24,7 @@ FLIGHTS = ("00000077", "00000096", "00000108", "00000122")
 @pytest.fixture(scope="module")
 def quiver(shared_log):
     logs = [shared_log(f"field/quiver/{number}.BIN") for number in FLIGHTS]
-    return [health_of_log(log, HealthOptions(arm=0.67)) for log in logs]
+    return [ReadLog(log).health(HealthOptions(arm=0.67)) for log in logs]
 
 
 def by_name(found):

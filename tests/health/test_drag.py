@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import determined
 from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.hover import windows_of
@@ -64,7 +64,7 @@ def test_slow_legs_leave_drag_of_the_speed_squared_open():
 
 
 def test_px4_s_own_simulator_drags_as_its_parameter_has_it(shared_log):
-    health = health_of_log(shared_log("px4-sih-default.ulg"), HealthOptions(arm=0.24))
+    health = ReadLog(shared_log("px4-sih-default.ulg")).health(HealthOptions(arm=0.24))
     found = {one.name: one for one in determined([health])}
     drag = found["EKF2_MCOEF"]
     low, high = drag.quantity.ci95
@@ -76,7 +76,7 @@ def test_px4_s_own_simulator_drags_as_its_parameter_has_it(shared_log):
 
 
 def test_what_would_turn_the_estimate_of_the_wind_on_is_left(shared_log):
-    health = health_of_log(shared_log("ardupilot-sitl.bin"), HealthOptions(arm=0.25))
+    health = ReadLog(shared_log("ardupilot-sitl.bin")).health(HealthOptions(arm=0.25))
     found = {one.name: one for one in determined([health])}
     # Quadratic: 45 degrees at 25 m/s.
     assert health.drag.square.value == pytest.approx(G / 25.0**2, rel=0.05)

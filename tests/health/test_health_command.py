@@ -10,7 +10,7 @@ from pymavlink import mavparm
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
 from gcs_sysid.health import assessment
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_file import read_baseline
 from gcs_sysid.health.health_trend import trend_text
 from gcs_sysid.health.vehicle_health import HealthOptions
@@ -106,7 +106,7 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
     assert "rotors do 3.0 times more for the same thrust" in capsys.readouterr().err
     # One that nobody named is left out, and so is the flight from the trend.
     own = replace(read_baseline(written), asked=False)
-    health = health_of_log(flight.tlog, HealthOptions(load_airframe("paper"), baseline=own))
+    health = ReadLog(flight.tlog).health(HealthOptions(load_airframe("paper"), baseline=own))
     assert health.available
     assert health.condition is None
     assert "another vehicle's" in health.apart
@@ -142,7 +142,7 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert (found.verdict, found.obtainable) == ("no", "health")
     assert found.hover > 20.0
     # Without an airframe PX4's own parameters or the vehicle's type tell it.
-    assert health_of_log(slow.tlog, HealthOptions(arm=0.25)).available
+    assert ReadLog(slow.tlog).health(HealthOptions(arm=0.25)).available
 
 
 @pytest.mark.slow
@@ -178,8 +178,8 @@ def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
 @pytest.mark.slow
 def test_a_span_of_the_log_is_kept_to(flight):
     airframe = load_airframe("paper")
-    whole = health_of_log(flight.tlog, HealthOptions(airframe))
-    part = health_of_log(flight.tlog, HealthOptions(airframe), span=(10.0, 25.0))
+    whole = ReadLog(flight.tlog).health(HealthOptions(airframe))
+    part = ReadLog(flight.tlog).health(HealthOptions(airframe), (10.0, 25.0))
     assert part.seconds < 16.0 < whole.seconds
 
 
@@ -187,7 +187,7 @@ def test_a_span_of_the_log_is_kept_to(flight):
 def test_of_a_log_of_many_hours_the_beginning_is_judged_and_said(flight, monkeypatch):
     airframe = load_airframe("paper")
     monkeypatch.setattr(assessment, "TUNING", replace(assessment.TUNING, most_samples=500))
-    part = health_of_log(flight.tlog, HealthOptions(airframe))
+    part = ReadLog(flight.tlog).health(HealthOptions(airframe))
     assert 10.0 < part.seconds < 20.0  # 500 samples at 25 Hz
     assert part.assumptions[-1] == "hover of the log's first 500 IMU samples"
 
@@ -223,7 +223,7 @@ def test_wrong_usage_is_one_line(tmp_path, monkeypatch, capsys, options, word):
 @pytest.mark.slow
 def test_the_real_quad_with_slow_logging(shared_logs):
     log = shared_logs / "real" / "quiver_00000087.bin"
-    health = health_of_log(log, HealthOptions(arm=0.75, mass=18.0))
+    health = ReadLog(log).health(HealthOptions(arm=0.75, mass=18.0))
     assert [r.thrust_share.value for r in health.rotors] == pytest.approx(
         [0.219, 0.232, 0.255, 0.294], abs=0.005
     )
@@ -238,7 +238,7 @@ def test_the_real_quad_with_slow_logging(shared_logs):
 def test_every_flight_of_the_real_quads_has_an_answer(shared_logs):
     airframe = load_airframe(str(shared_logs / "real" / "cinerat.toml"))
     places = [
-        health_of_log(shared_logs / "real" / f"LOG00{n}.BFL", HealthOptions(airframe)).cg
+        ReadLog(shared_logs / "real" / f"LOG00{n}.BFL").health(HealthOptions(airframe)).cg
         for n in (259, 264, 277)
     ]
     for axis in (0, 1):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.inspection.inspector import inspect_log, judged
 from gcs_sysid.judgement.prediction import RULES
@@ -67,15 +67,15 @@ def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
     elif promised == "in part" and rotors is not None and rotors.kind == "command":
         assert told.verdict != "identified"
         assert told.parameters["T_max"].status == "weak"
-        assert health_of_log(log, HealthOptions(airframe)).available
+        assert ReadLog(log).health(HealthOptions(airframe)).available
     elif promised == "in part":
         assert told.verdict == "partial"
         assert scale & known
-        assert health_of_log(log, HealthOptions(airframe)).available
+        assert ReadLog(log).health(HealthOptions(airframe)).available
     else:
         assert told.verdict == "refused"
         assert promised == "health"
-        assert health_of_log(log, HealthOptions(airframe)).available
+        assert ReadLog(log).health(HealthOptions(airframe)).available
 
 
 @pytest.mark.slow

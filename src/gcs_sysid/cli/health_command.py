@@ -8,7 +8,7 @@ from typing import Any
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import (
     Proposal,
     check_suffix,
@@ -59,7 +59,7 @@ def flights_of(options: argparse.Namespace) -> tuple[list[Health], bool]:
     for log in options.logs:
         with one_by_one.attempt(log):
             bar = output.progress_bar(log)
-            health = health_of_log(Path(log), given, options.vehicle, progress=bar)
+            health = ReadLog(Path(log), options.vehicle, bar).health(given)
             found.append(health)
             given = against_first(given, health)
     return found, bool(one_by_one.failed)

@@ -55,28 +55,6 @@ _AS_FLOWN = (
 _WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, and {}"
 
 
-def health_of_log(
-    path: Path,
-    given: HealthOptions,
-    wanted: tuple[int, int | None] | None = None,
-    span: tuple[float, float] = (0.0, math.inf),
-    progress: Callable[[float], None] | None = None,
-) -> Health:
-    """What the hover in a recording shows.
-
-    Args:
-        path: of a log.
-        given: what is known beforehand.
-        wanted: system and perhaps component; None: the first autopilot in it.
-        span: s from the first record, between which hover counts.
-        progress: as of `ReadLog`.
-
-    Raises:
-        InputError: the file cannot be read as a log, or the airframe is not known.
-    """
-    return ReadLog(path, wanted, progress).health(given, span)
-
-
 class HoverRecords:
     """Keeps of a log what hovering needs, while an analysis or anyone else reads it.
 
