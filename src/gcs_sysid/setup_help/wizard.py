@@ -2,12 +2,14 @@
 
 import math
 import re
+from argparse import ArgumentTypeError
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gcs_sysid.argument_types import parse_given, split_prior
+from gcs_sysid import argument_types
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Rotor
 from gcs_sysid.results.words import wrapped
@@ -35,14 +37,23 @@ def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[\s,;:]+", text.strip()) if word]
 
 
-def _number(text: str) -> float:
+T = TypeVar("T")
+
+
+def understood(parse: Callable[[str], T], text: str) -> T:
+    """What an option would take of a text.
+
+    Raises:
+        InputError: it cannot be understood.
+    """
     try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{text!r} is not a number; write 0.25, with a point")
-    return value
+        return parse(text)
+    except ArgumentTypeError as error:
+        raise InputError(str(error)) from error
+
+
+def _number(text: str) -> float:
+    return understood(argument_types.number, text)
 
 
 def plain_name(text: str) -> str:
@@ -54,18 +65,6 @@ def plain_name(text: str) -> str:
     if not text.strip() or not text.isprintable():
         raise InputError(f"the name must be one line of text, not {text!r}")
     return text.strip()
-
-
-def positive_number(text: str) -> float:
-    """A finite number above zero.
-
-    Raises:
-        InputError: it is none.
-    """
-    value = _number(text)
-    if value <= 0.0:
-        raise InputError(f"must be positive, not {text}")
-    return value
 
 
 def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
@@ -80,9 +79,9 @@ def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
     if len(words) not in ((1, 2) if two else (1,)):
         raise InputError("one length in m" + (", or two: forward and sideways" if two else ""))
     lengths = [
-        float(parse_given("arm", word, "the arm"))
+        float(argument_types.parse_given("arm", word, "the arm"))
         if word[0].isdigit() and word[-1].isalpha()
-        else positive_number(word)
+        else understood(argument_types.positive, word)
         for word in words
     ]
     if max(lengths) > MOST_ARM:
@@ -132,21 +131,6 @@ def imu_position(text: str) -> tuple[float, float, float]:
         raise InputError("enter the position of the IMU in m")
     return x, y, z
 
-
-def prior(text: str) -> tuple[str, float, float]:
-    """NAME=VALUE+-STD; ± and +/- do as well.
-
-    Raises:
-        InputError: it is something else.
-    """
-    words = split_prior(text)
-    if words is None:
-        raise InputError(f"must be NAME=VALUE+-STD, not {text!r}")
-    name, value, std = words
-    return name, _number(value), positive_number(std)
-
-
-T = TypeVar("T")
 
 _OWN = "own"
 _BACK = Rotor(math.nan, math.nan, 0)
@@ -250,7 +234,7 @@ def _can_fly(rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
 
 def _known_prior(text: str) -> tuple[str, float, float]:
     """A prior on a parameter that there is, with a value that it can have."""
-    name, value, std = prior(text)
+    name, value, std = understood(argument_types.prior, text)
     Airframe("", ()).with_prior(name, value, std)
     return name, value, std
 
@@ -448,7 +432,9 @@ class Wizard:
             return None
         name = _SCALES[chosen]
         value = self._believed(
-            f"{name} in {ANCHORS[name]}", positive_number, lambda v: scale_doubt(name, v)
+            f"{name} in {ANCHORS[name]}",
+            partial(understood, argument_types.positive),
+            lambda v: scale_doubt(name, v),
         )
         return name, value
 
