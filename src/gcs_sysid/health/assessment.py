@@ -161,6 +161,9 @@ class ReadLog:
         wanted: system and perhaps component; None: the first autopilot in it.
         progress: called with the share of the log read, 0 to 1, now and then.
 
+    Attributes:
+        log: as it was opened, read to its end.
+
     Raises:
         InputError: the file cannot be read as a log.
     """
@@ -174,11 +177,11 @@ class ReadLog:
         show = progress or (lambda _: None)
         show(0.0)
         self._path, self._wanted = path, wanted
-        self._keeper, self._log = HoverRecords(), open_log(path, wanted)
+        self._keeper, self.log = HoverRecords(), open_log(path, wanted)
         self._blocks: list[RecordBlock] = []
-        self._keeper.begin(self._log)
-        for block in self._log.blocks():
-            show(self._log.share_read)
+        self._keeper.begin(self.log)
+        for block in self.log.blocks():
+            show(self.log.share_read)
             self._keeper.add_records(block)
             self._blocks.append(block)
             if self._keeper.full:
@@ -189,11 +192,6 @@ class ReadLog:
         """What hover shows, as of `HoverRecords`."""
         return self._keeper.health(str(self._path), given, span)
 
-    @property
-    def log(self) -> Log:
-        """As it was opened, read to its end."""
-        return self._log
-
     def layout(self) -> ReportedLayout | None:
         """As of `HoverRecords`."""
         return self._keeper.layout()
@@ -202,7 +200,7 @@ class ReadLog:
         """The log, to be read once more: from memory, where all of it fits there."""
         if self._keeper.full:
             return open_log(self._path, self._wanted)
-        return cast(Log, _LogAgain(self._log, self._blocks))
+        return cast(Log, _LogAgain(self.log, self._blocks))
 
 
 class _LogAgain:

@@ -252,7 +252,8 @@ class StreamWatch:
         self._room = CHUNK
         self._last: float | None = None
         self._last_values: Array | None = None
-        self._usual = 0.0
+        self.usual_step = 0.0
+        """s between samples, as they come mostly; 0 before two came."""
 
     def begin(self, *, flying: bool, boot: int) -> None:
         """What comes next is of flight or not, and of a boot: nothing joins on over a reboot."""
@@ -272,11 +273,6 @@ class StreamWatch:
     def full(self) -> bool:
         """Whether there is enough to look at."""
         return self._room == 0
-
-    @property
-    def usual_step(self) -> float:
-        """Seconds between samples, as they come mostly; 0 before two came."""
-        return self._usual
 
     @property
     def tally(self) -> Tally:
@@ -309,19 +305,19 @@ class StreamWatch:
         if not len(steps):
             return
         median = float(np.median(steps))
-        if len(steps) < 16 and self._usual:
-            median = self._usual
+        if len(steps) < 16 and self.usual_step:
+            median = self.usual_step
         near = steps[steps < 2.5 * median]
         if len(near):
-            self._usual = float(near.mean())
-        gap = steps > max(Monitor.GAP, 5.0 * self._usual)
+            self.usual_step = float(near.mean())
+        gap = steps > max(Monitor.GAP, 5.0 * self.usual_step)
         tally.gaps += int(gap.sum())
         tally.longest_gap = max(tally.longest_gap, float(steps[gap].max(initial=0.0)))
         steps = steps[~gap]
         tally.steps += len(steps)
         tally.seconds += float(steps.sum())
-        skipped = steps[steps > SKIPPED_FROM * self._usual]
-        tally.missing += int((np.round(skipped / self._usual) - 1.0).sum())
+        skipped = steps[steps > SKIPPED_FROM * self.usual_step]
+        tally.missing += int((np.round(skipped / self.usual_step) - 1.0).sum())
 
     def _count_repeats(self, tally: Tally, values: Array) -> None:
         if self._last_values is not None and len(self._last_values) == values.shape[1]:

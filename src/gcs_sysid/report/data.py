@@ -223,11 +223,6 @@ class ReportData:
     twin: Mapping[str, Any] = field(default_factory=dict)
     twin_picture: str = ""
 
-    @property
-    def geometry(self) -> Array:
-        """(3, rotors) of the airframe."""
-        return self.airframe.geometry
-
 
 def gather(
     result: Result,

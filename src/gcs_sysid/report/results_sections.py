@@ -282,7 +282,7 @@ def plan_view(data: ReportData) -> Markup | None:
     if not all(e is not None and e.shown for e in cg):
         return None
     along, across = (float(e.value or 0.0) for e in cg if e is not None)
-    x, y, spin = data.geometry.tolist()
+    x, y, spin = data.airframe.geometry.tolist()
     size = 300.0
     middle = 0.5 * size
     view = PlanView(list(zip(x, y, strict=True)), (middle, middle), 104.0, 36.0)

@@ -4,7 +4,6 @@ Textual's own widgets format all their text again for any change of it. On a lar
 numbers change several times a second that was most of what the whole program cost.
 """
 
-from collections.abc import Sequence
 from itertools import groupby, zip_longest
 
 from rich.segment import Segment
@@ -33,18 +32,14 @@ class Lines(Widget):
 
     def __init__(self, id: str | None = None, classes: str | None = None) -> None:
         super().__init__(id=id, classes=classes)
-        self._lines: list[Line] = []
+        self.lines: list[Line] = []
+        """What is shown."""
         self._base: Style | None = None
         self._styles: dict[str, SegmentStyle] = {}
 
-    @property
-    def lines(self) -> Sequence[Line]:
-        """What is shown."""
-        return self._lines
-
     def put(self, lines: list[Line]) -> None:
         """Show other lines; the terminal is touched only where they differ."""
-        before, self._lines = self._lines, lines
+        before, self.lines = self.lines, lines
         if len(before) != len(lines) and self.styles.auto_dimensions:
             self.refresh(layout=True)
             return
@@ -57,7 +52,7 @@ class Lines(Widget):
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         """All lines."""
-        return len(self._lines)
+        return len(self.lines)
 
     def render_line(self, y: int) -> Strip:
         """One line."""
@@ -65,7 +60,7 @@ class Lines(Widget):
         if base is not self._base:  # another theme, another class
             self._base = base
             self._styles = {"": base.rich_style}
-        line = self._lines[y] if y < len(self._lines) else []
+        line = self.lines[y] if y < len(self.lines) else []
         strip = Strip([Segment(printable(text), self._style(style)) for text, style in line])
         return strip.adjust_cell_length(self.content_size.width, self._styles[""])
 

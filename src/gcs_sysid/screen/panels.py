@@ -217,30 +217,25 @@ class AttitudePanel(Lines, Shown):
     def _rotor_lines(self, view: View) -> list[Line]:
         if view.snapshot is None or not view.snapshot.rotor_speeds:
             return [[("no rotor speeds", fmt.MUTED)]]
-        speeds = view.snapshot.rotor_speeds
+        values = view.snapshot.rotor_speeds
         if view.snapshot.result.rotor_input.motors:
-            return [
-                [
-                    (f"rotor {number:<2}", fmt.MUTED),
-                    (f"{100.0 * command:5.1f}", "bold"),
-                    (" %     ", ""),
-                    (fmt.bar(command, 14), "$text-primary on $panel"),
-                ]
-                for number, command in enumerate(speeds, start=1)
-            ]
-        # The scale only grows, in steps, so that the bars compare from one moment to the next.
-        self._top_speed = max(self._top_speed, 100.0 * math.ceil(max(speeds) * 1.1 / 100.0))
-        lines = []
-        for number, speed in enumerate(speeds, start=1):
-            lines.append(
-                [
-                    (f"rotor {number:<2}", fmt.MUTED),
-                    (f"{speed:5.0f}", "bold"),
-                    (" rad/s ", ""),
-                    (fmt.bar(speed / self._top_speed, 14), "$text-primary on $panel"),
-                ]
+            shown, unit, top = (100.0, ".1f"), " %     ", 1.0
+        else:
+            # The scale only grows, in steps, so that bars compare from one moment to the next.
+            top = self._top_speed = max(
+                self._top_speed, 100.0 * math.ceil(max(values) * 1.1 / 100.0)
             )
-        return lines
+            shown, unit = (1.0, ".0f"), " rad/s "
+        factor, digits = shown
+        return [
+            [
+                (f"rotor {number:<2}", fmt.MUTED),
+                (f"{factor * value:5{digits}}", "bold"),
+                (unit, ""),
+                (fmt.bar(value / top, 14), "$text-primary on $panel"),
+            ]
+            for number, value in enumerate(values, start=1)
+        ]
 
 
 _NAME = 16

@@ -234,16 +234,12 @@ class Saturation:
         self._counts = np.zeros((2, 12))
         self._samples = np.zeros(6)
         self._last = np.full((1, 6), np.nan)
-        self._passed = 0
+        self.samples = 0
+        """How many there were."""
         self._weighed, self._until = np.zeros(2), math.nan
         """Size of the specific force over time, and that time."""
         self._steps: list[deque[tuple[int, float]]] = [deque(maxlen=8192) for _ in range(6)]
         """Of each axis, over more than half of the range so far: number of the sample, step."""
-
-    @property
-    def samples(self) -> int:
-        """How many there were."""
-        return self._passed
 
     def update(self, t: Array, samples: Array) -> None:
         """Take samples as they come, NaN where missing, and (n,) s of theirs; blocks of any size
@@ -292,8 +288,8 @@ class Saturation:
         with np.errstate(invalid="ignore"):
             wide = np.abs(steps) > 0.5 * np.maximum(spans, 2.0 * _SMALLEST[:6])
         for row, axis in np.argwhere(wide).tolist():
-            self._steps[axis].append((self._passed + row, float(steps[row, axis])))
-        self._passed, self._last = self._passed + len(samples), samples[-1:].copy()
+            self._steps[axis].append((self.samples + row, float(steps[row, axis])))
+        self.samples, self._last = self.samples + len(samples), samples[-1:].copy()
 
     def _wraps(self, axis: int) -> tuple[float, float] | None:
         """Limit and share of the samples beyond it, of an axis that certainly wraps around."""

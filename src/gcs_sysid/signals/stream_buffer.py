@@ -221,9 +221,10 @@ class StreamBuffer:
         self._t = np.empty(_LEAST)
         self._values = np.empty((_LEAST, width))
         self._start = self._end = 0
-        # Of each tick of the latest piece: samples known, and the usual interval, s.
         self._known = np.zeros(1, np.int64)
-        self._intervals = np.zeros(1)
+        """(ticks,) samples known to each of the latest piece."""
+        self.intervals = np.zeros(1)
+        """(ticks,) s, the usual time between samples as each tick knows it."""
 
     def __len__(self) -> int:
         return self._end - self._start
@@ -257,12 +258,12 @@ class StreamBuffer:
             known = before + np.searchsorted(rows, marks)
             self._known = np.full(len(marks), len(self)) if len(late) else known
             renewed = np.searchsorted(counted[due], marks)
-            self._intervals = np.concatenate([[interval], intervals])[renewed]
+            self.intervals = np.concatenate([[interval], intervals])[renewed]
 
     def look(self, ticks: int = 1) -> None:
         """Have so many ticks know all samples that came so far."""
         self._known = np.full(ticks, len(self))
-        self._intervals = np.full(ticks, self.interval)
+        self.intervals = np.full(ticks, self.interval)
 
     def first_irregular(self, t: Array, values: Array) -> int:
         """The first of samples to come, laid out as of `extend`, that changes older ones.
@@ -332,14 +333,9 @@ class StreamBuffer:
         return float(self._t[self._start])
 
     @property
-    def intervals(self) -> Array:
-        """(ticks,) s, the usual time between samples as each tick knows it."""
-        return self._intervals
-
-    @property
     def gaps(self) -> Array:
         """(ticks,) s beyond which two samples have nothing between them."""
-        return np.maximum(usual_gaps(self._intervals), self._bridged)
+        return np.maximum(usual_gaps(self.intervals), self._bridged)
 
     def known_until(self, horizon: Array) -> Array:
         """(ticks,) s up to which samples to come change nothing, if none of before `horizon` does.
@@ -351,7 +347,7 @@ class StreamBuffer:
         count, gaps = self._known, self.gaps
         if not len(t):
             return np.full(len(count), np.inf)
-        among = neighbors(gaps, self._intervals)
+        among = neighbors(gaps, self.intervals)
         until = t[np.maximum(count - among, 0)]
         for back in range(FAR - 1, 0, -1):
             here = (back < among) & (count > back)
@@ -379,7 +375,7 @@ class StreamBuffer:
             index = np.minimum(np.searchsorted(t, grid + SAME, side="right"), known) - 1
             return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
         gaps = self.gaps
-        among = neighbors(gaps, self._intervals)
+        among = neighbors(gaps, self.intervals)
         gaps, among = gaps[tick], among[tick]
         out = np.empty((len(grid), self.width))
         for part in _alike(t, gaps, among):

@@ -68,16 +68,17 @@ class VehicleClock:
         self.now: float | None = None
         self.reboots = 0
         self.doubted = 0
-        self._unix_minus_boot: float | None = None
+        self.unix_minus_boot: float | None = None
+        """s, how far Unix time is ahead of the time since boot; None until it is known."""
         self._suspect: float | None = None
 
     def stamp_us64(self, time_usec: int) -> float | None:
         """Time of a 64-bit stamp in us, s; None when it is not to be believed."""
         t = time_usec * 1e-6
         if t > UNIX_FROM:
-            if self._unix_minus_boot is None:
+            if self.unix_minus_boot is None:
                 return None
-            t -= self._unix_minus_boot
+            t -= self.unix_minus_boot
         return self._follow(t) if time_usec else None
 
     def stamp_ms32(self, time_boot_ms: int) -> float | None:
@@ -111,18 +112,13 @@ class VehicleClock:
 
         That is kept once known: GPS corrects Unix time in flight, and the axis must not jump.
         """
-        new = self._unix_minus_boot is None
+        new = self.unix_minus_boot is None
         return new and time_unix_usec * 1e-6 > UNIX_FROM and time_boot_ms > 0
 
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
         """Set the offset of Unix time from time since boot by SYSTEM_TIME."""
         if self.gives_unix_time(time_unix_usec, time_boot_ms):
-            self._unix_minus_boot = time_unix_usec * 1e-6 - time_boot_ms * 1e-3
-
-    @property
-    def unix_minus_boot(self) -> float | None:
-        """How far Unix time is ahead of the time since boot, s; None until it is known."""
-        return self._unix_minus_boot
+            self.unix_minus_boot = time_unix_usec * 1e-6 - time_boot_ms * 1e-3
 
     def follow_stamps(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
         """Follow stamps in the order in which they came, up to one that sets the clock back.
@@ -173,7 +169,7 @@ class VehicleClock:
         ms = kind == Stamp.MS32
         times = raw * np.where(ms, 1e-3, 1e-6)
         unwrapped = times + WRAP_MS * np.maximum(np.rint((self.now - times) / WRAP_MS), 0.0)
-        behind = np.nan if self._unix_minus_boot is None else self._unix_minus_boot
+        behind = np.nan if self.unix_minus_boot is None else self.unix_minus_boot
         times = np.where(ms, unwrapped, np.where(times > UNIX_FROM, times - behind, times))
         timed = np.isfinite(times) & (raw > 0)
         rows = np.flatnonzero(timed)
@@ -217,7 +213,7 @@ class VehicleClock:
         self.now = t
         if t < now:
             self.reboots += 1
-            self._unix_minus_boot = None
+            self.unix_minus_boot = None
         return t
 
 

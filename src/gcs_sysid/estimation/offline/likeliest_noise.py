@@ -124,7 +124,7 @@ class AxisNoise:
             quick=bool(self.d) and self.tau < 0.5 * TAU,
             above=tuple(passed.tolist()),
             under=tuple(factor.tolist()),
-            share=slow / variance,
+            gyro_share=slow / variance,
             variance=variance,
         )
 
@@ -136,19 +136,14 @@ class FittedWhitener(Whitener):
     Attributes:
         above: coefficients of the numerator, monic.
         under: of the denominator, monic.
-        share: see `gyro_share`.
+        gyro_share: see `Whitener`.
         variance: (rad/s)^2, of an innovation.
     """
 
     above: tuple[float, ...] = (1.0,)
     under: tuple[float, ...] = (1.0,)
-    share: float = 0.0
+    gyro_share: float = 0.0
     variance: float = 1.0
-
-    @property
-    def gyro_share(self) -> float:
-        """See `Whitener`."""
-        return self.share
 
     def power(self, omega: Array) -> Array:
         """See `Whitener`."""
