@@ -77,13 +77,7 @@ def test_slips_are_answered_at_once_with_a_word():
             "25 m is a long arm",
             "each ccw or cw",
         ),
-        *(
-            "from 1 to 4",
-            "got 'heavy'",
-            "not grams",
-            "three lengths",
-            "no prior on",
-        ),
+        *("from 1 to 4", "got 'heavy'", "not grams", "three lengths", "no prior on"),
         "Ixx must be positive",
     ):
         assert word in " ".join(seen.split()), word
