@@ -237,18 +237,18 @@ def test_what_becomes_known_later_is_added():
 
 
 def test_a_gyro_that_contradicts_the_attitude_limits_what_rests_on_it():
-    half = GyroAgainstAttitude(
-        0.5 * np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
-    )
-    found = judge(flight(gyro=half))
-    assert found.verdict == "partial"
-    assert any("reads 0.50 of what the attitude turns" in reason for reason in found.reasons)
-    assert found.estimates["Ixx"].status == "weak"
-    assert found.estimates["k_T"].status == "identified"
     sound = GyroAgainstAttitude(
         np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
     )
     assert judge(flight(gyro=sound)) == judge(flight())
+    found = judge(flight(gyro=replace(sound, gain=0.5 * np.eye(3))))
+    assert found.verdict == "partial"
+    assert any("reads 0.50 of what the attitude turns" in reason for reason in found.reasons)
+    assert found.estimates["Ixx"].status == "weak"
+    assert found.estimates["k_T"].status == "identified"
+    # Gyroscopic torques on roll and pitch have the yaw rate: by them Ixy shows.
+    found = judge(flight(gyro=replace(sound, gain=np.diag([1.0, 1.0, -1.0]))))
+    assert (found.estimates["Ixy"].status, found.estimates["Ixx"].status) == ("weak", "identified")
     # One that turns where nothing does tilts the attitude, and thrust with it.
     biased = replace(sound, bias=np.array([0.01, 0.5, -0.02]))
     found = judge(flight(gyro=biased))

@@ -121,20 +121,23 @@ def _turned_by(gain: Array) -> dict[str, int]:
 def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
     """All that rests on an axis which the gyro does not read as the attitude turns.
 
-    Drag too: the attitude that it is found with is filtered with the gyro. A bias tilts it, and so
-    concerns thrust.
+    A rate of wrong scale is in the gyroscopic torques of the other two axes. Drag too: the attitude
+    that it is found with is filtered with the gyro. A bias tilts it, and so concerns thrust.
     """
     if evidence.gyro is None or (fault := gyro_fault(evidence.gyro)) is None:
         return
     reason, how = fault
     axes = misread_axes(evidence.gyro)
-    forces = ("translation",) if _misscaled(evidence.gyro).any() else ("translation", "scale")
+    misscaled = bool(_misscaled(evidence.gyro).any())
+    forces = ("translation",) if misscaled else ("translation", "scale")
     yield Objection(
         reason,
         frozenset(
             name
             for name in evidence.estimates
-            if any(axes[axis] for axis in REGISTRY[name].axes) or REGISTRY[name].fit in forces
+            if any(axes[axis] for axis in REGISTRY[name].axes)
+            or REGISTRY[name].fit in forces
+            or (misscaled and REGISTRY[name].rigid_body)
         ),
         cap="weak",
         verdict="partial",
