@@ -384,10 +384,10 @@ class Sampler:
         return out, bias
 
     def _velocity(self, block: Block, n: int, force: Array) -> Array:
-        """(n, 6) velocity, missing where an estimator reset it, and position."""
+        """(n, 6) velocity as if no estimator had reset it, and position."""
         velocity = _stream(block, Stream.VELOCITY, n, 6)
-        jumps = self._jumps.update(self.time_base.dt, velocity[:, :3], force, fresh=block.fresh)
-        velocity[jumps, :3] = np.nan
+        dt, known = self.time_base.dt, velocity[:, :3]
+        velocity[:, :3] = self._jumps.without(dt, known, force, fresh=block.fresh)
         return velocity
 
     def _rotor_streams(self, block: Block, n: int) -> dict[str, Array]:
@@ -447,7 +447,8 @@ class VelocityJumps:
     """Finds where a velocity changes by more than the accelerometer measured.
 
     Whatever the attitude, v' less gravity is as long as the specific force. By how much it is
-    longer scatters with the noise of both; an estimator that resets its velocity stands out.
+    longer scatters with the noise of both; an estimator that resets its velocity stands out. One
+    wind holds for a flight, so that what is added to the velocity is taken off it from then on.
     """
 
     _MEMORY = 10.0
@@ -458,11 +459,19 @@ class VelocityJumps:
     def __init__(self) -> None:
         self._last = np.full((1, 6), np.nan)
         self._power = GRAVITY**2
+        self._added = np.zeros(3)
 
-    def update(self, dt: float, velocity: Array, force: Array, *, fresh: bool) -> Mask:
-        """(n,) the grid points, `dt` s apart, of (n, 3) m/s and m/s^2, that a jump leads to."""
+    def without(self, dt: float, velocity: Array, force: Array, *, fresh: bool) -> Array:
+        """(n, 3) velocity without its jumps, missing at grid points that one leads to.
+
+        Args:
+            dt: s between grid points.
+            velocity: (n, 3) m/s.
+            force: (n, 3) m/s^2, specific.
+            fresh: whether nothing before them goes on.
+        """
         if fresh:
-            self._last[:] = np.nan
+            self._last[:], self._added[:] = np.nan, 0.0
         values = np.vstack([self._last, np.hstack([velocity, force])])
         self._last = values[-1:].copy()
         apart = np.diff(values[:, :3], axis=0) / dt - (0.0, 0.0, GRAVITY)
@@ -476,7 +485,10 @@ class VelocityJumps:
             power, _ = lfilter([1.0 - keep], [1.0, -keep], counted, np.array([keep * self._power]))
             self._power = float(power[-1])
             jumps[known] = excess[known] > self._LIMIT * np.sqrt(power)
-        return jumps
+        added = np.where(jumps[:, None], np.diff(values[:, :3], axis=0), 0.0)
+        before, self._added = self._added, self._added + added.sum(axis=0)
+        added = before + np.cumsum(added, axis=0)
+        return np.where(jumps[:, None], np.nan, velocity - added)
 
 
 class _Unseen:
