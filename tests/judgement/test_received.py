@@ -10,11 +10,10 @@ from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.judgement.evidence import Evidence, Received
 from gcs_sysid.judgement.imu_faults import saturated_sensors
 from gcs_sysid.judgement.judge import judge
-from gcs_sysid.judgement.received import frozen_samples
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
-from gcs_sysid.signals.imu_checks import Saturated
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from tests.known_theta import THETA
 
@@ -48,6 +47,15 @@ def test_rotors_are_blamed_only_where_something_was_flown(share):
     assert reason.startswith(f"the rotors explain only {100.0 * share:.0f} % of the motion")
     assert by(explaining(share, still=True), "data") == []
     assert by(explaining(0.9), "data") == []
+
+
+def test_rotors_are_not_blamed_for_an_imu_that_is_logged_in_its_boards_axes():
+    half_turn, small = np.diag([1.0, -1.0, -1.0]), np.full((3, 3), 0.001)
+    turned = GyroAgainstAttitude(half_turn, small, np.zeros(3), np.full(3, 0.1), 40.0)
+    found = judge(replace(NOTHING, fit=Fit(None, None, 40.0), gyro=turned))
+    assert found.verdict == "refused"
+    (reason,) = found.reasons
+    assert "turned by roll 180 deg against the attitude's axes" in reason
 
 
 def test_no_attitude_is_a_note():
@@ -97,23 +105,19 @@ def test_rotors_elsewhere_than_the_vehicle_has_them_void_all_numbers():
 
 
 @pytest.mark.parametrize(
-    ("percent", "verdict"), [(2.0, "identified"), (40.0, "identified"), (70.0, "partial")]
+    ("share", "verdict"), [(0.02, "identified"), (0.4, "identified"), (0.7, "partial")]
 )
-def test_loss_is_told_where_it_is_more_than_px4_leaves_out_itself(percent, verdict):
-    loss = {"missing_percent": percent, "longest": 2.2}
-    found = judge(replace(explaining(0.95), imu_loss=loss))
-    assert found.verdict == verdict
-    said = [f"{percent:.0f} % of the IMU's samples are missing"] * (percent > 10.0)
-    assert [reason.partition(" by ")[0] for reason in found.reasons] == said
-
-
-@pytest.mark.parametrize(
-    ("share", "verdict"), [(0.02, None), (0.3, "identified"), (0.7, "partial")]
-)
-def test_an_imu_that_stands_still_is_named(share, verdict):
-    named = list(frozen_samples(replace(explaining(0.9), frozen=share)))
-    assert [o.verdict for o in named] == [verdict] * (verdict is not None)
-    assert all("stands still" in o.words for o in named)
+def test_imu_samples_that_are_not_used_are_named_where_they_are_many(share, verdict):
+    loss = {"missing_percent": 100.0 * share, "longest": 2.2}
+    named = {
+        "missing": {"imu_loss": loss},
+        "still": {"frozen": share},
+        "later": {"disordered": share},
+    }
+    for words, unused in named.items():
+        found = judge(replace(explaining(0.95), **unused))
+        assert found.verdict == verdict
+        assert [words in reason for reason in found.reasons] == [True] * (share > 0.1)
 
 
 def test_an_imu_slower_than_rotor_data_may_be_identifies_nothing():

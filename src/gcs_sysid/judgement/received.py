@@ -11,6 +11,7 @@ from typing import Any
 
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import ClockDoubt, Evidence, Received
+from gcs_sysid.judgement.imu_faults import gyro_fault
 from gcs_sysid.judgement.prediction import is_hover
 from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model.airframe import ScaleKind
@@ -83,6 +84,7 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     cut, still = bool(evidence.saturated), is_hover(evidence)
     for by, flying, reasons in (
         ("data", False, _missing(received, evidence.anchor)),
+        ("gyro", False, _misread(evidence)),
         (ROTORS, False, _contradicted(fit)),
         ("data", False, _too_little(received, fit)),
         ("data", True, _unexplained(fit, cut=cut, still=still)),
@@ -191,6 +193,12 @@ def _missing(received: Received, anchor: ScaleKind) -> _Reasons:
         late = "the autopilot's parameters came too late to set filters and ranges"
         return ((late, "analyze the recording"),)
     return ()
+
+
+def _misread(evidence: Evidence) -> _Reasons:
+    """Why no rotors can match the motion: the gyro does not read it."""
+    fault = gyro_fault(evidence.gyro) if evidence.gyro and evidence.fit.rotation is None else None
+    return (fault,) if fault else ()
 
 
 def _contradicted(fit: Fit) -> _Reasons:
