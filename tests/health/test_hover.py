@@ -159,10 +159,15 @@ def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):
     ("gyro", "said"), [(1.0, ""), (0.5, "reads 0.50 of what"), (57.3, "deg/s")]
 )
 def test_a_gyro_that_misreads_is_the_first_thing_said(airframe, gyro, said):
-    health = told(flight(rocks=0.1, gyro=gyro, climb=False), airframe)
+    records = flight(rocks=0.1, gyro=gyro, climb=False)
+    health = told(records, airframe)
     first = [f.what for f in health.findings if f.at == "the gyro"] or list(health.reasons)
     assert said in " ".join(first[:1])
     assert bool(first) is bool(said)
+    # No motor order is contradicted by it.
+    guess = GuessedAirframe(airframe, "given", as_flown="another order")
+    health = health_of(streams_of(records, airframe, "px4", {}), guess, HealthOptions(airframe), {})
+    assert health.contradicted is not bool(said)
 
 
 def test_a_rotor_that_stands_has_no_load_to_compare(airframe):

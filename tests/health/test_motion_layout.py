@@ -159,7 +159,6 @@ def test_a_motor_order_that_the_motion_contradicts_tells_no_cg(name):
     rotors = usual_layouts(4)[name]
     found = health(rotors, moving=0.1)
     assert found.contradicted
-    assert not found.available
     document = document_of(found)
     assert document["verdict"] == "refused"
     assert document["cg"] is None
@@ -192,9 +191,7 @@ def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
     nothing = result_of({})
     withheld = beside_analysis(found, object_to(nothing, [note, wrong]))
     assert withheld.contradicted
-    assert not withheld.available
     assert why in withheld.reasons[0]
-    assert document_of(withheld)["autopilot_parameters"] == {}
     # Any other refusal leaves it, and so does the same reason below a result.
     elsewhere = Objection("no attitude (ATTITUDE)", verdict="refused", by="data")
     assert beside_analysis(found, object_to(nothing, [elsewhere])) == found

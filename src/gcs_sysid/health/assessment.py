@@ -237,14 +237,16 @@ def health_of(
         span: s between which windows count.
     """
     airframe = guess.airframe
-    if guess.as_flown:
-        reason, how = _AS_FLOWN
-        return _contradicted(airframe, reason.format(guess.origin, guess.as_flown), how)
     if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
     flight = flight_of(streams, len(airframe.rotors))
     gyro, saturated = sensors_of(streams, flight)
     sensors = tuple(of_sensors(gyro, saturated, parameters))
+    # A gyro that misreads contradicts any motor order.
+    turns_shown = not any(objection.by == "gyro" for objection in sensors)
+    if guess.as_flown and turns_shown:
+        reason, how = _AS_FLOWN
+        return _contradicted(airframe, reason.format(guess.origin, guess.as_flown), how)
     windows = windows_of(streams, len(airframe.rotors), flight)
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
@@ -268,7 +270,8 @@ def health_of(
         others = () if any(each.absent for each in saturated) else unseen.objections
         return replace(unseen, objections=on_sound_data((*sensors, *others)))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
-    if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
+    asked = turns_shown and not guess.shown
+    if asked and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         reason, how = _ORDER
         return _contradicted(airframe, reason.format(guess.origin), how)
     hover, thrust = windows.part(sound), thrust[sound]
