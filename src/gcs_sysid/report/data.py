@@ -332,15 +332,12 @@ def _on_grid(t: Array, times: Array, values: Array, step: float) -> Array:
     """(n,) at t, straight between rows of the fit; NaN where one of the two is missing."""
     there = np.isfinite(times)
     times, values = times[there], values[there]
-    out = np.full(len(t), np.nan)
     if len(times) < 2:
-        return out
+        return np.full(len(t), np.nan)
     i = np.clip(np.searchsorted(times, t, side="right"), 1, len(times) - 1)
     gap = times[i] - times[i - 1]
-    share = (t - times[i - 1]) / np.maximum(gap, 1e-12)
-    near = (share >= 0.0) & (share <= 1.0) & (gap < 1.5 * step)
-    out[near] = (values[i - 1] + share * (values[i] - values[i - 1]))[near]
-    return out
+    out: Array = np.interp(t, times, values, np.nan, np.nan)
+    return np.where(gap < 1.5 * step, out, np.nan)
 
 
 def writer_of(path: Path) -> Callable[[Table], bytes]:

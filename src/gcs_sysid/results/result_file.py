@@ -1,13 +1,12 @@
 """Results read back from the files that `--json` writes."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast, get_args
 
 from gcs_sysid.errors import InputError, one_line
-from gcs_sysid.files import read_text
+from gcs_sysid.files import read_text, real_number
 from gcs_sysid.model.airframe import ANCHORS, OWN_UNITS
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
@@ -142,13 +141,10 @@ class _Table:
         value = self.entries.get(key)
         if value is None:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fail(key)
         try:
-            number = float(value)
-        except OverflowError:
+            return real_number(value, key)
+        except InputError:
             self.fail(key)
-        return number if math.isfinite(number) else self.fail(key)
 
 
 def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:

@@ -37,7 +37,6 @@ class TrackCollector:
         self.events: list[tuple[int, IntakeEvent]] = []
         # (stream, source, offset, width) -> pieces (order, t, values).
         self._pieces: dict[_Key, list[tuple[Array, Array, Array]]] = {}
-        self._single: dict[_Key, list[tuple[int, Record]]] = {}
         self._new: list[Array] = []
 
     def add(
@@ -52,18 +51,18 @@ class TrackCollector:
         """Add samples of one stream that come after those it has; arguments as of `Track`."""
         if len(order):
             key = stream, source, offset, values.shape[1]
-            self._settle(key)
             self._pieces.setdefault(key, []).append((order, t, values))
             self._new.append(order)
 
     def add_record(self, order: int, record: Record) -> None:
         """Add one record."""
-        self._new.append(np.array([order]))
+        at, t = np.array([order]), np.array([record.t])
         if record.stream is Stream.PARAMETER:
+            self._new.append(at)
             self.parameters.append((order, record))
         else:
-            key = record.stream, record.source, record.offset, len(record.values)
-            self._single.setdefault(key, []).append((order, record))
+            values = np.array([record.values], dtype=float)
+            self.add(record.stream, at, t, values, record.offset, record.source)
 
     def new_orders(self) -> Array:
         """(n,) rising, where the records stand that came since this was last asked."""
@@ -73,8 +72,6 @@ class TrackCollector:
 
     def block(self) -> RecordBlock:
         """All of it."""
-        for key in list(self._single):
-            self._settle(key)
         tracks = []
         for (stream, source, offset, _), pieces in self._pieces.items():
             order, t, values = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -83,15 +80,6 @@ class TrackCollector:
                 order, t, values = order[by_order], t[by_order], values[by_order]
             tracks.append(Track(stream, t, values, offset, source, order))
         return RecordBlock(tuple(tracks), tuple(self.parameters), tuple(self.events))
-
-    def _settle(self, key: "_Key") -> None:
-        """Turn the single records of a key into a piece."""
-        single = self._single.pop(key, None)
-        if single:
-            order = np.array([number for number, _ in single])
-            t = np.array([record.t for _, record in single])
-            values = np.array([record.values for _, record in single], dtype=float)
-            self._pieces.setdefault(key, []).append((order, t, values))
 
 
 _Key = tuple[Stream, str, int, int]
