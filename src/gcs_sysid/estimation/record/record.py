@@ -28,7 +28,6 @@ from gcs_sysid.estimation.rows.motor_linearization import MeanThrust
 from gcs_sysid.estimation.rows.regression import (
     LeakySums,
     NormalEquations,
-    RegressionRows,
     RowMaker,
 )
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
@@ -227,7 +226,8 @@ class FlightRecord:
             self.basis.curve_doubt = float(np.hypot(self.drift.curve_doubt, self._slow_curve))
             if self.commands is not None:
                 self.commands.doubt_curve(self.drift.curve_doubt)
-        sections = _Sections(made, self._leaks)
+        summed = self._leaks.update(made.rotation)[:, 0]
+        summed_before = np.append(0, np.cumsum(_whole(made.rotation)))
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
         ends_left = list(ends)
         for part, rows, few in parts:
@@ -244,9 +244,9 @@ class FlightRecord:
                         made.drift.part(piece),
                     )
             if rows[0] < rows[1]:
-                self.rotation.add(sections.rotation(*rows))
-                self.momentum.add(sections.momentum(*rows))
-                self.accelerometer.add(sections.accelerometer(*rows))
+                self.rotation.add(summed[:, slice(*summed_before[[*rows]])])
+                self.momentum.add(_complete(made.momentum, *rows))
+                self.accelerometer.add(_complete(made.accelerometer, *rows))
             if self._of_speeds is not None and not self.low_passed and few[0] < few[1]:
                 self._of_speeds.add(made.one_step[slice(*few)], self._noted_noise)
             self._since_noted += part[1] - part[0]
@@ -415,55 +415,12 @@ class FlightRecord:
                 record.forget_last(seconds)
 
 
-class _Sections:
-    """Complete rows of a block, by index among all of its rows.
-
-    Args:
-        rows: of the block.
-        leaks: to sum up those of the rotation.
-    """
-
-    def __init__(self, rows: RegressionRows, leaks: LeakySums) -> None:
-        self._rotation = leaks.update(rows.rotation)[:, 0]
-        self._of_rotation = _places(rows.rotation)
-        self._momentum, self._of_momentum = _kept(rows.momentum)
-        self._accelerometer, self._of_accelerometer = _kept(rows.accelerometer)
-
-    def rotation(self, start: int, stop: int) -> Array:
-        """(leaks, m, width) of rows start to stop."""
-        return _between(self._rotation, self._of_rotation, start, stop)
-
-    def momentum(self, start: int, stop: int) -> Array:
-        """(3, m, width)"""
-        return _between(self._momentum, self._of_momentum, start, stop)
-
-    def accelerometer(self, start: int, stop: int) -> Array:
-        """(m, width)"""
-        return _between(self._accelerometer, self._of_accelerometer, start, stop)
+def _whole(rows: Array) -> Mask:
+    """(n,) which of (..., n, width) rows are complete."""
+    return np.isfinite(rows.sum(axis=-1)).all(axis=tuple(range(rows.ndim - 2)))
 
 
-_Places = Array | None
-"""(n + 1,) how many complete rows come before each; None where all are."""
-
-
-def _between(rows: Array, places: _Places, start: int, stop: int) -> Array:
-    if places is not None:
-        start, stop = int(places[start]), int(places[stop])
-    return rows[..., start:stop, :]
-
-
-def _kept(rows: Array) -> tuple[Array, _Places]:
-    """The complete ones of (..., n, width) rows, and their places."""
-    places = _places(rows)
-    if places is None:
-        return rows, None
-    kept: Array = rows[..., np.diff(places) > 0, :]
-    return kept, places
-
-
-def _places(rows: Array) -> _Places:
-    if np.isfinite(rows.sum()):
-        return None
-    sums: Array = rows.sum(axis=-1).reshape(-1, rows.shape[-2]).sum(axis=0)
-    whole: Mask = np.isfinite(sums)
-    return np.concatenate([[0], np.cumsum(whole)])
+def _complete(rows: Array, start: int, stop: int) -> Array:
+    """The complete ones of some of (..., n, width) rows."""
+    some = rows[..., start:stop, :]
+    return some[..., _whole(some), :]
