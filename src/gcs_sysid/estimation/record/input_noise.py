@@ -85,6 +85,9 @@ class InputNoise(ABC):
     def __init__(self, rotors: int) -> None:
         self._last = np.zeros((0, rotors))
         """The latest inputs, which the next ones join on to."""
+        self._differences = 0
+        self._products = np.zeros((rotors, rotors))
+        """Sum over so many third differences of inputs."""
 
     @property
     @abstractmethod
@@ -141,6 +144,16 @@ class InputNoise(ABC):
     @abstractmethod
     def _add(self, inputs: Array) -> None:
         """Take inputs that are whole and follow on the last ones."""
+
+    def _add_differences(self, inputs: Array, spacing: int = 1) -> None:
+        """The third differences, so many samples apart, that such inputs complete."""
+        third = np.concatenate([self._last, inputs])
+        self._last = third[-3 * spacing :]
+        if len(third) > 3 * spacing:
+            for _ in range(3):
+                third = third[spacing:] - third[:-spacing]
+            self._differences += len(third)
+            self._products += third.T @ third
 
 
 def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> RotationFit:
@@ -213,19 +226,12 @@ class SpeedNoise(InputNoise):
         super().__init__(rotors)
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
-        self._differences = 0
-        self._products = np.zeros((rotors, rotors))
         self._mixer = rigid_body.mixer(geometry)
 
     def _add(self, speeds: Array) -> None:
         self._samples += len(speeds)
         self._sums += speeds.sum(axis=0), (speeds * speeds).sum(axis=0)
-        joined = np.concatenate([self._last, speeds])
-        self._last = joined[-3:]
-        if len(joined) > 3:
-            third = joined[3:] - joined[:-3] - 3.0 * (joined[2:-1] - joined[1:-2])
-            self._differences += len(third)
-            self._products += third.T @ third
+        self._add_differences(speeds)
 
     @property
     def doubt(self) -> float:
@@ -324,8 +330,6 @@ class CommandNoise(InputNoise):
         self._count = 0
         self._sum = np.zeros(rotors)
         self._squares = np.zeros(rotors)
-        self._differences = 0
-        self._products = np.zeros((rotors, rotors))
         self._overlaps: dict[float, Array] = {}
 
     def update(self, inputs: Array, apart: Array | None = None) -> None:
@@ -342,17 +346,8 @@ class CommandNoise(InputNoise):
         self._count += len(commands)
         self._sum += commands.sum(axis=0)
         self._squares += (commands * commands).sum(axis=0)
-        if not self._slow:
-            return
-        joined = np.concatenate([self._last, commands])
-        reach = 3 * _SPACING
-        self._last = joined[-reach:]
-        if len(joined) > reach:
-            third = joined
-            for _ in range(3):
-                third = third[_SPACING:] - third[:-_SPACING]
-            self._differences += len(third)
-            self._products += third.T @ third
+        if self._slow:
+            self._add_differences(commands, _SPACING)
 
     @property
     def doubt(self) -> float:
