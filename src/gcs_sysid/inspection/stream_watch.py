@@ -13,7 +13,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, RotorFacts, RotorMessage
 from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
 from gcs_sysid.session.chain import WINDOW
-from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.columns import RecordBlock, stacked
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
@@ -283,7 +283,7 @@ class StreamWatch:
         """Look at what was gathered; the samples that came in rising time, if any."""
         if not self._t:
             return None
-        t, values = np.concatenate(self._t), _table(self._values)
+        t, values = np.concatenate(self._t), stacked(self._values)
         self._t.clear()
         self._values.clear()
         self._room = CHUNK
@@ -325,19 +325,6 @@ class StreamWatch:
         same = np.all((values[1:] == values[:-1]) | np.isnan(values[1:]), axis=1)
         tally.compared += len(same)
         tally.repeats += int(same.sum())
-
-
-def _table(parts: Sequence[Array]) -> Array:
-    """(n, width) of tables that may differ in width."""
-    width = max(part.shape[1] for part in parts)
-    if all(part.shape[1] == width for part in parts):
-        return np.concatenate(parts)
-    return np.concatenate(
-        [
-            np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=np.nan)
-            for part in parts
-        ]
-    )
 
 
 class RotorWatch:

@@ -31,6 +31,7 @@ from gcs_sysid.screen.key_commands import (
     PAGES,
     REPLAY_COMMANDS,
     Choose,
+    Dialog,
     Enter,
     HelpScreen,
     bindings_of,
@@ -304,6 +305,10 @@ class SysidApp(App[None]):
             error = event.worker.error
             self.say(f"{event.worker.name}: internal error ({type(error).__name__}: {error})")
 
+    def _answered(self, question: Dialog, nothing: str, do: Callable[[str], None]) -> None:
+        """Ask, and do something with the answer; say so where there is none."""
+        self.push_screen(question, lambda got: self.say(nothing) if got is None else do(got))
+
     # -- marks, the estimate, the recording
 
     def action_mark(self) -> None:
@@ -355,15 +360,13 @@ class SysidApp(App[None]):
             return
         result = self.snapshot.result
 
-        def write(target: str | None) -> None:
-            if target is None:
-                self.say("Export: nothing written.")
-                return
+        def write(target: str) -> None:
             self._in_thread("Export", lambda: act(target, result))
 
         targets = [(name, name) for name in self.actions.export_targets]
         hint = "Writes the present values to a new file."
-        self.push_screen(Choose("Export for a simulator", targets, hint), write)
+        choose = Choose("Export for a simulator", targets, hint)
+        self._answered(choose, "Export: nothing written.", write)
 
     def action_report(self) -> None:
         """Write a report of the flight so far."""
@@ -389,24 +392,18 @@ class SysidApp(App[None]):
         }
         now = "nothing" if result.scale is None else f"{result.scale.anchor} {result.scale.value:g}"
 
-        def ask_value(kind: str | None) -> None:
-            if kind is None:
-                self.say("Scale unchanged.")
-                return
+        def ask_value(kind: str) -> None:
             known = result.parameters.get(kind)
             value = "" if known is None or known.value is None else f"{known.value:.6g}"
             hint = f"{words[kind]}. Scales all masses, inertias and coefficients."
-            self.push_screen(
-                Enter("Scale", hint, value), lambda text: self._set_anchor(act, kind, text)
-            )
+            enter, unchanged = Enter("Scale", hint, value), "Scale unchanged."
+            self._answered(enter, unchanged, lambda text: self._set_anchor(act, kind, text))
 
         kinds = [(kind, words[kind]) for kind in ("mass", thrust)]
-        self.push_screen(Choose("What sets the scale?", kinds, f"Now: {now}"), ask_value)
+        choose = Choose("What sets the scale?", kinds, f"Now: {now}")
+        self._answered(choose, "Scale unchanged.", ask_value)
 
-    def _set_anchor(self, act: Callable[[str, float], str], kind: str, text: str | None) -> None:
-        if text is None:
-            self.say("Scale unchanged.")
-            return
+    def _set_anchor(self, act: Callable[[str, float], str], kind: str, text: str) -> None:
         try:
             value = float(text.replace(",", "."))
         except ValueError:
@@ -425,15 +422,15 @@ class SysidApp(App[None]):
             return
         by_name = {vehicle.name: vehicle for vehicle in received}
 
-        def choose(name: str | None) -> None:
-            if name is None or by_name[name].chosen:
+        def choose(name: str) -> None:
+            if by_name[name].chosen:
                 self.say("Vehicle unchanged.")
                 return
             self._ask(lambda: act(by_name[name].address))
 
         listed = [(v.name, f"{'●' if v.chosen else '○'} {v.name}") for v in received]
         hint = "Another vehicle restarts the session in a new recording."
-        self.push_screen(Choose("Which vehicle?", listed, hint), choose)
+        self._answered(Choose("Which vehicle?", listed, hint), "Vehicle unchanged.", choose)
 
     # -- an earlier result
 
@@ -442,12 +439,10 @@ class SysidApp(App[None]):
         near = sorted(str(path) for path in Path().glob("*.json"))
         hint = "A result written by --json; empty: no baseline."
         value = "" if self.baseline is None else self.baseline.name
-        self.push_screen(Enter("Compare with", hint, value, near), self._load_baseline)
+        enter = Enter("Compare with", hint, value, near)
+        self._answered(enter, "Baseline unchanged.", self._load_baseline)
 
-    def _load_baseline(self, name: str | None) -> None:
-        if name is None:
-            self.say("Baseline unchanged.")
-            return
+    def _load_baseline(self, name: str) -> None:
         if not name:
             self.baseline = None
             self.say("Baseline removed.")

@@ -161,20 +161,21 @@ def by_key(tracks: Iterable[Track]) -> dict[Key, Track]:
     return {key: some[0] if len(some) == 1 else _joined(some) for key, some in parts.items()}
 
 
+def stacked(parts: Sequence[Array]) -> Array:
+    """(n, width) of tables that follow each other; narrower ones lack their last values: NaN."""
+    width = max(part.shape[1] for part in parts)
+    if any(part.shape[1] < width for part in parts):
+        room = (((0, 0), (0, width - part.shape[1])) for part in parts)
+        padded = zip(parts, room, strict=True)
+        parts = [np.pad(part, more, constant_values=np.nan) for part, more in padded]
+    return np.concatenate(parts)
+
+
 def _joined(parts: Sequence[Track]) -> Track:
     """Tracks of one stream as one: all at once, as a long log has hundreds."""
     order = np.concatenate([part.order for part in parts])
     t = np.concatenate([part.t for part in parts])
-    widths = {part.values.shape[1] for part in parts}
-    if len(widths) == 1:
-        values = np.concatenate([part.values for part in parts])
-    else:
-        values = np.full((len(order), max(widths)), np.nan)
-        start = 0
-        for part in parts:
-            stop = start + len(part.t)
-            values[start:stop, : part.values.shape[1]] = part.values
-            start = stop
+    values = stacked([part.values for part in parts])
     if (np.diff(order) < 0).any():
         rows = np.argsort(order, kind="stable")
         t, values, order = t[rows], values[rows], order[rows]
