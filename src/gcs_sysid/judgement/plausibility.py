@@ -33,9 +33,10 @@ class PlausibleRanges:
     density: Range = (10.0, 2500.0)
     """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
     quad with ducts: 898."""
-    rotor: Range = (1e-5, 0.025)
-    """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
-    of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms. Coaxial rotors: up to twice the upper end."""
+    rotor: Range = (1e-5, 0.00625)
+    """k_T, kg/m^3, over the fourth power of the arm at least, of the distance between neighbors at
+    most: C_T rho D^4 / (4 pi^2) for thrust coefficients of 0.06 to 0.16, and diameters of 0.3 arms
+    to 1.06 times that distance."""
     thrust_to_weight: Range = (1.05, 30.0)
     """Full thrust of all rotors over weight: below it does not climb; racers reach 15."""
     roll_pitch: Range = (0.01, 1.0)
@@ -323,14 +324,13 @@ def misfits(
     thrust = found.get(name)
     if thrust is None or thrust <= 0.0 or arm_std:
         return
-    low, high = RANGES.rotor
-    high *= 2.0 if _coaxial(airframe) else 1.0
-    if not rotor_input.motors and not _within(thrust / arm**4, (low, high)):
+    low, high = RANGES.rotor[0] * arm**4, RANGES.rotor[1] * _apart(airframe) ** 4
+    if not rotor_input.motors and not _within(thrust, (low, high)):
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield _of_sizes(
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
             f"{arm:.3g} m",
-            "check mass (kg), arm (m) and the unit of the rotor speeds",
+            "check mass (kg), arm (m) and the unit and pole count of the rotor speeds",
         )
     ratio = rotors * thrust / (mass * GRAVITY)
     if rotor_input.motors and not _within(ratio, RANGES.thrust_to_weight):
