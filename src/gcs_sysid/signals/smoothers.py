@@ -29,7 +29,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import expm
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.signals.recursions import lfilter
@@ -69,22 +68,11 @@ class LinearDifferentiator:
         R, b = bandwidth, damping
         self.lag = b / R
         """s by which z1 and z2 are late for slow signals."""
-        A = np.array([[0.0, 1.0], [-R * R, -R * b]])
-        B = np.array([[0.0], [R * R]])
-        # First-order hold: the input and its slope are two further states.
-        M = np.zeros((4, 4))
-        M[:2, :2] = A * dt
-        M[:2, 2:3] = B * dt
-        M[2, 3] = 1.0
-        E = expm(M)
-        Ad, now, slope = E[:2, :2], E[:2, 2:3], E[:2, 3:4]
-        drive = now + Ad @ slope - slope
-        self._denominator = np.poly(Ad)
-        # Of both states: C (z - Ad)^-1 B + D over the common denominator, C of one row of eye(2).
-        self._numerators = [
-            np.poly(Ad - drive @ row[None]) + (slope[i, 0] - 1.0) * self._denominator
-            for i, row in enumerate(np.eye(2))
-        ]
+        from scipy.signal import cont2discrete, ss2tf  # takes a while to load
+
+        A, B = np.array([[0.0, 1.0], [-R * R, -R * b]]), np.array([[0.0], [R * R]])
+        discrete = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), dt, method="foh")
+        self._numerators, self._denominator = ss2tf(*discrete[:4])
         # Settled to 1e-4 of a step: (1 + x) exp(-x) at x = 12, x by the slowest mode.
         slowest = 0.5 * R * (b - max(b * b - 4.0, 0.0) ** 0.5)
         self.settling = int(np.ceil(12.0 / (slowest * dt)))
@@ -107,22 +95,15 @@ class LinearDifferentiator:
         if len(v) == 0:
             return v, v
         if self._state is None:
-            self._state = tuple(  # type: ignore[assignment]
-                _steady_state(numerator, self._denominator)[:, None] * v[0]
-                for numerator in self._numerators
-            )
-        assert self._state is not None
+            from scipy.signal import lfilter_zi
+
+            at_rest = (lfilter_zi(one, self._denominator) for one in self._numerators)
+            first, second = (state[:, None] * v[0] for state in at_rest)
+            self._state = first, second
         z1, s1 = lfilter(self._numerators[0], self._denominator, v, self._state[0])
         z2, s2 = lfilter(self._numerators[1], self._denominator, v, self._state[1])
         self._state = (s1, s2)
         return z1, z2
-
-
-def _steady_state(numerator: Array, denominator: Array) -> Array:
-    """Filter state at rest under a constant input of one."""
-    gain = numerator.sum() / denominator.sum()
-    rest = numerator - gain * denominator
-    return np.cumsum(rest[::-1])[::-1][1:]
 
 
 def nonlinear_differentiator(
