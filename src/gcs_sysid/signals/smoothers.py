@@ -272,7 +272,6 @@ class WindowSmoother:
         moved = [window.delayed(d, dt, room) if d else self._window for d in delays]
         self._late_taps = np.stack([w.average for w in moved] + [w.derivative for w in moved]).T
         self._taps = np.stack([self._window.average, self._window.derivative])
-        self._banded: dict[int, tuple[Array, Array]] = {}
         self._gains: dict[float, tuple[float, float]] = {}
         self._pending: Array | None = None
         self._dt = dt
@@ -306,10 +305,9 @@ class WindowSmoother:
         if count == 0:
             none = np.empty((len(self.delays), 0, late))
             return Smoothed(signals[:0], signals[:0], none, none)
-        # Up to so many rows a banded matrix is the fastest way to make them.
-        if count <= 8 and _columns_whole(signals):
-            return self._few_rows(signals, late, count)
         windows = sliding_window_view(signals, self._window.length, axis=0)[:: self.step]
+        if count <= 8:  # copies are multiplied the fastest, where they are not large
+            windows = np.swapaxes(np.ascontiguousarray(np.swapaxes(windows, 1, 2)), 1, 2)
         moved = np.moveaxis(windows[:, :late] @ self._late_taps, -1, 0)
         return Smoothed(
             windows @ self._window.average,
@@ -317,20 +315,6 @@ class WindowSmoother:
             moved[: len(self.delays)],
             moved[len(self.delays) :],
         )
-
-    def _few_rows(self, signals: Array, late: int, count: int) -> Smoothed:
-        """All rows of a short block by one product with a banded matrix."""
-        if count not in self._banded:
-            self._banded[count] = (
-                _banded(self._taps, count, self.step),
-                _banded(self._late_taps.T, count, self.step),
-            )
-        banded, late_banded = self._banded[count]
-        signals = signals[: banded.shape[1]]
-        average, derivative = (banded @ signals).reshape(2, count, -1)
-        shape = (2, len(self.delays), count, late)
-        moved = (late_banded @ signals[:, :late]).reshape(shape)
-        return Smoothed(average, derivative, moved[0], moved[1])
 
 
 DAMPING = 2.0
@@ -413,23 +397,6 @@ class DifferentiatorSmoother:
 
 Smoother = WindowSmoother | DifferentiatorSmoother
 """A filter pair that works block by block."""
-
-
-def _columns_whole(signals: Array) -> bool:
-    """Whether every column is there throughout, or missing throughout."""
-    if np.isfinite(signals.sum()):
-        return True
-    there = np.isfinite(signals)
-    return bool((there.all(axis=0) == there.any(axis=0)).all())
-
-
-def _banded(taps: Array, rows: int, step: int) -> Array:
-    """(k rows, n) matrix that applies each of (k, length) taps at every `step`-th sample."""
-    k, length = taps.shape
-    banded = np.zeros((k, rows, (rows - 1) * step + length))
-    for row in range(rows):
-        banded[:, row, row * step : row * step + length] = taps
-    return banded.reshape(k * rows, -1)
 
 
 def leaky(responses: Array, step: int, dt: float, memory: float) -> Array:
