@@ -143,22 +143,8 @@ class Windows:
 
     def part(self, rows: Mask | slice) -> "Windows":
         """Some of the windows."""
-        names = (
-            "t",
-            "rates",
-            "turning",
-            "products",
-            "force",
-            "lift",
-            "sink",
-            "speed",
-            "speeds",
-            "commands",
-            "squares",
-            "jitter",
-            "hovering",
-        )
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        of_all = ("half", "lag", "high", "low")
+        return replace(self, **{n: v[rows] for n, v in vars(self).items() if n not in of_all})
 
 
 def windows_of(streams: Streams, rotors: int, flight: tuple[Array, Mask] | None = None) -> Windows:

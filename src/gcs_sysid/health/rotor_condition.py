@@ -58,15 +58,8 @@ class Load:
 
     def as_json(self) -> dict[str, Any]:
         """As health files keep it for a later flight."""
-        return {
-            "kind": self.kind,
-            "value": self.value.tolist(),
-            "covariance": self.covariance.tolist(),
-            "seconds": self.seconds,
-            "thrust_curve": self.thrust_curve,
-            "force": None if self.force is None else list(self.force),
-            "gusts": self.gusts,
-        }
+        entries = vars(self).items()
+        return {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in entries}
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> "Load":

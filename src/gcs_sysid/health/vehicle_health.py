@@ -118,15 +118,8 @@ class RotorHealth:
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it."""
-        quantities = {
-            "thrust_share": self.thrust_share,
-            "efficiency": self.efficiency,
-            "motor_gain": self.motor_gain,
-            "headroom": self.headroom,
-            "vibration": self.vibration,
-        }
-        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in quantities.items()}
-        return {**out, "saturated": self.saturated}
+        entries = vars(self).items()
+        return {n: v.as_json() if isinstance(v, Estimate) else v for n, v in entries}
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from gcs_sysid.files import (
     real_number,
     reject_unknown,
 )
-from gcs_sysid.model.attitude import conjugate, multiply, rotate
+from gcs_sysid.model.attitude import conjugate, from_angles, multiply, rotate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -383,15 +383,9 @@ def _attitude(signal: SignalColumns, values: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, FRD to NED, of quaternions or Euler angles."""
     if values.shape[1] == 4:
         q = values[:, _ORDERS[signal.order]] / signal.factor
-        q = conjugate(q) if signal.inverse else q
-    else:
-        # Roll, pitch, yaw about x, y, z of the table's own axes (z-y'-x'').
-        q = np.tile([1.0, 0.0, 0.0, 0.0], (len(values), 1))
-        for axis, angle in ((3, values[:, 2]), (2, values[:, 1]), (1, values[:, 0])):
-            turn = np.zeros_like(q)
-            turn[:, 0], turn[:, axis] = np.cos(0.5 * angle), np.sin(0.5 * angle)
-            q = multiply(q, turn)
-        q = conjugate(q) if signal.inverse else q
+    else:  # about x, y, z of the table's own axes (z-y'-x'')
+        q = from_angles(values)
+    q = conjugate(q) if signal.inverse else q
     world = np.array(_WORLDS[signal.world])
     body = np.array(_BODY_TURNS[signal.frame])
     out: Array = multiply(
