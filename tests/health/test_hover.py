@@ -271,6 +271,17 @@ def test_an_esc_that_always_reports_one_speed_is_no_measurement(airframe, change
     streams = streams_of([replace(block, tracks=tuple(tracks))], airframe, "px4", {})
     assert (streams.speeds is None) is problem
     assert streams.refused == ({"ESC_STATUS": "rotor 3 always reads the same"} if problem else {})
+    assert streams.misread == streams.refused
+
+
+def test_an_order_that_speeds_are_not_in_is_no_wrong_reading(airframe):
+    (block,) = flight(commands=True, loads=(1.0, 1.1, 0.95, 1.05))
+    own = {"ACTUATOR_OUTPUT_STATUS": "actuator_motors"}  # by motor
+    tracks = tuple(replace(t, source=own.get(t.source, t.source)) for t in block.tracks)
+    known = {f"PWM_AUX_FUNC{output}": 101.0 + i for i, output in enumerate((5, 2, 6, 3))}
+    streams = streams_of([replace(block, tracks=tracks)], airframe, "px4", known)
+    assert streams.speeds.source == "ESC_STATUS by motor"
+    assert (streams.misread, [*streams.refused]) == ({}, ["ESC_STATUS by output"])
 
 
 def test_time_goes_on_over_a_reboot(airframe):

@@ -108,8 +108,19 @@ def test_the_order_of_escs_is_that_in_which_they_follow_the_commands(truth):
         for track in order.tracks([raw])
     }
     wrong = {"motor": "output", "output": "motor"}[truth]
-    neither = out_of_order(streams)
+    neither = out_of_order(streams, order)
     assert set(neither) == {"ESC_STATUS by motor", "ESC_STATUS by output"}
     assert all("motor or output" in why for why in neither.values())
     streams["ACTUATOR_OUTPUT_STATUS"] = Stream.ROTOR_COMMAND, [(T, v) for v in commands.T]
-    assert set(out_of_order(streams)) == {f"ESC_STATUS by {wrong}"}
+    assert set(out_of_order(streams, order)) == {f"ESC_STATUS by {wrong}"}
+
+
+@pytest.mark.parametrize("servo", [0.0, 420.0])
+def test_outputs_that_no_rotor_follows_are_those_of_another_driver(servo):
+    """A gimbal on MAIN, motors on AUX: PX4 sends the outputs of one driver."""
+    order = MotorOrder.of("px4", {**pwm(1, 2, 3, 4, driver="PWM_AUX"), "PWM_MAIN_FUNC1": servo}, 4)
+    turn, move = np.random.default_rng(1).normal(size=(2, 500, 4)).cumsum(axis=1)
+    streams = {"ESC_STATUS": (Stream.ROTOR_SPEED, [(T, v) for v in turn.T]),
+               "ACTUATOR_OUTPUT_STATUS": (Stream.ROTOR_COMMAND, [(T, v) for v in move.T]),
+               "SERVO_OUTPUT_RAW": (Stream.ROTOR_COMMAND, [(T, v) for v in turn.T])}  # fmt: skip
+    assert [*out_of_order(streams, order)] == (["ACTUATOR_OUTPUT_STATUS"] if servo else [])

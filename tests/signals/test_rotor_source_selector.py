@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import CommandRange, ScaleReference, load_airframe
-from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.redundant_commands import mean_of
 from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
 from gcs_sysid.signals.rotor_units import (
     Range,
-    RotorSource,
     are_pulses,
     command_range,
     gyro_cutoff,
@@ -91,14 +89,6 @@ def test_a_speed_of_0_is_a_rotor_that_stands_where_it_has_slowed_down(slows, spe
     assert choice.stops == slows
     np.testing.assert_equal(choice.read(v)[130, 2], speed)
     assert np.isfinite(choice.read(v)[130, 1])
-
-
-def test_no_decision_before_enough_flight_and_none_from_the_ground():
-    rotor_selector = RotorSourceSelector(PAPER, MASS)
-    assert not rotor_selector.fly(0.9 * STRETCH)
-    assert not rotor_selector.judged
-    assert rotor_selector.fly(0.2 * STRETCH)
-    assert rotor_selector.choice is None
 
 
 def dead(v):
@@ -305,6 +295,9 @@ def test_stopped_outputs_are_no_input():
 USUAL = CommandRange()
 SPIN = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9}
 GAZEBO = {"SIM_GZ_EC_FUNC1": 101.0, "SIM_GZ_EC_MIN1": 0.0, "SIM_GZ_EC_MAX1": 1000.0}
+DSHOT = {"PWM_AUX_FUNC1": 101.0, "PWM_AUX_MIN1": 1000.0, "PWM_AUX_MAX1": 2000.0,
+         "PWM_AUX_TIM1": -3.0, "DSHOT_MIN": 0.1}  # fmt: skip
+CAN = {"UAVCAN_EC_FUNC1": 101.0, "UAVCAN_EC_MIN1": 1.0, "UAVCAN_EC_MAX1": 8191.0}
 BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900.0}
 
 
@@ -314,10 +307,11 @@ BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900
         ("actuator_motors", CommandRange(900, 2100, given=True), "px4", {}, 0.7, (0, 1)),
         ("RCOU", CommandRange(900, 2100, given=True), "ardupilot", SPIN, 1500, (900, 2100)),
         ("RCOU", USUAL, "ardupilot", SPIN, 1500, (1180, 1820)),
-        ("SERVO_OUTPUT_RAW", USUAL, "ardupilot", {}, 1500, (1150, 1950)),
         ("SERVO_OUTPUT_RAW", USUAL, "px4", {}, 1500, (1000, 2000)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", DSHOT, 1500, (199.9, 1999)),
+        ("motor", USUAL, "generic", {"motor_pwm_protocol": 6.0}, 1500, (48, 2047)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
         ("actuator_outputs", USUAL, "px4", {"PWM_MIN": 1075, "PWM_MAX": 1950}, 1500, (1075, 1950)),
         # A mapping has made them commands already, whatever the airframe's range is of.
@@ -338,7 +332,8 @@ def test_range_of_commands(source, given, autopilot, parameters, largest, expect
 def test_numbers_of_dshot_are_no_pulses():
     outputs = np.array([150.0, 700.0, 1500.0])
     dshot = {"motorOutput[1]": 2047.0}
-    assert not are_pulses("motor", dshot, outputs).any()
+    for source, known in (("motor", dshot), ("RCOU", DSHOT), ("SERVO_OUTPUT_RAW", CAN)):
+        assert not are_pulses(source, known, outputs).any()
     assert are_pulses("motor", {"motorOutput[1]": 2000.0}, outputs).tolist() == [False, True, True]
     assert are_pulses("RCOU", dshot, outputs).tolist() == [False, True, True]
 
@@ -362,12 +357,6 @@ def test_stopped_is_zero():
     np.testing.assert_allclose(between, [-0.01, 1.01])
 
 
-def test_an_esc_that_does_not_answer_is_missing():
-    source = RotorSource(RotorInput.SPEED, "ESC_STATUS", "")
-    read = source.read(np.array([[500.0, 0.0, 510.0, 505.0], [0.0, 0.0, 0.0, 0.0]]))
-    assert np.isnan(read).tolist() == [[False, True, False, False], [True] * 4]
-
-
 @pytest.mark.parametrize(
     ("given", "autopilot", "parameters", "expected"),
     [
@@ -388,21 +377,14 @@ def repeating(v, every):
     return v[np.arange(len(v)) // every * every]
 
 
-def test_one_rotor_that_is_read_less_often_than_the_others_makes_speeds_give_way():
+def test_speeds_that_repeat_old_readings_give_way_if_but_of_one_rotor():
     t, u, v = signals()
-    v[:, 2] = repeating(v[:, 2], 4)
-    rotor_selector = judged(commands(u, t), speeds(v, t))
-    assert rotor_selector.choice.kind == "command"
-    assert "repeats old readings of rotor 3" in rotor_selector.choice.refused["ESC_STATUS"]
-
-
-def test_speeds_that_repeat_old_readings_give_way():
-    t, u, v = signals()
-    rotor_selector = judged(commands(u, t), speeds(repeating(v, 20), t))
-    assert rotor_selector.choice.kind == "command"
-    assert rotor_selector.choice.refused == {
-        "ESC_STATUS": "repeats old readings, 5 new ones a second"
-    }
+    one = v.copy()
+    one[:, 2] = repeating(v[:, 2], 4)
+    for read, why in ((repeating(v, 20), ", 5 new ones a second"), (one, " of rotor 3, ")):
+        choice = judged(commands(u, t), speeds(read, t)).choice
+        assert choice.kind == "command"
+        assert f"repeats old readings{why}" in choice.refused["ESC_STATUS"]
 
 
 def test_groups_of_rotors_repeat_on_their_own():

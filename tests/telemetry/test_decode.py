@@ -172,7 +172,7 @@ def test_servo_outputs_and_actuator_outputs_are_told_apart(decoder, sender):
     servo = decoder.decode(servos(sender, 101.0, [1500] * 4))
     assert servo.values == (1500.0,) * 4
     assert servo.source == "SERVO_OUTPUT_RAW"
-    assert decoder.decode(servos(sender, 103.0, [1500] * 4, port=1)) is None
+    assert decoder.decode(servos(sender, 103.0, [1500] * 4, port=1)).offset == 16
     actuator = decoder.decode(outputs(sender, 104.0, [1.0] * 4, active=4))
     assert actuator.source == "ACTUATOR_OUTPUT_STATUS"
 

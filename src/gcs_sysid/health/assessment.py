@@ -304,8 +304,9 @@ def health_of(
     if unfit or assumed:  # what is in proportion to it is no number
         health = replace(health, scale=None, mass=None)
     doubts = (*sensors, *unfit)
-    misread = {name: why for name, why in streams.refused.items() if "rotor" in why}
-    return advised(replace(health, doubts=doubts, misread=misread, battery_mass=given.battery_mass))
+    return advised(
+        replace(health, doubts=doubts, misread=streams.misread, battery_mass=given.battery_mass)
+    )
 
 
 def _misfits(health: Health, guess: GuessedAirframe) -> Iterator[Objection]:

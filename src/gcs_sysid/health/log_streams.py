@@ -10,10 +10,10 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
-from gcs_sysid.signals.motor_order import MotorOrder, out_of_order
+from gcs_sysid.signals.motor_order import MotorOrder, in_any_order, out_of_order
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together, unbalanced_reading
-from gcs_sysid.signals.rotor_source_selector import family
+from gcs_sysid.signals.rotor_source_selector import family, preference
 from gcs_sysid.signals.rotor_units import Range, command_range, normalized
 
 _LONGEST = 200_000.0
@@ -64,6 +64,7 @@ class Streams:
         speeds: the best source of measured speeds; None: none covers all rotors.
         commands: the best source of commands; None likewise.
         refused: source -> why not.
+        misread: those of them of which a rotor reads what it does not do.
         extras: as of `telemetry.track_collector.Recording`.
     """
 
@@ -72,6 +73,7 @@ class Streams:
     speeds: RotorStream | None
     commands: RotorStream | None
     refused: Mapping[str, str]
+    misread: Mapping[str, str] = field(default_factory=dict)
     extras: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def rate(self, stream: Stream) -> float:
@@ -122,6 +124,7 @@ def streams_of(
         elif stream is not Stream.PARAMETER and len(track.t) > 1:
             plain[stream] = track.t - start, track.values
     refused: dict[str, str] = {}
+    misread: dict[str, str] = {}
     count = len(airframe.rotors)
     found: dict[Stream, list[RotorStream]] = {}
     for (stream, name), parts in rotors.items():
@@ -129,8 +132,8 @@ def streams_of(
         problem = _problem(samples, count)
         if len(samples) < count:
             problem += order.gap_in(name, len(samples))
-        if not problem and stream is Stream.ROTOR_SPEED:
-            problem = _constant_reading(samples) or held_reading(samples)
+        if not problem and (wrong := _wrong_reading(stream, samples)):
+            problem = misread[name] = wrong
         if problem:
             refused[name] = problem
             continue
@@ -146,24 +149,29 @@ def streams_of(
             one = RotorStream(name, samples, one.rate, range_, raw)
         found.setdefault(stream, []).append(one)
     sources = {one.source: (stream, one.samples) for stream, some in found.items() for one in some}
-    refused |= (unordered := out_of_order(sources))
+    refused |= (unordered := out_of_order(sources, order))
     found = {
         stream: sound
         for stream, some in found.items()
         if (sound := [one for one in some if one.source not in unordered])
     }
     best = {
-        stream: max(sources, key=lambda one: min(one.rate, TUNING.enough_rate))
+        stream: max(
+            sources, key=lambda one: (min(one.rate, TUNING.enough_rate), -preference(one.source))
+        )
         for stream, sources in found.items()
     }
     speeds, commands = best.get(Stream.ROTOR_SPEED), best.get(Stream.ROTOR_COMMAND)
     if speeds is not None and commands is not None:
         odd = odd_reading(_turning(speeds), _turning(commands), airframe.geometry[2])
         if odd is not None and odd.by_command:
-            refused[speeds.source], speeds = odd.words, None
+            misread[speeds.source], speeds = odd.words, None
     elif speeds is not None and (odd := unbalanced_reading(_turning(speeds), airframe.geometry)):
-        refused[speeds.source], speeds = odd.words, None
-    return Streams(start, plain, speeds, commands, refused)
+        misread[speeds.source], speeds = odd.words, None
+    if speeds is not None:  # what is no rotor's in another order is not misread
+        own = in_any_order(speeds.source)
+        misread = {name: why for name, why in misread.items() if in_any_order(name) != own}
+    return Streams(start, plain, speeds, commands, refused | misread, misread)
 
 
 def _turning(stream: RotorStream) -> Array:
@@ -215,17 +223,19 @@ def _problem(samples: Sequence[tuple[Array, Array]], count: int) -> str:
     rate = min(rate_of(t) for t, _ in samples)
     if rate < TUNING.slowest_rotors:
         return f"comes at {rate:.1f} Hz; a hover needs {TUNING.slowest_rotors:g} Hz"
-    silent = [i for i, (_, v) in enumerate(samples, 1) if not v.any()]
-    if silent:
-        return f"rotor {silent[0]} always reads 0"
     return ""
 
 
-def _constant_reading(samples: Sequence[tuple[Array, Array]]) -> str:
-    """Which rotor reads one speed whenever it turns, though the others change theirs, if any."""
+def _wrong_reading(stream: Stream, samples: Sequence[tuple[Array, Array]]) -> str:
+    """Which rotor reads what it does not do, if any does: nothing, one speed, or an old one."""
+    silent = [i for i, (_, v) in enumerate(samples, 1) if not v.any()]
+    if silent:
+        return f"rotor {silent[0]} always reads 0"
+    if stream is not Stream.ROTOR_SPEED:
+        return ""
     turning = [v[v != 0.0] for _, v in samples]
     changes = np.array([float(np.ptp(v) / np.abs(v).mean()) for v in turning])
     constant = changes == 0.0
     if constant.any() and not constant.all() and changes[~constant].min() > _CHANGE:
         return f"rotor {int(np.argmax(constant)) + 1} always reads the same"
-    return ""
+    return held_reading(samples)

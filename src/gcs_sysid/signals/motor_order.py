@@ -51,6 +51,11 @@ def is_in_several_orders(name: str) -> bool:
     return _BY in name
 
 
+def in_any_order(name: str) -> str:
+    """The source of a stream, without the order in which it is taken."""
+    return name.partition(_BY)[0]
+
+
 def motor_of(autopilot: str, function: float) -> int:
     """The motor, from 0, that an output of a function drives; -1: none."""
     motors = _MOTORS.get(autopilot, ())
@@ -94,11 +99,13 @@ class MotorOrder:
         orders: name of the order -> output of each motor; several where it is not known which
             driver turns the motors. Empty: nothing is known, outputs are taken for motors.
         split: whether no driver has all motors, so that outputs in one stream are not all.
+        shared: whether other drivers have outputs too, so that those in a stream may be theirs.
     """
 
     autopilot: str = ""
     orders: tuple[tuple[str, tuple[int, ...]], ...] = ()
     split: bool = False
+    shared: bool = False
 
     @classmethod
     def of(
@@ -122,7 +129,13 @@ class MotorOrder:
             if outputs.keys() >= set(range(count))
         }
         named = sorted((driver, outputs) for outputs, driver in whole.items())
-        return cls(autopilot, tuple(named), split=not named)
+        used = {
+            match[1]
+            for name, value in parameters.items()
+            if value and (match := _FUNCTION[autopilot].fullmatch(name))
+        }
+        others = {driver for driver in used - drivers.keys() if _is_in_use(driver, parameters)}
+        return cls(autopilot, tuple(named), split=not named, shared=bool(named and others))
 
     @property
     def outputs(self) -> tuple[int, ...]:
@@ -131,9 +144,8 @@ class MotorOrder:
 
     def readings(self, source: str) -> list[tuple[str, tuple[int, ...] | None]]:
         """Names that a source's streams get, and the output of each motor; None: as they are."""
-        by_output = _BY_OUTPUT.get(self.autopilot)
         either = self.autopilot == "px4" and source == _EITHER_ORDER
-        if not (either or (by_output is not None and by_output.fullmatch(source))):
+        if not (either or self.is_of_outputs(source)):
             return [(source, None)]
         if self.split:
             return [(source, None if either else ())]
@@ -162,6 +174,11 @@ class MotorOrder:
                     yield track
                 else:
                     yield from _by_motor(replace(track, source=name), outputs)
+
+    def is_of_outputs(self, source: str) -> bool:
+        """Whether a source has values by output, whatever drives that."""
+        by_output = _BY_OUTPUT.get(self.autopilot)
+        return by_output is not None and by_output.fullmatch(source) is not None
 
     def gap_in(self, source: str, first_missing: int) -> str:
         """Why a source lacks a motor, where its output explains it; begins with a colon."""
@@ -194,13 +211,15 @@ def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
         yield replace(track, offset=run[0] if run else len(outputs), values=values)
 
 
-def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]]) -> dict[str, str]:
+def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]], order: MotorOrder) -> dict[str, str]:
     """Of streams that came in several orders, those that are not used, and why.
 
     A rotor follows its own command: what sets it apart from the others is that of its command.
+    Commands that no rotor follows may be another driver's, which moves a gimbal by them.
 
     Args:
         sources: name -> whether speeds or commands, and all rotors'.
+        order: by which they were sorted.
     """
     alike: dict[str, list[str]] = {}
     for name in sources:
@@ -227,6 +246,15 @@ def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]]) -> dict[str, str]
             refused |= dict.fromkeys(
                 names, f"may be in the order of {orders}, and no commands show which"
             )
+    speeds = [
+        rotors
+        for name, (stream, rotors) in sources.items()
+        if stream is Stream.ROTOR_SPEED and name not in refused
+    ]
+    for name, (stream, asked) in sources.items():
+        open_ = order.shared and stream is Stream.ROTOR_COMMAND and order.is_of_outputs(name)
+        if open_ and speeds and all(_likeness(turn, asked) < 0.5 for turn in speeds):
+            refused[name] = "has outputs that the speeds do not follow: those of another driver"
     return refused
 
 

@@ -305,7 +305,8 @@ def late_reading(speeds: Rotors, commands: Rotors) -> str:
     usual = int(np.median(best))
     rotor = int(np.argmax(np.abs(best - usual)))
     apart = AGE * float(best[rotor] - usual)
-    sure = left[:, usual].min() < 0.5 and left[rotor, usual] > 2.0 * left[rotor, best[rotor]]
+    # Where the others do not follow theirs, these are not their commands.
+    sure = np.median(left[:, usual]) < 0.5 and left[rotor, usual] > 2.0 * left[rotor, best[rotor]]
     if not sure or abs(apart) < 2.0 * AGE:
         return ""
     way = "later" if apart > 0.0 else "earlier"

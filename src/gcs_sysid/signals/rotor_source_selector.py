@@ -21,6 +21,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.motor_order import (
     MotorOrder,
+    in_any_order,
     is_function,
     is_in_several_orders,
     out_of_order,
@@ -77,6 +78,12 @@ _BEYOND = 3.0
 _ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
           "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
 """Of equals, the first; others after them."""
+
+
+def preference(source: str) -> int:
+    """By which sources of one kind and rate are taken, the least first."""
+    name = in_any_order(source)
+    return _ORDER.index(name) if name in _ORDER else len(_ORDER)
 
 
 def family(source: str) -> str:
@@ -280,6 +287,10 @@ class RotorSourceSelector:
                 refused[name] = problem
             else:
                 judgements[name] = stretch
+        for name, problem in self._out_of_order(judgements).items():
+            if self.choice is None or self.choice.name != name:  # an order is decided once
+                refused[name] = problem
+                del judgements[name]
         for name, problem in self._moved(judgements).items():
             refused[name] = problem
             del judgements[name]
@@ -290,9 +301,6 @@ class RotorSourceSelector:
             self.twin = self._twin(self.choice, judgements)
             self._restart()
             return
-        for name, problem in self._out_of_order(judgements).items():
-            refused[name] = problem
-            del judgements[name]
         chosen = self._choose(judgements, refused)
         gone = ""
         if self.choice is not None:
@@ -429,7 +437,8 @@ class RotorSourceSelector:
             {
                 name: (stretch.stream, stretch.rotors(len(self._airframe.rotors)))
                 for name, stretch in stretches.items()
-            }
+            },
+            self.order,
         )
 
     def _moved(self, stretches: Mapping[str, Stretch]) -> dict[str, str]:
@@ -464,8 +473,7 @@ class RotorSourceSelector:
         most = max(rates.values(), default=0)
 
         def rank(name: str) -> tuple[bool, int, str]:
-            place = _ORDER.index(name) if name in _ORDER else len(_ORDER)
-            return rates[name] < 0.7 * most, place, name
+            return rates[name] < 0.7 * most, preference(name), name
 
         return sorted(rates, key=rank)
 

@@ -19,6 +19,7 @@ Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
+                   "PWM_MAIN_TIM", "PWM_AUX_TIM", "DSHOT_", "SERVO_BLH_3DMASK",
                    "SIM_GZ_EC_", "HIL_ACT_M", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
@@ -28,7 +29,9 @@ PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "
 _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
 _DSHOT = (48.0, 2047.0)
-"""Outputs of digital drivers that turn a motor."""
+"""Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
+_DSHOT_PROTOCOLS = range(5, 9)
+"""Values of Betaflight's motor_pwm_protocol."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
 """Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
 _REVERSIBLE = 1 << 12
@@ -72,11 +75,11 @@ def command_range(
         return Range(given.min, given.max, "the airframe file")
     if largest <= 1.0:
         return Range(0.0, 1.0, "outputs up to 1")
+    if _turns_either_way(source, parameters):
+        return "is of 3D mode, in which outputs turn motors either way"
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
     if source == "motor":
-        if int(parameters.get("features", 0.0)) & _REVERSIBLE:
-            return "is of 3D mode, in which outputs turn motors either way"
         return _of_blackbox(parameters)
     found = _of_px4(parameters)
     if found is not None and largest <= 1.05 * found.high:
@@ -88,6 +91,14 @@ def command_range(
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
     )
+
+
+def _turns_either_way(source: str, parameters: Parameters) -> bool:
+    """Whether half of the outputs' range turns motors backward."""
+    if source == "motor":
+        return bool(int(parameters.get("features", 0.0)) & _REVERSIBLE)
+    masks = (parameters.get(name, 0.0) for name in ("DSHOT_3D_ENABLE", "SERVO_BLH_3DMASK"))
+    return any(mask > 0.0 for mask in masks)
 
 
 _CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us assumed by convention", assumed=True)
@@ -131,7 +142,11 @@ def _pulses_of_ardupilot(parameters: Parameters) -> Range:
 def _of_blackbox(parameters: Parameters) -> Range:
     """Of Betaflight and its kin, by the header of their log."""
     high = parameters.get("motorOutput[1]")
-    if high == _DSHOT[1] or (high is None and parameters.get("dshot_bidir") == 1.0):
+    digital = (
+        parameters.get("dshot_bidir") == 1.0
+        or parameters.get("motor_pwm_protocol") in _DSHOT_PROTOCOLS
+    )
+    if high == _DSHOT[1] or (high is None and digital):
         return Range(*_DSHOT, "DShot is 48..2047")
     # Firmware that knows DShot writes motorOutput; older firmware has pulses alone.
     lost = high is None and bool(parameters.keys() & {"dshot_bidir", "motor_pwm_protocol"})
@@ -144,8 +159,9 @@ def _of_blackbox(parameters: Parameters) -> Range:
 
 
 def are_pulses(source: str, parameters: Parameters, values: Array) -> Mask:
-    """Which outputs are pulses in us, of which 1000 stop a motor: DShot's numbers are none."""
-    if source == "motor" and _of_blackbox(parameters).low < 600.0:
+    """Which outputs are pulses in us, of which 1000 stop a motor: those of DShot or CAN are not."""
+    known = _of_blackbox(parameters) if source == "motor" else _of_px4(parameters)
+    if known is not None and known.low < 600.0:
         return np.zeros(values.shape, bool)
     return (values >= 600.0) & (values <= 2400.0)
 
@@ -162,6 +178,11 @@ def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> s
 def _of_px4(parameters: Parameters) -> Range | None:
     """Of the driver whose output is motor 1, where its parameters give a range."""
     for driver, outputs in motor_outputs("px4", parameters).items():
+        # Rates of groups of outputs; below -1 those are DShot, which drives nothing but motors.
+        if any(parameters.get(f"{driver}_TIM{group}", 0.0) < -1.0 for group in range(8)):
+            full, start = _DSHOT[1] - _DSHOT[0], parameters.get("DSHOT_MIN")
+            origin = "DShot from DSHOT_MIN" + " 0.055 assumed" * (start is None)
+            return Range((0.055 if start is None else start) * full, full, origin, start is None)
         output = outputs.get(0, -1) + 1
         low, high = (parameters.get(f"{driver}_{end}{output}") for end in ("MIN", "MAX"))
         if low is not None and high is not None and low < high:

@@ -281,7 +281,7 @@ class RecordDecoder:
             for field, value in message.only.items():
                 kept &= rows[field] == value
             if isinstance(message.offset, str):
-                kept &= rows[message.offset] < MOST_ROTORS
+                kept &= message.step * rows[message.offset].astype(np.int64) < MOST_ROTORS
             if message.autopilot is not None:
                 kept &= self._autopilots(frames, mine, rows["_frame"]) == message.autopilot
             messages[name] = _kept(rows, kept)
@@ -461,7 +461,7 @@ class RecordDecoder:
             return
         width = whole if message.used is None else message.used(rows, values)
         offset = message.offset if isinstance(message.offset, int) else rows[message.offset]
-        kinds = (whole + 1) * np.asarray(offset, np.int64) + width
+        kinds = (whole + 1) * message.step * np.asarray(offset, np.int64) + width
         for kind in np.unique(kinds).tolist():
             first, size = divmod(kind, whole + 1)
             if size:

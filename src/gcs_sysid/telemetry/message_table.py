@@ -83,6 +83,7 @@ class Message:
         scale: SI unit per unit of the fields, one for all or one for each value.
         rank: among the messages of a stream, 0 the best; of rotors all are passed on.
         offset: index of the first rotor, or the field with it.
+        step: rotors from one value of that field to the next.
         sensor: field that numbers sensors: the first received counts, a second one is another
             stream and not more samples.
         only: field -> value of those that are read.
@@ -99,6 +100,7 @@ class Message:
     scale: float | tuple[float, ...] = 1.0
     rank: int = 0
     offset: int | str = 0
+    step: int = 1
     sensor: str = ""
     only: Mapping[str, int] = field(default_factory=dict)
     autopilot: int | None = None
@@ -169,7 +171,7 @@ MESSAGES: tuple[Message, ...] = (
         used=used_outputs,
     ),
     Message(
-        "SERVO_OUTPUT_RAW", Stream.ROTOR_COMMAND, Stamp.US32, _SERVOS, only={"port": 0},
+        "SERVO_OUTPUT_RAW", Stream.ROTOR_COMMAND, Stamp.US32, _SERVOS, offset="port", step=16,
         used=used_servos,
     ),
     Message(
