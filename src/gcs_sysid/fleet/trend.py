@@ -23,7 +23,7 @@ from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.health_trend import Series, slopes
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING, Parameter
-from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, line
+from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, chart_of, line
 from gcs_sysid.report.parts import (
     Child,
     Column,
@@ -503,19 +503,7 @@ def _hover(vehicle: FleetVehicle) -> Iterator[Markup]:
 
 def hover_figure(vehicle: FleetVehicle, series: Series) -> Markup:
     """A number of the hover with its 95 % intervals, each by the flight's own scatter."""
-    points = [
-        IntervalPoint(
-            number, value, value - Z95 * std, value + Z95 * std,
-            f"flight {number}: {PAGE.measure(value, Z95 * std, PAGE.unit(series.unit))}",
-            "identified",
-        )
-        for number, (value, std) in enumerate(zip(series.values, series.stds, strict=True), 1)
-        if math.isfinite(value) and math.isfinite(std)
-    ]  # fmt: skip
-    span = min(point.low for point in points), max(point.high for point in points)
-    count = len(vehicle.flights)
-    chart = FlightsChart("", PAGE.unit(series.unit), count, span, WIDTH, HEIGHT)
-    return _figure(vehicle, series.name, None, *chart.axes(), *chart.points(points))
+    return _figure(vehicle, series.name, None, *chart_of(series, "", WIDTH, HEIGHT))
 
 
 def _figure(vehicle: FleetVehicle, name: str, meaning: str | None, *parts: Child) -> Markup:

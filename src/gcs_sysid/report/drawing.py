@@ -8,8 +8,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from gcs_sysid.health.health_trend import Series
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.words import PAGE, power_of_ten, round_numbers, times_power
+from gcs_sysid.significance import Z95
 
 INK, SOFT, PALE, BLUE, RED = "#222222", "#666666", "#b8b8b8", "#1f6fb4", "#c2571a"
 
@@ -240,3 +242,19 @@ class FlightsChart:
             title = element("title", point.words) if point.words else None
             out.append(element("g", title, whisker, dot, class_=f"estimate {point.kind}".strip()))
         return out
+
+
+def chart_of(series: Series, title: str, width: float, height: float) -> list[Markup]:
+    """A number over flights with its 95 % intervals, each by the flight's own scatter."""
+    unit = PAGE.unit(series.unit)
+    points = [
+        IntervalPoint(
+            number, value, value - Z95 * std, value + Z95 * std,
+            f"flight {number}: {PAGE.measure(value, Z95 * std, unit)}", "identified",
+        )
+        for number, (value, std) in enumerate(zip(series.values, series.stds, strict=True), 1)
+        if math.isfinite(value) and math.isfinite(std)
+    ]  # fmt: skip
+    span = min(point.low for point in points), max(point.high for point in points)
+    chart = FlightsChart(title, unit, len(series.values), span, width, height)
+    return [*chart.axes(), *chart.points(points)]

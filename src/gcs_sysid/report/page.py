@@ -18,9 +18,8 @@ from gcs_sysid.report.drawing import (
     INK,
     RED,
     SOFT,
-    FlightsChart,
-    IntervalPoint,
     PlanView,
+    chart_of,
     picture,
     text,
 )
@@ -161,16 +160,8 @@ def _advice(document: Mapping[str, Any]) -> Iterator[Markup]:
 def _trends(series: Sequence[Series], top: float) -> Iterator[Markup]:
     """A chart each, in rows of three."""
     for i, one in enumerate(series):
-        points = [
-            IntervalPoint(n, value, value - Z95 * std, value + Z95 * std)
-            for n, (value, std) in enumerate(zip(one.values, one.stds, strict=True), 1)
-            if math.isfinite(value)
-        ]
-        span = min(p.low for p in points), max(p.high for p in points)
-        unit = PAGE.unit(one.unit)
-        chart = FlightsChart(one.name, unit, len(one.values), span, 266.0, 140.0)
         place = f"translate({40.0 + 280.0 * (i % 3):g} {top + 150.0 * (i // 3):g})"
-        yield element("g", *chart.axes(), *chart.points(points), transform=place)
+        yield element("g", *chart_of(one, one.name, 266.0, 140.0), transform=place)
 
 
 _CONTENTS = (
