@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -123,15 +123,7 @@ class Advice:
 
     def as_json(self) -> dict[str, Any]:
         """For the lines of `--json`; shares as in `Gain`."""
-        gains = [{"name": g.name, "now": g.now, "expected": g.expected} for g in self.gains]
-        return {
-            "manoeuvre": self.manoeuvre,
-            "text": self.text,
-            "seconds": self.seconds,
-            "progress": self.progress,
-            "gains": gains,
-            "enough": self.enough,
-        }
+        return {name: value for name, value in asdict(self).items() if name != "axes"}
 
 
 def speed_text(speed: float) -> str:

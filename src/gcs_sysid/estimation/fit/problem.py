@@ -20,6 +20,7 @@ curvature are therefore those of M - n N, for which the truth is the stationary 
 from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -128,7 +129,7 @@ class Problem(ABC):
         self.p = len(self.free)
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
-        self.silent = noise is None or not noise.any()
+        self.noise, self.silent = noise, noise is None or not noise.any()
         self.informed = self.moments
         """As `moments`, without the known noise."""
         self._noise: Array | None = None
@@ -346,19 +347,14 @@ class AxisProblem(Problem):
     """Between two delays there is less noise than on a straight line: steps may overshoot."""
     _noise_share = NOISE_SHARE
 
-    def __init__(
-        self,
-        moments: Array,
-        rows: Array | int,
-        basis: ActuatorDynamics,
-        prior: Prior | None,
-        noise: Array,
-        deviations: Deviations = NO_DEVIATIONS,
-    ) -> None:
-        super().__init__(moments, rows, basis, prior, noise, deviations)
-        usual = noise if basis is PLAIN else basis.moments_at(noise, basis.nodes[basis.middle])
-        self._usual = NOISE_SHARE * usual
+    @cached_property
+    def _usual(self) -> Array:
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
+        assert self.noise is not None
+        if self.basis is PLAIN:
+            return NOISE_SHARE * self.noise
+        at = self.basis.nodes[self.basis.middle]
+        return NOISE_SHARE * self.basis.moments_at(self.noise, at)
 
     def part(self, which: Array) -> Self:
         """Some of the hypotheses."""
