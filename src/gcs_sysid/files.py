@@ -59,8 +59,15 @@ def split_session(path: Path) -> tuple[Path, int | None]:
 MAPPING_FILE = "columns.toml"
 """Says what the columns of the tables in its folder are."""
 TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".parquet"})
+PACKED_SUFFIXES = frozenset({".gz", ".zip"})
 BAG_SUFFIXES = (".mcap", ".db3")
 """Of recordings of ROS 2, which may have a mapping too."""
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is named as a table of signals, packed or not."""
+    named = path.with_suffix("") if path.suffix.lower() in PACKED_SUFFIXES else path
+    return named.suffix.lower() in TABLE_SUFFIXES
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -101,15 +108,14 @@ def split_mapping(path: Path) -> tuple[Path, Path | None]:
     if mark and name and mapping.endswith(".toml") and not path.exists():
         return Path(name), Path(name).parent / mapping
     beside = path.parent / MAPPING_FILE
-    if path.suffix.lower() in TABLE_SUFFIXES and beside.is_file():
+    if is_table(path) and beside.is_file():
         return path, beside
     return path, None
 
 
 def with_mapping(path: Path, mapping: Path) -> Path:
     """A table's name with that of its mapping; what is no table stays as it is."""
-    suffix = path.suffix.lower()
-    if not (suffix in TABLE_SUFFIXES or suffix in BAG_SUFFIXES or is_bag_folder(path)):
+    if not (is_table(path) or path.suffix.lower() in BAG_SUFFIXES or is_bag_folder(path)):
         return path
     near = mapping.absolute().parent == path.absolute().parent
     return Path(f"{path}#{mapping.name if near else mapping.absolute()}")

@@ -1,5 +1,6 @@
 """Tables with a mapping give the records that a log of the same flight would have given."""
 
+import gzip
 import math
 from datetime import UTC, datetime
 
@@ -119,7 +120,7 @@ def test_units_and_axes_of_others_come_out_as_ours(folder, delimiter):
 
 
 def test_tables_of_spreadsheets_are_read(folder):
-    """Decimal commas, a line that names the delimiter, UTF-16 with and without its mark, dates."""
+    """Decimal commas, `sep=`, UTF-16 with and without its mark, Latin-1, dates, and packed."""
     write_csv(folder / "plain.csv", columns(), ";")
     text = (folder / "plain.csv").read_text()
     header, *rows = text.splitlines()
@@ -130,9 +131,11 @@ def test_tables_of_spreadsheets_are_read(folder):
     for content in (
         text.replace(".", ",").encode(), f"sep=;\n{text}".encode(), text.encode("utf-16"),
         text.encode("utf-16-le"), "\n".join(dated).encode(),
+        text.replace(header, header + ";°C").encode("latin-1"), gzip.compress(text.encode()),
     ):  # fmt: skip
         (folder / "a.csv").write_bytes(content)
         check(tracks_of(folder / "a.csv")[0])
+    check(tracks_of((folder / "a.csv").rename(folder / "a.csv.gz"))[0])
 
 
 def test_rows_of_two_sensors_under_one_time_are_told(folder):

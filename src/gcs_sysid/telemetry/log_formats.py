@@ -23,8 +23,10 @@ from gcs_sysid.files import (
     BAG_SUFFIXES,
     MAPPING_FILE,
     MOST_BYTES_OF_LOG,
+    PACKED_SUFFIXES,
     TABLE_SUFFIXES,
     check_regular,
+    is_table,
 )
 
 HEAD = 2**12
@@ -116,7 +118,6 @@ FORMATS = (
 BY_NAME = {row.name: row for row in FORMATS}
 LOG_SUFFIXES = frozenset(ending for row in FORMATS[:-1] for ending in row.endings)
 """Endings of logs that need no mapping."""
-PACKED_SUFFIXES = frozenset({".gz", ".zip"})
 ANY_SUFFIX = LOG_SUFFIXES.union(PACKED_SUFFIXES, *(row.shared_endings for row in FORMATS))
 """Endings of what may be a log."""
 
@@ -164,7 +165,7 @@ def format_of(path: Path) -> LogFormat:
     if not head.strip(b"\0"):
         what = "holds zeros alone" if head else "is empty"
         raise InputError(f"{path} {what}: nothing was recorded in it, or the copy of it failed")
-    if path.suffix.lower() in TABLE_SUFFIXES:
+    if is_table(path):
         raise InputError(
             f"{path} is a table: say what its columns are with --csv MAPPING.toml, or in a "
             f"{MAPPING_FILE} beside it"

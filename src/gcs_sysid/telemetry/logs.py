@@ -183,7 +183,7 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
                 form, whole = BY_NAME["rosbag"], file_path
             elif mapping is not None and file_path.suffix.lower() not in BAG_SUFFIXES:
                 check_regular(file_path)
-                form, whole = BY_NAME["table"], file_path
+                form, whole = BY_NAME["table"], unpack(file_path, until)
             else:
                 form, whole = format_of(file_path), unpack(file_path, until)
         except OSError as error:

@@ -424,12 +424,15 @@ class _TextForm:
 
 def _text_form(path: Path, delimiter: str | None) -> _TextForm:
     with open(path, "rb") as file:
-        head = file.read(64)
+        line = file.readline(MOST_BYTES_OF_TEXT)
+    head = line[:64]
     wide = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     # Without a mark, as of some exporters, every second byte of letters is zero.
     little = not wide and head[1::2].strip(b"\0") == b"" != head[::2].strip(b"\0")
     encoding = "utf-16" if wide else "utf-16-le" if little else "utf-8-sig"
     try:
+        if encoding == "utf-8-sig" and line.decode(errors="replace").encode() != line:
+            encoding = "latin-1"  # of Excel in the west
         with open(path, encoding=encoding, newline="") as file:
             first = file.readline(MOST_BYTES_OF_TEXT)
             named = first.lower().startswith("sep=")
