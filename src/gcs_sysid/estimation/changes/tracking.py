@@ -327,13 +327,12 @@ class Tracker:
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < TRACKING.most_segments
-        if room and trial.is_another(before, self._fresh(landed=True), arm):
+        # Of what was known only the rotors are left, and with them the scale.
+        known = _of_rotors(before)
+        if room and trial.is_another(before, self._fresh(known, landed=True), arm):
             self._add(TrackingEvent(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
-            # Of what was known only the rotors are left, and with them the scale, and the
-            # accelerometer.
-            fresh = self._fresh(landed=True)
-            fresh.prior = _of_rotors(before)
+            fresh = self._fresh(known, landed=True)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
@@ -434,8 +433,7 @@ class Tracker:
         event = replace(event, segment=len(self.segments))
         ratio = found.cause.mass_ratio, found.cause.mass_std
         self.segments.append(Segment(self.start, onset, before, ratio))
-        fresh = self._fresh(landed=False)
-        fresh.prior = _after_change(before, self.geometry)
+        fresh = self._fresh(_after_change(before, self.geometry), landed=False)
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
         kept = self._watch.since(since)
         self.start = since
@@ -444,11 +442,11 @@ class Tracker:
         self._restart_detection()
         self._add(event)
 
-    def _fresh(self, *, landed: bool) -> OnlineEstimator:
+    def _fresh(self, known: Prior | None, *, landed: bool) -> OnlineEstimator:
         """An estimator of what may be another vehicle with the same rotors."""
-        fresh, before = OnlineEstimator(self.geometry, self.dt, self._tuning), self._estimator.drift
-        if fresh.drift is not None and before is not None:
-            fresh.drift.go_on_from(before, landed=landed)
+        fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        fresh.record.go_on_from(self._estimator.record, landed=landed)
+        fresh.prior = known
         return fresh
 
     def _restart_detection(self) -> None:

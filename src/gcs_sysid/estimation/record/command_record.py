@@ -258,7 +258,7 @@ class CommandRecord:
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
         self._now: TunedRows | None = None
-        self._next = self._check = FIRST
+        self._first = self._next = self._check = FIRST
         self._curve_doubt = 0.0
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
@@ -278,6 +278,23 @@ class CommandRecord:
     def mean_thrust(self) -> MeanThrust | None:
         """Of the samples so far; None as long as there are no motors."""
         return None if self._now is None else self._now.maker.mean_thrust
+
+    def go_on_from(self, before: "CommandRecord") -> None:
+        """Make rows about another record's motors until as much flight shows them again.
+
+        Args:
+            before: of the same rotors.
+        """
+        made = before._now
+        if made is None:
+            return
+        at, of = before._start_from(made)
+        basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
+        rows = self._made(basis, made.maker.hover)
+        self._now = TunedRows(basis, *rows, made.fit, made.away, 0)
+        self.doubt = before.doubt.copy()
+        self._first = max(min(before._samples * self._dt, LAST), before._first)
+        self._next = self._check = self._first
 
     def doubt_curve(self, std: float) -> None:
         """One standard deviation of the thrust curve that no scatter shows."""
@@ -410,7 +427,8 @@ class CommandRecord:
             hover: mean command, where none have been looked for yet.
         """
         before, doubt = self._now, self.doubt
-        if self._kept is not None and (before is not None or self._samples):
+        known = before is not None and self._samples * self._dt < self._first
+        if self._kept is not None and self._samples and not known:
             if self._settled is None or self._settled[0] != self._samples:
                 start = (COORDINATE_MEAN, LAGS_OF[0])
                 if before is not None:
