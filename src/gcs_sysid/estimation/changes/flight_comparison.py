@@ -83,7 +83,8 @@ class Trial:
                 fresh.restart()
             else:
                 fresh.update(part[1])
-        battery = 0.0 if fresh.drift is None else fresh.drift.thrust_doubt
+        drift = fresh.record.drift
+        battery = 0.0 if drift is None else drift.thrust_doubt
         now = fresh.with_thrust_by(before.rotation, fresh.fit())
         return is_another(before, now, arm, battery)
 

@@ -188,7 +188,7 @@ class Tracker:
         """V, battery voltage that thrust at full command refers to; None: speeds, or not
         reported.
         """
-        drift = self._estimator.drift
+        drift = self._estimator.record.drift
         return None if drift is None else drift.voltage
 
     def restart(self, *, rebooted: bool = False) -> None:
@@ -445,8 +445,12 @@ class Tracker:
     def _fresh(self, known: Prior | None, *, landed: bool) -> OnlineEstimator:
         """An estimator of what may be another vehicle with the same rotors."""
         fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
-        fresh.record.go_on_from(self._estimator.record, landed=landed)
         fresh.prior = known
+        own, before = fresh.record, self._estimator.record
+        if own.drift is not None and before.drift is not None:
+            own.drift.go_on_from(before.drift, landed=landed)
+        if own.commands is not None and before.commands is not None:
+            own.commands.go_on_from(before.commands)
         return fresh
 
     def _restart_detection(self) -> None:

@@ -145,9 +145,7 @@ def minimize(problem: Minimized[At], unknowns: Array, limit: int) -> tuple[At, M
 def _descend(
     problem: Minimized[At], point: At, damping: Array, gain: Array, edge: Mask, limit: int
 ) -> tuple[At, Mask]:
-    """The steps of `minimize`, with (K,) damping and (K,) gain of the step before, and whether that
-    was along the edge.
-    """
+    """The steps of `minimize`: (K,) damping, gain of the step before, whether along the edge."""
     converged, stopping = np.zeros(len(damping), dtype=bool), problem.stopping
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)

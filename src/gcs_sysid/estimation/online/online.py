@@ -23,7 +23,6 @@ from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEsti
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
-from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.records import Samples
 
 _SETTLE_GROWTH = 1.5
@@ -101,11 +100,6 @@ class OnlineEstimator:
     def seconds(self) -> float:
         """Flight time used by the rotational estimate."""
         return self.record.seconds
-
-    @property
-    def drift(self) -> ThrustDrift | None:
-        """Of thrust at a given command; None: rotor speeds need none."""
-        return self.record.drift
 
     @property
     def is_calm(self) -> bool:

@@ -70,7 +70,7 @@ class ThrustEstimator:
     def by_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""
         record, weights = self._record, self._basis.thrust_weights(where)
-        if record.momentum_seconds <= MIN_MOMENTUM_SECONDS:
+        if record.momentum.rows * record.row_time <= MIN_MOMENTUM_SECONDS:
             return None
         batches, total = (
             _mixed(weights, m) for m in (record.momentum.batches, record.momentum.total)

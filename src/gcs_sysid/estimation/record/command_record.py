@@ -138,11 +138,6 @@ class TunedRows:
         self.maker.restart()
         self.white.restart()
 
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """The less, the more it is to be believed."""
-        return not self.trusted, self.cost
-
     def is_far_likelier_than(self, other: "TunedRows", *, tried: bool) -> bool:
         """Whether rows about its motors would not make another place of the lag a rival, nor change
         how far it is from one.
@@ -466,7 +461,7 @@ class CommandRecord:
         every = [self._converged(at, of, hover, self._now) for at, of in unlike.values()]
         first = min(
             (tuned for tuned in every if tuned is not None),
-            key=lambda tuned: tuned.rank,
+            key=lambda tuned: (not tuned.trusted, tuned.cost),
             default=None,
         )
         if first is None:
@@ -532,14 +527,11 @@ class CommandRecord:
             rival: whether this place is but compared with that of `alike`.
             whole: whether all whiteners are tried.
         """
-        tuned, now, leading = None, self._now, alike if rival else None
+        tuned, leading = None, alike if rival else None
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
-            if leading is None and now is not None and self._holds(now, basis, hover):
-                basis, maker, white = now.basis, now.maker, now.white
-            else:
-                whiteners = None if whole or alike is None else alike.near
-                maker, white = self._made(basis, hover, whiteners, alike)
+            whiteners = None if whole or alike is None else alike.near
+            maker, white = self._made(basis, hover, whiteners, alike)
             start = alike.fit.rotation if alike is not None and alike.trusted else None
             found = self._fitted(white, basis, start)
             if found is None:
@@ -599,12 +591,6 @@ class CommandRecord:
             return converged
         maker, white = self._made(tuned.basis, hover, alike=tuned)
         return replace(tuned, maker=maker, white=white)
-
-    def _holds(self, made: TunedRows, basis: LocalDynamics, hover: float) -> bool:
-        """Whether rows of all samples, were they made now, would be those there are."""
-        same = made.samples == self._samples and made.maker.hover == hover
-        of = made.basis.lag_place.of == basis.lag_place.of
-        return same and of and bool((made.basis.at == basis.at).all())
 
     def _made(
         self,

@@ -173,18 +173,6 @@ class FlightRecord:
         if self._of_speeds is not None:
             self._of_speeds.reserve()
 
-    def go_on_from(self, before: "FlightRecord", *, landed: bool) -> None:
-        """Begin with what another record knows of the same rotors.
-
-        Args:
-            before: of another mass, or another flight.
-            landed: whether the battery may be another.
-        """
-        if self.drift is not None and before.drift is not None:
-            self.drift.go_on_from(before.drift, landed=landed)
-        if self.commands is not None and before.commands is not None:
-            self.commands.go_on_from(before.commands)
-
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self.flush()
@@ -346,11 +334,6 @@ class FlightRecord:
     def seconds(self) -> float:
         """Flight time that the moments of the rotation are of."""
         return self.rotation.rows * self.row_time
-
-    @property
-    def momentum_seconds(self) -> float:
-        """Flight time that those of the momentum balance are of."""
-        return self.momentum.rows * self.row_time
 
     @property
     def batches(self) -> tuple[int, int]:
