@@ -35,6 +35,7 @@ def relative():
 def test_values_times_mass_and_arm_are_those_of_the_vehicle(weighed, relative):
     assert relative.scale is None
     assert relative.verdict == weighed.verdict
+    assert relative.assumptions == weighed.assumptions == ()
     for name in ("Ixx", "Iyy", "Izz", "k_T", "k_M", "cg_x", "moment_ratio"):
         parameter, found, known = (
             REGISTRY[name], relative.parameters[name], weighed.parameters[name]
@@ -51,8 +52,9 @@ def test_values_times_mass_and_arm_are_those_of_the_vehicle(weighed, relative):
 
 @pytest.mark.slow
 def test_nothing_takes_them_for_a_vehicle(relative, weighed, tmp_path, capsys):
-    relative.write(tmp_path / "r.json")
+    replace(relative, assumptions=({"what": "arm"},)).write(tmp_path / "r.json")
     read = read_result(tmp_path / "r.json")
+    assert read.assumptions == ({"what": "arm"},)
     assert read.parameters["Ixx"].unit == "kg m^2/(kg m)"
     with pytest.raises(InputError, match="give --mass KG and --arm M"):
         assemble(read)

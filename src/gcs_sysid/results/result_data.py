@@ -62,6 +62,8 @@ class ResultData:
     validation: dict[str, Any] = field(default_factory=dict)
     priors: dict[str, Any] = field(default_factory=dict)
     """What was known beforehand: name -> value and std."""
+    assumptions: tuple[dict[str, Any], ...] = ()
+    """What neither the log nor the user gives: `what`, its `value`, and the `source` of that."""
     telemetry: dict[str, Any] = field(default_factory=dict)
     airframe: dict[str, Any] = field(default_factory=dict)
     """Name and rotors that the identification rests on, as in airframe files."""
@@ -174,6 +176,7 @@ class ResultData:
                 "segments": list(self.segments),
                 "validation": self.validation,
                 "priors": self.priors,
+                "assumptions": list(self.assumptions),
                 "disturbance": self.disturbance,
                 "rotors": [{k: v.as_json() for k, v in rotor.items()} for rotor in self.rotors],
                 "covariance": self.covariance,

@@ -94,6 +94,7 @@ def parse_result(document: object, where: str) -> Result:
         segments=tuple(part for part in table.list("segments") if isinstance(part, dict)),
         validation=table.table("validation").entries,
         priors=table.table("priors").entries,
+        assumptions=tuple(each for each in table.list("assumptions") if isinstance(each, dict)),
         telemetry=table.table("telemetry").entries,
         airframe=table.table("airframe").entries,
         disturbance=table.table("disturbance").entries,

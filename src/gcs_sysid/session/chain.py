@@ -7,7 +7,7 @@ of a recording ends with the numbers that the live session ended with.
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -49,7 +49,7 @@ from gcs_sysid.results.snapshot import Event
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
+from gcs_sysid.signals.rotor_units import MOTOR_POLES, RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
@@ -646,6 +646,7 @@ class Findings:
                 name: {"value": value, "std": std}
                 for name, (value, std) in chain.airframe.priors.items()
             },
+            assumptions=tuple(self._assumptions()),
             telemetry=self._telemetry(),
             airframe=chain.airframe.as_json(),
             disturbance=self._disturbance(),
@@ -806,6 +807,17 @@ class Findings:
                 self.chain.tracker.segments, self.chain.anchors, strict=False
             )
         )
+
+    def _assumptions(self) -> Iterator[dict[str, Any]]:
+        """What neither the log nor the user gives."""
+        source, airframe = self.chain.rotors, self.chain.airframe
+        words = "" if source is None else self.chain.rotor_selector.assumed(source)
+        if source is not None and words:
+            what = "motor_poles" if source.range is None else f"range of {source.name}"
+            value = MOTOR_POLES if source.range is None else [source.range.low, source.range.high]
+            yield {"what": what, "value": value, "source": words}
+        if not (airframe.arm_known or airframe.own_units):
+            yield {"what": "arm", "value": airframe.arm, "source": f"layout {airframe.name}"}
 
     def _telemetry(self) -> dict[str, Any]:
         base = self.chain.sampler.time_base

@@ -32,6 +32,8 @@ _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
 _DSHOT_PROTOCOLS = range(5, 9)
 """Values of Betaflight's motor_pwm_protocol."""
+MOTOR_POLES = 14.0
+"""Betaflight's default."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
 """Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
 _REVERSIBLE = 1 << 12
@@ -171,7 +173,7 @@ def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> s
     if range_ is not None:
         return f"{source}: {range_.origin}" if range_.assumed else ""
     if source == "eRPM" and not parameters.get("motor_poles", 0.0) >= 2.0:
-        return "eRPM without motor_poles in the log: 14 poles assumed"
+        return f"eRPM without motor_poles in the log: {MOTOR_POLES:g} poles assumed"
     return ""
 
 

@@ -22,6 +22,7 @@ from gcs_sysid.model.attitude import from_angles
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.motor_order import MIXER
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_units import MOTOR_POLES
 from gcs_sysid.telemetry.blackbox_format import Header, read_header, session_starts
 from gcs_sysid.telemetry.blackbox_frames import DISARM, BlackboxFrames, latest, read_frames
 from gcs_sysid.telemetry.dialect import mavlink
@@ -41,8 +42,6 @@ _LEAST_BYTES = 1024
 """A session with fewer holds no flight."""
 _SCALES, _RADIANS = (1e-12, 1e3), 1e-6
 """Scales of a gyro that can be, and below which they are in rad/us."""
-_MOTOR_POLES = 14.0
-"""Betaflight's default."""
 _PID_TERMS = ("axisP", "axisI", "axisD", "axisF", "axisS")
 _FEWEST_MIXED, _MIXED = 1000, 0.9
 """Frames, and share of what sets each motor apart that PID sums explain, from which they show the
@@ -288,9 +287,9 @@ class _SessionReader:
         commands = self._fields("motor", count)
         if commands is not None and count:
             recording.add(Stream.ROTOR_COMMAND, self._t, commands, source="motor")
-        poles = self._header.number("motor_poles", _MOTOR_POLES)
+        poles = self._header.number("motor_poles", MOTOR_POLES)
         for name, unit in (
-            ("eRPM", 100.0 * RPM / (0.5 * (poles if poles >= 2.0 else _MOTOR_POLES))),
+            ("eRPM", 100.0 * RPM / (0.5 * (poles if poles >= 2.0 else MOTOR_POLES))),
             ("omegaUnfiltered", 1.0),
         ):
             speeds = self._fields(name, self._rotors)
