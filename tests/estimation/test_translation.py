@@ -161,19 +161,18 @@ def test_a_thrust_that_varies_tells_the_bias(bias):
     # Without the unknown it would be off by 3 %.
     assert fit.unbiased == pytest.approx(KAPPA * (1.0 - bias / GRAVITY), rel=3e-3)
     assert fit.kappa == pytest.approx(KAPPA, abs=3.0 * fit.kappa_std)
-    assert fit.kappa_std < 0.006 * KAPPA
-    # Noise of rotor speeds draws a slope towards zero: never surer than 0.3 %.
-    assert fit.kappa_std > 0.003 * KAPPA
+    assert fit.kappa_std < 0.01 * KAPPA
     few = fit_accelerometer(batches[:9], counts[:9])
     assert few.kappa == few.unbiased
     enough = fit_accelerometer(batches[:10], counts[:10])
     assert enough.kappa != enough.unbiased
 
 
-def test_a_thrust_that_hardly_varies_does_not_show_the_bias():
-    """Drag of 3 mm/s^2 that follows thrust of 6 per mille is 5 % of its slope."""
-    rows = accelerometer_rows(sigma=0.01, variation=0.006)
-    rows[:, -1] -= 0.05 * (rows[:, -1] - rows[:, -1].mean())
+@pytest.mark.parametrize(("variation", "sigma", "share"), [(0.006, 0.01, 0.05), (0.1, 0.05, 0.015)])
+def test_drag_that_follows_thrust_is_in_the_interval(variation, sigma, share):
+    """Of 3 mm/s^2 it is 5 % of the slope of a thrust that hardly varies."""
+    rows = accelerometer_rows(sigma=sigma, variation=variation)
+    rows[:, -1] -= share * (rows[:, -1] - rows[:, -1].mean())
     fit = fit_accelerometer(*moments(rows))
     assert fit.kappa == pytest.approx(KAPPA, abs=1.96 * fit.kappa_std)
 
@@ -183,7 +182,7 @@ def test_rotation_shows_where_the_accelerometer_is(place):
     batches, counts = moments(accelerometer_rows(sigma=0.02, place=place))
     fit = fit_accelerometer(batches, counts, place=0.05)
     assert fit.kappa == pytest.approx(KAPPA, abs=3.0 * fit.kappa_std)
-    assert fit.kappa_std < 0.006 * KAPPA
+    assert fit.kappa_std < 0.01 * KAPPA
     # Nine batches are too early.
     early = fit_accelerometer(batches[:9], counts[:9], place=0.05)
     exact = fit_accelerometer(batches[:9], counts[:9])
@@ -206,7 +205,7 @@ def test_the_bias_is_held_to_what_is_usual():
     # Scatter of 400 batches of a row tells the noise to some per cent, which weighs the two.
     assert fit.kappa == pytest.approx(-posterior[0], rel=5e-3)
     std = np.sqrt(np.linalg.inv(information)[0, 0])
-    assert fit.kappa_std == pytest.approx(np.hypot(std, 0.003 * fit.kappa), rel=0.15)
+    assert fit.kappa_std == pytest.approx(std, rel=0.15)
 
 
 def test_a_known_gain_takes_the_biass_place():
