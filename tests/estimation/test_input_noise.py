@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from gcs_sysid.estimation.record.input_noise import (
-    CommandNoise,
-    SpeedNoise,
-)
-from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN
+from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.record import input_noise
+from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import WindowSmoother
 
@@ -110,3 +111,32 @@ def test_noise_of_commands_is_told_with_what_rotors_share():
     np.testing.assert_allclose(found.std, np.sqrt(np.diag(found.covariance)))
     # Slow motion hardly shows in a difference over six samples.
     assert followed(CommandNoise, 0.02, std=np.full(4, 1.0)).std == pytest.approx(1.0, rel=0.06)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.033, 0.02])
+def test_jumps_between_readings_bias_by_what_the_interval_says(dt):
+    """Torque about roll that always jumps at one place between readings, motors of 40 ms."""
+    each, inertia = 40, 2e4
+    theta, off = np.full(rb.N_THETA, inertia), []
+    fit = RotationFit(theta, np.zeros((len(theta),) * 2), np.eye(3), np.ones(3), 1, converged=True)
+    fit.full_covariance[Unknown.DELAY, Unknown.DELAY] = 1e-18
+    for phase in range(0, each, 4):
+        steps = np.roll(np.random.default_rng(5).standard_normal(300).repeat(5 * each), phase)
+        keep = np.exp(-dt / each / 0.04)
+        alpha = lfilter([1.0 - keep], [1.0, -keep], steps)
+        read, rate = alpha[::each], np.cumsum(alpha)[::each] * dt / each
+        noise = SpeedNoise(GEOMETRY, dt)
+        noise.update(np.sqrt(1e6 - np.sign(GEOMETRY[1]) * inertia * read[:, None]))
+        signals = np.column_stack([read, rate - rate.mean()])
+        rows = WindowSmoother(dt, max(4, round(0.1 / dt))).update(signals, 0)
+        x = np.column_stack([rows.average[:, 0], rows.derivative[:, 0]])
+        slope, late = np.linalg.lstsq(x, rows.derivative[:, 1], rcond=None)[0]
+        window = np.zeros((WIDTH, WIDTH))
+        for i, x_i in ((rb.SIGNALS.index("p"), rows.average), (rb.N_SIGNALS, rows.derivative)):
+            window[i, i] = x_i[:, 1] @ x_i[:, 1]
+        wide = input_noise.with_sparse_readings(fit, noise, window)
+        var = wide.full_covariance[Unknown.DELAY, Unknown.DELAY]
+        off.append([(slope - 1.0) * inertia / wide.std[0], late / var**0.5])
+        assert noise.jumps
+    assert np.all(np.sqrt(np.mean(np.square(off), axis=0)) < 2.0)
+    assert np.all(np.max(np.abs(off), axis=0) > 1.0)  # no wider than it need be

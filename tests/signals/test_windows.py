@@ -65,28 +65,3 @@ def test_a_delayed_window_puts_late_stamps_right(half, dt, delay):
     assert moved.average @ np.sin(w * (wide - delay) + 1.0) == pytest.approx(
         plain.average @ np.sin(w * t + 1.0), abs=1e-4
     )
-
-
-@pytest.mark.parametrize("shift", [0.25, -0.5, 2.75])
-def test_between_samples_the_bell_moves_as_it_is(shift):
-    half, dt, room = 20, 0.005, 23
-    moved = cosine_window(half, dt).delayed(shift * dt, dt, room)
-    s = (np.arange(-room, room + 1) - shift) / (half + 1)
-    inside = np.abs(s) < 1.0
-    c = np.where(inside, np.cos(0.5 * np.pi * s), 0.0)
-    bell = c**4 / (c**4).sum()
-    slope = c**3 * np.sin(0.5 * np.pi * s)
-    slope /= slope @ s * (half + 1) * dt
-    np.testing.assert_allclose(moved.average, bell, atol=3e-5 * bell.max())
-    np.testing.assert_allclose(moved.derivative, slope, atol=1e-4 * slope.max())
-    assert not moved.average[~inside].any()
-
-
-def test_polynomials_up_to_the_ninth_degree_are_exact_and_no_more():
-    window = cosine_window(20, 0.005)
-    t = times(20, 0.005) / 0.1
-    assert window.derivative @ t**11 != pytest.approx(window.average @ (11 * t**10) / 0.1, abs=1e-9)
-    moved = window.delayed(0.0123, 0.005, 23)
-    wide = (np.arange(-23, 24) * 0.005 - 0.0123) / 0.1
-    assert moved.average @ wide**9 == pytest.approx(window.average @ t**9, abs=1e-9)
-    assert moved.average @ wide**10 != pytest.approx(window.average @ t**10, abs=1e-9)

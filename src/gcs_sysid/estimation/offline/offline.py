@@ -45,7 +45,7 @@ from gcs_sysid.estimation.offline.prediction_error import (
     sound_rows,
 )
 from gcs_sysid.estimation.online.fit import Fit
-from gcs_sysid.estimation.record.input_noise import is_sparse
+from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, LagPlace
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.recursions import lfilter
@@ -261,10 +261,10 @@ def fit_offline(
     estimator, commands = tracker.estimator, tracker.tuning.rotor_input.motors
     if commands and not before.whiteners:
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
-    interval = tracker.tuning.speed_interval
-    if not commands and is_sparse(interval):
-        when = f"speeds are {1e3 * interval:.0f} ms apart"
-        return f"{when}: torque that jumps in between would bias an offline one more"
+    noise = estimator.record.input_noise
+    if isinstance(noise, SpeedNoise) and noise.jumps:
+        when = f"speeds are {1e3 * noise.interval:.0f} ms apart"
+        return f"{when}, and torque jumps in between: it would bias an offline estimate more"
     count = sum(len(part.gyro) for part in tracker.kept)
     what = f"prediction error of {count} samples"
     choice = estimator.record.choice

@@ -77,9 +77,7 @@ class OnlineEstimator:
         """All that is remembered of the flight."""
         whitening = WhitenedEstimator(self.record, geometry)
         self._thrust = ThrustEstimator(self.record, whitening, tuning.imu_place)
-        self._rotation = RotationEstimator(
-            self.record, whitening, self._thrust, geometry, tuning.speed_interval
-        )
+        self._rotation = RotationEstimator(self.record, whitening, self._thrust, geometry)
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _SeriesStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None

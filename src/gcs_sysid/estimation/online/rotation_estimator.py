@@ -21,9 +21,9 @@ from gcs_sysid.estimation.online.fit import FitMoments, Instant
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LEAST_OWN, LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.record.input_noise import (
+    SpeedNoise,
     is_sparse,
     with_sparse_readings,
-    with_unknown_noise,
 )
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.model import rigid_body
@@ -41,7 +41,6 @@ class RotationEstimator:
         whitening: of its whitened rows, where there are any.
         thrust: of the same record.
         geometry: (3, rotors) of the airframe.
-        speed_interval: s between readings of the rotor speeds; 0: they come with the samples.
     """
 
     def __init__(
@@ -50,14 +49,12 @@ class RotationEstimator:
         whitening: WhitenedEstimator,
         thrust: ThrustEstimator,
         geometry: Array,
-        speed_interval: float,
     ) -> None:
         self.left_out: LeftOut | None = None
         """Shocks that the latest fit to whitened rows left out."""
         self._record, self._basis = record, record.basis
         self._whitening, self._thrust = whitening, thrust
         self._arms, self._choice = geometry[:2], record.choice
-        self._speed_interval = speed_interval
 
     @property
     def whitened(self) -> WhitenedEstimator | None:
@@ -270,19 +267,18 @@ class RotationEstimator:
 
         Speeds miss what happens between readings. The window has one damping for three axes.
         """
-        speeds = fit.lag_place is None and self._record.article is None
-        if speeds:
-            fit = with_unknown_noise(fit, self._speed_interval)
-        sparse = speeds and is_sparse(self._speed_interval)
-        by_window = not fit.whiteners and self._record.article is None
-        if not (sparse or by_window):
+        if self._record.article is not None:
+            return fit
+        noise = self._record.input_noise
+        sparse = isinstance(noise, SpeedNoise) and is_sparse(noise.interval)
+        if fit.whiteners and not sparse:
             return fit
         found = self.moments(fit) if instant is None else instant.at(fit, self._record)
         if found is None:
             return fit
-        if sparse:
-            fit = with_sparse_readings(fit, self._speed_interval, found.window)
-        if by_window:
+        if isinstance(noise, SpeedNoise):
+            fit = with_sparse_readings(fit, noise, found.window)
+        if not fit.whiteners:
             commands = self._basis.motors
             fit = fit.widened(axis_damping_doubt(fit, found.rows[0], prior, commands=commands))
         return fit

@@ -17,6 +17,7 @@ are several times noisier than yaw: what matters is the covariance of all rotors
 """
 
 from abc import ABC, abstractmethod
+from math import comb
 
 import numpy as np
 
@@ -34,8 +35,6 @@ from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.smoothers import Smoother, leaky
 
-THIRD_DIFFERENCE = 20.0
-"""1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 """rad/s, of a speed sent as a whole number of revolutions a minute."""
 _FAST_ENOUGH, _SLOWEST = 0.012, 0.025
@@ -49,15 +48,15 @@ lost, three times as much where interpolation to the IMU's times smooths them.""
 ENOUGH = 100
 """Differences from which their scatter is known."""
 
-_LATE = 1.0 / 100.0
-"""Of the time between readings, by which all jumps of torque together may seem late, one standard
-deviation: at 50 Hz the delay of six emulated flights was off by 0.01 to 0.28 ms, 0.20 ms rms, with
-intervals of 0.07 ms, and damping by up to 8 %."""
-_SLOW, _GROWTH = 0.02, 1.5
-"""s, from which that grows faster than the time between: at 25 Hz it was 1.3 and 1.4 ms."""
-_SMOOTH = 0.045
-"""s, above which it is not measured: the article's flights at 20 Hz have no jumps, and intervals
-that hold."""
+_LATE, _MISSCALED = 0.3, 0.4
+"""r^2 being the share of torque's power next to half the readings' rate: by 0.3 r intervals torque
+seems late, by 0.4 r^2 of itself too large, rms over all phases. Steps of torque and of body rates
+behind motors of 20 to 80 ms, read every 20 to 50 ms, have 0.15 to 0.6 and 0.1 to 0.75 (the most
+where r is least); aerobatics emulated at 20 Hz have 0.4."""
+_JUMPING = 0.02
+"""Least share, next to half that rate, of the power of torque's change from one reading to the next
+where torque jumps: 0.06 and more, in smooth flights 0.007 at most, emulated at 20 to 50 Hz. Offline
+estimates, which have no window, were then up to 7 standard deviations off."""
 
 _ALIASED_DOUBT = 0.3
 """Relative standard deviation of the aliased noise: loops differ, interpolation to the IMU's times
@@ -72,7 +71,50 @@ _PLACES = 16
 """Positions of one stream's samples between those of another that are distinguished."""
 
 _RATES = [rigid_body.SIGNALS.index(name) for name in "pq"]
+_ACCELERATIONS = [rigid_body.N_SIGNALS, rigid_body.N_SIGNALS + 1]
+_LENGTHS = np.isin(np.arange(rigid_body.N_THETA), (rigid_body.CG_X, rigid_body.CG_Y))
 _DH = rigid_body.SIGNALS.index("dH")
+
+
+class _Differences:
+    """Scatter of the differences of some signals.
+
+    Args:
+        rotors: how many signals.
+        order: of the differences.
+        spacing: samples between those of a difference.
+
+    Attributes:
+        count: differences taken.
+    """
+
+    def __init__(self, rotors: int, order: int, spacing: int = 1) -> None:
+        self.count = 0
+        self._order, self._spacing = order, spacing
+        self._last = np.zeros((0, rotors))
+        self._products = np.zeros((rotors, rotors))
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._last = self._last[:0]
+
+    def add(self, signals: Array) -> None:
+        """Take (n, rotors) that follow on the last ones."""
+        differences = np.concatenate([self._last, signals])
+        reach = self._order * self._spacing
+        self._last = differences[-reach:]
+        if len(differences) <= reach:
+            return
+        for _ in range(self._order):
+            differences = differences[self._spacing :] - differences[: -self._spacing]
+        self.count += len(differences)
+        self._products += differences.T @ differences
+
+    @property
+    def covariance(self) -> Array:
+        """(rotors, rotors) of the white noise that would have these differences."""
+        gain = comb(2 * self._order, self._order)  # sum of the squared binomial coefficients
+        return self._products / (gain * max(self.count, 1))
 
 
 class InputNoise(ABC):
@@ -80,14 +122,11 @@ class InputNoise(ABC):
 
     Args:
         rotors: how many.
+        spacing: samples between those of a difference.
     """
 
-    def __init__(self, rotors: int) -> None:
-        self._last = np.zeros((0, rotors))
-        """The latest inputs, which the next ones join on to."""
-        self._differences = 0
-        self._products = np.zeros((rotors, rotors))
-        """Sum over so many third differences of inputs."""
+    def __init__(self, rotors: int, spacing: int = 1) -> None:
+        self._differences = _Differences(rotors, 3, spacing)
 
     @property
     @abstractmethod
@@ -139,77 +178,57 @@ class InputNoise(ABC):
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
-        self._last = self._last[:0]
+        self._differences.restart()
 
     @abstractmethod
     def _add(self, inputs: Array) -> None:
         """Take inputs that are whole and follow on the last ones."""
 
-    def _add_differences(self, inputs: Array, spacing: int = 1) -> None:
-        """The third differences, so many samples apart, that such inputs complete."""
-        third = np.concatenate([self._last, inputs])
-        self._last = third[-3 * spacing :]
-        if len(third) > 3 * spacing:
-            for _ in range(3):
-                third = third[spacing:] - third[:-spacing]
-            self._differences += len(third)
-            self._products += third.T @ third
 
-
-def with_sparse_readings(fit: RotationFit, interval: float, window: Array) -> RotationFit:
+def with_sparse_readings(fit: RotationFit, noise: "SpeedNoise", window: Array) -> RotationFit:
     """A fit with the error of what speeds do between two readings.
 
-    Torque jumps where commands do, and from readings before and after, a jump seems as early or
-    late as it lay between them. Delay follows the jumps, slow motion does not. Torque that is late
-    by t is off by -t I w'', which damping takes up: <w'' w> = -<w'^2>, so that it is off by
-    t I <w'^2> / <w^2>.
-
-    Args:
-        fit: to speeds.
-        interval: s between readings.
-        window: (WIDTH, WIDTH) moments of rows [x, y] of the symmetric window.
-    """
-    powers = np.diag(window)
-    turning = float(powers[_RATES].sum())
-    if (
-        not is_sparse(interval)
-        or fit.full_covariance[Unknown.DELAY, Unknown.DELAY] <= 0.0
-        or turning <= 0.0
-    ):
-        return fit
-    late = _LATE * interval * max((interval / _SLOW) ** _GROWTH, 1.0)
-    quickness = float(powers[-3:-1].sum()) / turning
-    off = np.zeros(len(fit.extended_covariance))
-    off[Unknown.DELAY], off[rigid_body.DAMPING] = (
-        late,
-        -late * float(fit.theta[:2].mean()) * quickness,
-    )
-    return fit.widened(np.outer(off, off))
-
-
-def with_unknown_noise(fit: RotationFit, interval: float) -> RotationFit:
-    """A fit to speeds that come too slowly for their noise to be known.
+    What is faster than half the readings' rate folds onto the motion. Where torque jumps at one
+    place between readings each time, as at set points sent at a fraction of their rate, it does so
+    with one phase, and no scatter shows it: in quadrature torque seems early or late, in phase too
+    large or too small. Torque that is late by t is off by -t I w'', which damping takes up:
+    <w'' w> = -<w'^2>, so that it is off by t I <w'^2> / <w^2>.
 
     Noise n on an input u makes the slope on it too small by <n^2> / <u^2> (errors in variables),
-    and the moment of inertia as much too large. Of what a fit leaves, 1 - R^2 of an axis' motion,
-    the noise may be any share, none or all: (1 - R^2) / sqrt(3) rms. Three to eight flights each,
-    emulated at 20 Hz, had Ixx 1.0 and Iyy 0.6 % too large, with 0.95 and 0.8 % left.
+    and the moment of inertia as much too large. Where readings come too slowly for the noise to be
+    known, it may be any share of what a fit leaves, 1 - R^2 of an axis' motion: (1 - R^2) / sqrt(3)
+    rms.
 
     Args:
         fit: to speeds.
-        interval: s between readings.
+        noise: of the speeds.
+        window: (WIDTH, WIDTH) moments of rows [x, y] of the symmetric window.
     """
-    if interval <= _SLOWEST:
+    if not is_sparse(noise.interval):
         return fit
-    off = np.zeros(len(fit.extended_covariance))
-    left = np.clip(1.0 - fit.r_squared, 0.0, 1.0)
-    off[rigid_body.MOMENTS] = fit.theta[rigid_body.MOMENTS] * left / np.sqrt(3.0)
-    return fit.widened(np.diag(off**2))
+    share = noise.folded_share
+    moments = fit.theta[rigid_body.MOMENTS]
+    late, scale, noisy = np.zeros((3, len(fit.extended_covariance)))
+    if fit.full_covariance[Unknown.DELAY, Unknown.DELAY] > 0.0:
+        by = _LATE * share**0.5 * noise.interval
+        late[Unknown.DELAY] = by
+        late[rigid_body.DAMPING] = -by * float(moments[:2].mean()) * _quickness(window)
+    scale[: rigid_body.N_THETA] = np.where(_LENGTHS, 0.0, _MISSCALED * share * fit.theta)
+    if noise.interval > _SLOWEST:
+        left = np.clip(1.0 - fit.r_squared, 0.0, 1.0)
+        noisy[rigid_body.MOMENTS] = moments * left / np.sqrt(3.0)
+    return fit.widened(np.outer(late, late) + np.outer(scale, scale) + np.diag(noisy**2))
 
 
 def is_sparse(interval: float) -> bool:
     """Whether speeds read every `interval` s miss what happens in between."""
-    return _FAST_ENOUGH < interval <= _SMOOTH
+    return interval > _FAST_ENOUGH
+
+
+def _quickness(window: Array) -> float:
+    """<w'^2> / <w^2> of roll and pitch, rad^2/s^2."""
+    powers = np.diag(window)
+    return float(powers[_ACCELERATIONS].sum() / max(powers[_RATES].sum(), 1e-12))
 
 
 class SpeedNoise(InputNoise):
@@ -218,20 +237,58 @@ class SpeedNoise(InputNoise):
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
+        interval: s between readings of the speeds.
     """
 
-    def __init__(self, geometry: Array, dt: float) -> None:
+    def __init__(self, geometry: Array, dt: float, interval: float = 0.0) -> None:
         self._dt = dt
+        self.interval = max(interval, dt)
         rotors = geometry.shape[1]
         super().__init__(rotors)
         self._samples = 0
-        self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
+        self._sum = np.zeros(rotors)
+        self._products = np.zeros((rotors, rotors))
+        self._readings = [_Differences(rotors, k, round(self.interval / dt)) for k in (1, 4)]
         self._mixer = rigid_body.mixer(geometry)
 
     def _add(self, speeds: Array) -> None:
         self._samples += len(speeds)
-        self._sums += speeds.sum(axis=0), (speeds * speeds).sum(axis=0)
-        self._add_differences(speeds)
+        self._sum += speeds.sum(axis=0)
+        self._products += speeds.T @ speeds
+        self._differences.add(speeds)
+        if is_sparse(self.interval):
+            for differences in self._readings:
+                differences.add(speeds)
+
+    def restart(self) -> None:
+        """See `InputNoise.restart`."""
+        super().restart()
+        for differences in self._readings:
+            differences.restart()
+
+    @property
+    def folded_share(self) -> float:
+        """r^2 of `with_sparse_readings`, of roll or pitch torque, the larger."""
+        mean = self._sum / max(self._samples, 1)
+        covariance = self._products / max(self._samples, 1) - np.outer(mean, mean)
+        return min(self._relative_to(covariance), 1.0)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether torque jumps between readings; False where these come fast."""
+        return self._relative_to(self._readings[0].covariance) > _JUMPING
+
+    def _relative_to(self, covariance: Array) -> float:
+        mixer = self._linear_mixer[:, :2]
+        parts = (np.diag(mixer.T @ c @ mixer) for c in (self._readings[1].covariance, covariance))
+        return max(float(a / b) if b > 0.0 else 0.0 for a, b in zip(*parts, strict=True))
+
+    @property
+    def _linear_mixer(self) -> Array:
+        """(rotors, 4): of Omega^2 the noise is 2 Omega times that of Omega."""
+        return (
+            self._mixer * (2.0 * np.sqrt(np.diag(self._products) / max(self._samples, 1)))[:, None]
+        )
 
     @property
     def doubt(self) -> float:
@@ -241,9 +298,9 @@ class SpeedNoise(InputNoise):
     @property
     def covariance(self) -> Array:
         """(rotors, rotors) rad^2/s^2 of white noise on the speeds."""
-        covariance = np.zeros_like(self._products)
-        if self._dt <= _SLOWEST and self._differences >= ENOUGH:
-            covariance = self._products / (self._differences * THIRD_DIFFERENCE)
+        covariance = np.zeros_like(self._differences.covariance)
+        if self._dt <= _SLOWEST and self._differences.count >= ENOUGH:
+            covariance = self._differences.covariance
             # Sensors err one by one; what the loop does it does to all rotors at once.
             one_by_one = self._dt <= _FAST_ENOUGH
             covariance = np.diag(np.diag(covariance)) if one_by_one else _MISSED * covariance
@@ -272,9 +329,7 @@ class SpeedNoise(InputNoise):
         """
         if self._samples == 0:
             return np.zeros((4, 4)), np.zeros(4), 0.0
-        # Of Omega^2 the noise is 2 Omega times that of Omega.
-        slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
-        mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
+        mixer, spin, covariance = self._linear_mixer, self._mixer[:, 3], self.covariance
         return (
             mixer.T @ covariance @ mixer,
             mixer.T @ covariance @ spin,
@@ -319,7 +374,7 @@ class CommandNoise(InputNoise):
 
     def __init__(self, geometry: Array, dt: float, loop_cutoff: float | None = None) -> None:
         rotors = geometry.shape[1]
-        super().__init__(rotors)
+        super().__init__(rotors, _SPACING)
         self._dt = dt
         self._slow = dt >= SLOW_COMMANDS
         apart = (*(dt / _PLACES * np.arange(_PLACES)), None)
@@ -347,7 +402,7 @@ class CommandNoise(InputNoise):
         self._sum += commands.sum(axis=0)
         self._squares += (commands * commands).sum(axis=0)
         if self._slow:
-            self._add_differences(commands, _SPACING)
+            self._differences.add(commands)
 
     @property
     def doubt(self) -> float:
@@ -357,11 +412,10 @@ class CommandNoise(InputNoise):
     @property
     def covariance(self) -> Array:
         """(rotors, rotors) of white noise on the commands equivalent to the aliased part."""
-        if self._differences < ENOUGH:
-            return np.zeros_like(self._products)
+        if self._differences.count < ENOUGH:
+            return np.zeros_like(self._differences.covariance)
         missed, seen = self._places @ self._folding
-        scale = missed / seen / (self._differences * THIRD_DIFFERENCE)
-        return scale * self._products
+        return missed / seen * self._differences.covariance
 
     @property
     def level(self) -> tuple[float, float]:

@@ -101,7 +101,9 @@ class FlightRecord:
         self.half_width = half_width
         commands = tuning.rotor_input.motors
         self.input_noise = (
-            CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
+            CommandNoise(geometry, dt, tuning.loop_cutoff)
+            if commands
+            else SpeedNoise(geometry, dt, tuning.speed_interval)
         )
         # Beside whitened rows those of the window only judge.
         self.memories = (0.0,) if tuning.whitens(dt) and not commands else tuning.leaks
