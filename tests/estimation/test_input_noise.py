@@ -118,7 +118,7 @@ def test_jumps_between_readings_bias_by_what_the_interval_says(dt):
     """Torque about roll that always jumps at one place between readings, motors of 40 ms."""
     each, inertia = 40, 2e4
     theta, off = np.full(rb.N_THETA, inertia), []
-    fit = RotationFit(theta, np.zeros((len(theta),) * 2), np.eye(3), np.ones(3), 1, converged=True)
+    fit = RotationFit(theta, 1e-6 * np.eye(len(theta)), np.eye(3), np.ones(3), 1, converged=True)
     fit.full_covariance[Unknown.DELAY, Unknown.DELAY] = 1e-18
     for phase in range(0, each, 4):
         steps = np.roll(np.random.default_rng(5).standard_normal(300).repeat(5 * each), phase)

@@ -72,6 +72,7 @@ _PLACES = 16
 
 _RATES = [rigid_body.SIGNALS.index(name) for name in "pq"]
 _ACCELERATIONS = [rigid_body.N_SIGNALS, rigid_body.N_SIGNALS + 1]
+_OF_YAW = [2, rigid_body.MOMENT_RATIO, rigid_body.ROTOR_INERTIA]
 _LENGTHS = np.isin(np.arange(rigid_body.N_THETA), (rigid_body.CG_X, rigid_body.CG_Y))
 _DH = rigid_body.SIGNALS.index("dH")
 
@@ -213,6 +214,8 @@ def with_sparse_readings(fit: RotationFit, noise: "SpeedNoise", window: Array) -
         by = _LATE * share**0.5 * noise.interval
         late[Unknown.DELAY] = by
         late[rigid_body.DAMPING] = -by * float(moments[:2].mean()) * _quickness(window)
+        with_damping = fit.covariance[_OF_YAW, rigid_body.DAMPING]
+        late[_OF_YAW] = with_damping * late[rigid_body.DAMPING] / fit.std[rigid_body.DAMPING] ** 2
     scale[: rigid_body.N_THETA] = np.where(_LENGTHS, 0.0, _MISSCALED * share * fit.theta)
     if noise.interval > _SLOWEST:
         left = np.clip(1.0 - fit.r_squared, 0.0, 1.0)
