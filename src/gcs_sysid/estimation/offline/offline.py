@@ -262,7 +262,7 @@ def fit_offline(
     if commands and not before.whiteners:
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
     noise = estimator.record.input_noise
-    if isinstance(noise, SpeedNoise) and noise.jumps:
+    if isinstance(noise, SpeedNoise) and noise.folded_share > 0.0:
         when = f"speeds are {1e3 * noise.interval:.0f} ms apart"
         return f"{when}, and torque jumps in between: it would bias an offline estimate more"
     count = sum(len(part.gyro) for part in tracker.kept)

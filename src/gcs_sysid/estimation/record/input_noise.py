@@ -271,15 +271,11 @@ class SpeedNoise(InputNoise):
 
     @property
     def folded_share(self) -> float:
-        """r^2 of `with_sparse_readings`, of roll or pitch torque, the larger."""
+        """r^2 of `with_sparse_readings`, of roll or pitch; 0 where torque does not jump."""
+        if self._relative_to(self._readings[0].covariance) < _JUMPING:
+            return 0.0
         mean = self._sum / max(self._samples, 1)
-        covariance = self._products / max(self._samples, 1) - np.outer(mean, mean)
-        return min(self._relative_to(covariance), 1.0)
-
-    @property
-    def jumps(self) -> bool:
-        """Whether torque jumps between readings; False where these come fast."""
-        return self._relative_to(self._readings[0].covariance) > _JUMPING
+        return self._relative_to(self._products / max(self._samples, 1) - np.outer(mean, mean))
 
     def _relative_to(self, covariance: Array) -> float:
         mixer = self._linear_mixer[:, :2]
