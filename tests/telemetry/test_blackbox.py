@@ -210,7 +210,7 @@ def test_the_header_tells_the_range_of_commands():
     pulses = range_of(minthrottle=1070.0, maxthrottle=1900.0)
     assert (pulses.low, pulses.high) == (1070.0, 1900.0)
     assert (range_of().low, range_of().high) == (1000.0, 2000.0)
-    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, motor_pwm_protocol=6.0)
+    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, motor_pwm_protocol=1.0)
     assert lost.assumed
     assert "no motorOutput" in lost.origin
     assert not pulses.assumed

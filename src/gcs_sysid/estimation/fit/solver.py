@@ -138,14 +138,13 @@ def minimize(problem: Minimized[At], unknowns: Array, limit: int) -> tuple[At, M
     """
     K = len(unknowns)
     start = problem.evaluate(unknowns)
-    edge = np.zeros(K, dtype=bool)
-    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), edge, limit)
+    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), limit)
 
 
 def _descend(
-    problem: Minimized[At], point: At, damping: Array, gain: Array, edge: Mask, limit: int
+    problem: Minimized[At], point: At, damping: Array, gain: Array, limit: int
 ) -> tuple[At, Mask]:
-    """The steps of `minimize`: (K,) damping, gain of the step before, whether along the edge."""
+    """The steps of `minimize`, with (K,) damping and (K,) gain of the step before."""
     converged, stopping = np.zeros(len(damping), dtype=bool), problem.stopping
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)
@@ -158,7 +157,7 @@ def _descend(
         candidate = problem.moved(point.unknowns, step / d)
         allowed = problem.are_allowed(candidate)
         # Long steps lead outside before a search is near; bent, they would end at the edge.
-        outside = ~allowed & ((damping >= 1.0) | edge)
+        outside = ~allowed & (damping >= 1.0)
         if outside.any():
             step = _along_edge(problem, point.unknowns, step, d, H, outside)
             candidate = problem.moved(point.unknowns, step / d)
@@ -175,7 +174,7 @@ def _descend(
         fall = problem.fall(point, tried)
         unseen = (gain < stopping.unseen**2) & (damping <= stopping.shortened)
         better = allowed & ((fall >= 0.0) | unseen) & ~converged
-        point, edge = point.where(better, tried), np.where(better, outside, edge)
+        point = point.where(better, tried)
         poor = (stopping.poor > 0.0) & ~small & (fall < stopping.poor * gain)
         factor = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
         damping = np.maximum(factor * damping, _LEAST_DAMPING)
@@ -190,7 +189,6 @@ def _descend(
                 point.part(left),
                 damping[left],
                 gain[left],
-                edge[left],
                 limit - taken,
             )
             point, converged[left] = point.filled(left, rest[0]), rest[1]
