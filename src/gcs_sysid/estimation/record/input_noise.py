@@ -214,8 +214,9 @@ def with_sparse_readings(fit: RotationFit, noise: "SpeedNoise", window: Array) -
         by = _LATE * share**0.5 * noise.interval
         late[Unknown.DELAY] = by
         late[rigid_body.DAMPING] = -by * float(moments[:2].mean()) * _quickness(window)
-        with_damping = fit.covariance[_OF_YAW, rigid_body.DAMPING]
-        late[_OF_YAW] = with_damping * late[rigid_body.DAMPING] / fit.std[rigid_body.DAMPING] ** 2
+        with_damping = fit.covariance[rigid_body.DAMPING]
+        known = max(float(with_damping[rigid_body.DAMPING]), 1e-300)
+        late[_OF_YAW] = with_damping[_OF_YAW] / known * late[rigid_body.DAMPING]
     scale[: rigid_body.N_THETA] = np.where(_LENGTHS, 0.0, _MISSCALED * share * fit.theta)
     if noise.interval > _SLOWEST:
         left = np.clip(1.0 - fit.r_squared, 0.0, 1.0)
