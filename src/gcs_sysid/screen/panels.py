@@ -339,6 +339,7 @@ class EventLog(ScrolledLines):
         super().__init__("events")
         self._shown: tuple[tuple[Event, ...], int] | None = None
         self._scrolling = True
+        self._end = 0
 
     def lay_out(self, view: View) -> None:
         """Write the log, and follow its end unless the user has scrolled up."""
@@ -346,7 +347,9 @@ class EventLog(ScrolledLines):
         width = self.scrollable_content_region.width
         if (found, width) == self._shown:
             return
-        follows = self._scrolling or self.scroll_offset.y >= self.max_scroll_y
+        # The end that was gone to: another size may have moved it since.
+        end = min(self._end, self.max_scroll_y)
+        follows = self._scrolling or self.scroll_offset.y >= end
         self._shown = found, width
         lines = [line for event in found for line in event_lines(event, width)]
         self._text.put(lines or [[("no events yet", fmt.MUTED)]])
@@ -359,6 +362,7 @@ class EventLog(ScrolledLines):
         self._scrolling = False
         # At once: a later event would find the log above its end, as if the user had scrolled.
         self.scroll_end(animate=False, immediate=True)
+        self._end = self.max_scroll_y
 
 
 Cell = tuple[str, str]
