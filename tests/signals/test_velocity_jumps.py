@@ -29,3 +29,11 @@ def test_a_velocity_goes_on_as_if_it_had_not_been_set_anew(jump):
     assert np.flatnonzero(np.isnan(found[:, 0])).tolist() == [*range(700, 760), JUMP_AT]
     np.testing.assert_array_equal(found[:700], velocity[:700])
     np.testing.assert_allclose((velocity - found)[JUMP_AT + 1 :] - jump, 0.0, atol=0.3)
+
+
+def test_what_jumps_again_and_again_is_no_reset():
+    velocity, force = flight((0.0, 0.0, 0.0))
+    velocity[JUMP_AT::50] += 1.0
+    found = VelocityJumps().without(DT, velocity, force, fresh=True)
+    kept = np.isfinite(found[:, 0]) & (np.arange(len(found)) > JUMP_AT + 1)
+    assert np.abs(velocity - found)[kept].max() < 1.3  # the first one, once

@@ -460,6 +460,7 @@ class VelocityJumps:
         self._last = np.full((1, 6), np.nan)
         self._power = GRAVITY**2
         self._added = np.zeros(3)
+        self._since = np.inf
 
     def without(self, dt: float, velocity: Array, force: Array, *, fresh: bool) -> Array:
         """(n, 3) velocity without its jumps, missing at grid points that one leads to.
@@ -471,7 +472,7 @@ class VelocityJumps:
             fresh: whether nothing before them goes on.
         """
         if fresh:
-            self._last[:], self._added[:] = np.nan, 0.0
+            self._last[:], self._added[:], self._since = np.nan, 0.0, np.inf
         values = np.vstack([self._last, np.hstack([velocity, force])])
         self._last = values[-1:].copy()
         apart = np.diff(values[:, :3], axis=0) / dt - (0.0, 0.0, GRAVITY)
@@ -485,7 +486,13 @@ class VelocityJumps:
             power, _ = lfilter([1.0 - keep], [1.0, -keep], counted, np.array([keep * self._power]))
             self._power = float(power[-1])
             jumps[known] = excess[known] > self._LIMIT * np.sqrt(power)
-        added = np.where(jumps[:, None], np.diff(values[:, :3], axis=0), 0.0)
+        at = np.flatnonzero(jumps)
+        ago = dt * np.diff(at, prepend=-self._since / dt)
+        self._since = dt * (len(jumps) - at[-1]) if len(at) else self._since + dt * len(jumps)
+        # What jumps again and again is not reset: velocity and accelerometer disagree.
+        reset = np.zeros_like(jumps)
+        reset[at[ago > self._MEMORY]] = True
+        added = np.where(reset[:, None], np.diff(values[:, :3], axis=0), 0.0)
         before, self._added = self._added, self._added + added.sum(axis=0)
         added = before + np.cumsum(added, axis=0)
         return np.where(jumps[:, None], np.nan, velocity - added)
