@@ -1,5 +1,7 @@
 """Noise of rotor speeds and of commands: how large, and what rows see of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -14,7 +16,7 @@ from gcs_sysid.signals.smoothers import WindowSmoother
 
 GEOMETRY = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1, 1, -1, -1]])
 LEVEL = 130.0
-STD = np.array([0.5, 1.0, 2.0, 4.0])
+STD, UNSEEN = np.array([0.5, 1.0, 2.0, 4.0]), np.array([0.01, 0.1, 0.0])
 
 
 def followed(noise_of, dt, std=STD, n=20_000, motion=True, common=0.0):
@@ -138,5 +140,8 @@ def test_jumps_between_readings_bias_by_what_the_interval_says(dt):
         var = wide.full_covariance[Unknown.DELAY, Unknown.DELAY]
         off.append([(slope - 1.0) * inertia / wide.std[0], late / var**0.5])
         assert noise.folded_share > 0.0
+        left = input_noise.with_sparse_readings(replace(fit, r_squared=1.0 - UNSEEN), noise, window)
+        seen = (left.covariance - wide.covariance)[:3, :3] / inertia**2  # 1 - R^2 may all be noise
+        np.testing.assert_allclose(seen, np.diag(UNSEEN**2) / 3.0 * (dt > 0.025), atol=1e-12)
     assert np.all(np.sqrt(np.mean(np.square(off), axis=0)) < 2.0)
     assert np.all(np.max(np.abs(off), axis=0) > 1.0)  # no wider than it need be
