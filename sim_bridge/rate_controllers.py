@@ -1,4 +1,4 @@
-"""The rate controllers of PX4, ArduPilot, Betaflight and INAV, as their sources document them.
+"""The rate controllers of PX4, ArduPilot, Betaflight (with ADRC) and INAV, by their sources.
 
 They replace the torque loop of `controller.Controller`; position and attitude set-points stay
 those of the mission. A loop runs at the controller's period, the gyro's filters at every step of
@@ -66,6 +66,13 @@ DEFAULTS = {
         "yaw_lpf_hz": 0.0, "mc_p_level": 20.0, "rpm_gyro_filter_enabled": 0.0,
         "rpm_gyro_harmonics": 1.0, "rpm_gyro_q": 500.0, "rpm_gyro_min_hz": 100.0,
         "thrust_curve": 0.0,
+    },
+    "betaflight-adrc": BETAFLIGHT_DEFAULTS | {
+        "adrc_gyro_lpf_hz": 150.0,
+        **{f"adrc_{x}_{a}": v for a, row in
+           {"roll": (60.0, 100.0, 2e3), "pitch": (60.0, 100.0, 2e3),
+            "yaw": (60.0, 80.0, 2e3)}.items()
+           for x, v in zip(("wc", "wo", "b0"), row, strict=True)},
     },
 }  # fmt: skip
 """Of each autopilot; an ensemble may have arrays of shape (N,) in their place."""
@@ -366,13 +373,13 @@ class BetaflightRateController(RateController):
     _units = (0.032029, 0.244381, 0.000529)
     _yaw_integral = 2.5
     _level = ("p_level", 10.0)
-    _gyro_low_passes = ("gyro_lpf1_static_hz", "gyro_lpf2_static_hz")
+    _gyro_low_passes: tuple[str, ...] = ("gyro_lpf1_static_hz", "gyro_lpf2_static_hz")
     _slope_low_passes = (("dterm_lpf1_static_hz", 1.0), ("dterm_lpf2_static_hz", 1.0))
     _yaw_low_pass = "yaw_lowpass_hz"
     _notched = ("dshot_bidir", "rpm_filter_{}")
 
     def _begin(self) -> None:
-        self._low: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+        self._low: list[list[Value]] = [[0.0, 0.0, 0.0] for _ in self._gyro_low_passes]
         self._notches: list[Notch] | None = None
         self._slow: list[list[Value]] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
         self._before: list[Value] = [0.0, 0.0, 0.0]
@@ -462,11 +469,46 @@ class InavRateController(BetaflightRateController):
     _notched = ("rpm_gyro_filter_enabled", "rpm_gyro_{}")
 
 
+class AdrcRateController(BetaflightRateController):
+    """Betaflight's experimental ADRC (pull request 15400), at a b0 that does not change.
+
+    Its observer has the rate, its slope and what else moves the vehicle; this is the hover's trim
+    at first.
+    """
+
+    autopilot = "betaflight-adrc"
+    _gyro_low_passes = (*BetaflightRateController._gyro_low_passes, "adrc_gyro_lpf_hz")
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._sent: list[Value] = list(self._integral)
+        self._observed: list[tuple[Value, Value, Value]] = [
+            (0.0, 0.0, -math.radians(1000.0 * self._get(f"adrc_b0_{name}")) * trim)
+            for name, trim in zip(self.names, self._integral, strict=True)
+        ]
+
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
+        for i, name in enumerate(self.names):
+            wc, wo, b0 = (self._get(f"adrc_{x}_{name}") for x in ("wc", "wo", "b0"))
+            b0 = math.radians(1000.0 * b0)
+            rate, slope, other = self._observed[i]
+            off = self._gyro[i] - rate
+            rate, slope, other = (
+                rate + self.period * (slope + 3.0 * wo * off),
+                slope + self.period * (other + b0 * self._sent[i] + 3.0 * wo**2 * off),
+                other + self.period * wo**3 * off,
+            )
+            self._observed[i] = rate, slope, other
+            self._sent[i] = (wc**2 * (targets[i] - rate) - 2.0 * wc * slope - other) / b0
+        return list(self._sent)
+
+
 CONTROLLERS: dict[str, type[RateController]] = {
     "px4": Px4RateController,
     "ardupilot": ArduPilotRateController,
     "betaflight": BetaflightRateController,
     "inav": InavRateController,
+    "betaflight-adrc": AdrcRateController,
 }
 
 

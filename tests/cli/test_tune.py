@@ -2,8 +2,10 @@
 
 import json
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from gcs_sysid.cli.program import run
@@ -60,7 +62,7 @@ def test_gains_now_and_proposed(files, capsys):
     out, err = capsys.readouterr()
     assert err == ""
     assert re.search(r"^MC_ROLLRATE_P +0\.09 +0\.\d+$", out, re.MULTILINE)
-    assert "identified, from command to rotor" in out
+    assert "(identified, from command" in out
     document = json.loads((files / "t.json").read_text())
     assert document["schema"] == "gcs-sysid-tune/1"
     # -rotor_delay less half a period of the loop.
@@ -107,9 +109,10 @@ def test_an_axis_that_a_step_does_not_mend_is_left_as_it_is(files, capsys):
     (files / "hot.params").write_text("\n".join(lines) + "\n")
     assert run(["tune", "speed.json", "hot.params", "--with", "command.json", *FEW]) == 0
     out = capsys.readouterr().out
-    assert "no gains on roll within a factor of 2 of the present ones are sure to keep" in out
-    assert re.search(r"^MC_ROLLRATE_P +0\.4 +0\.4$", out, re.MULTILINE)
-    assert not re.search(r"^MC_PITCHRATE_P +0\.09 +0\.09$", out, re.MULTILINE)
+    assert "no gains on roll within a factor of 2 of the present ones are sure" in out
+    assert re.search(r"^MC_PITCHRATE_P +0\.09 +0\.\d+$", out, re.MULTILINE)
+    assert "MC_ROLL" not in out
+    assert max(map(len, out.splitlines())) < 80
 
 
 @pytest.mark.slow
@@ -144,6 +147,20 @@ def test_lines_for_a_cli(name, gain, files, capsys):
     assert "rotor_inertia" not in out or "rotor inertia is not identified" in out
 
 
+@pytest.mark.slow
+def test_adrc_has_the_slope_of_the_acceleration_and_bandwidths_that_keep_the_margins(files, capsys):
+    assert run(["tune", "command.json", "--to", "betaflight-adrc", "-o", "a.txt", *FEW]) == 0
+    lines = [line for line in (files / "a.txt").read_text().splitlines() if line[:4] == "set "]
+    found = {name: float(value) for name, value in (line[4:].split(" = ") for line in lines)}
+    # A quad X: a PID sum of 1000 on roll is a command of one on each rotor, up or down.
+    u, rotors = found["adrc_hover_throttle"] / 100.0, load_airframe("paper").rotors
+    torque = sum(abs(r.y) for r in rotors) * 10.0 * (0.7 + 0.6 * u)
+    slope = np.degrees(torque / COMMON["Ixx"]) / 1000.0 / 0.03
+    assert found["adrc_b0_roll"] == pytest.approx(slope, rel=0.05)
+    assert 10.0 < found["adrc_wc_roll"] < found["adrc_wo_roll"]
+    assert "keep at least" in capsys.readouterr().out
+
+
 def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
     write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")
@@ -159,6 +176,9 @@ def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, cap
     assert roll["instrument"].startswith("rate set-points")
     assert len(roll["omega_rad_s"]) == len(roll["magnitude_low"]) == len(roll["model_phase_high"])
     assert "circle" in (files / "loops.svg").read_text()
+    assert run(["tune", "command.json", log, "--to", "indi", "-o", "g.txt", *FEW]) == 1
+    assert "g.txt is not written, leave it: the measured" in capsys.readouterr().err
+    assert not (files / "g.txt").exists()
 
 
 @pytest.mark.thorough
@@ -174,6 +194,8 @@ def test_the_measured_response_is_a_table_too(files, shared_log, capsys):
 
 def test_indi_matrices(files, capsys):
     assert run(["tune", "command.json", "--to", "indi", "-o", "g.txt"]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"the effect is surely roll 0\.7\d to 1\.0\d, pitch .*to 80 % of", said)
     assert "set indi_act_g1_roll = " in (files / "g.txt").read_text()
     assert run(["tune", "command.json", "--to", "paparazzi", "-o", "g.xml"]) == 0
     assert "STABILIZATION_INDI_" in (files / "g.xml").read_text()
@@ -186,6 +208,10 @@ def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, 
     assert "analyze a flight with commands" in error
     result("command", weak=("Ixx",)).write(files / "weak.json")
     assert "Ixx (weak)" in refused(["tune", "weak.json"], 1)
+    reasons = ("the motion does not match these rotors; check motor order", "weak: Ixx")
+    bad = replace(result("command"), verdict="refused", reasons=reasons)
+    bad.write(files / "no.json")
+    assert refused(["tune", "no.json"], 1).endswith(f"is refused: {reasons[0]}\n")
     given = ["--set", "motor_lag=0.03+-0.003", "--set", "rotor_speed_max=220"]
     assert run(["tune", "speed.json", *given, *FEW]) == 0
 

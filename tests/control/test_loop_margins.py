@@ -140,6 +140,7 @@ def test_proposed_gains_keep_the_margins_on_every_draw():
     [
         *("px4", "ardupilot"),
         *(pytest.param(a, marks=pytest.mark.thorough) for a in ("betaflight", "inav")),
+        "betaflight-adrc",
     ],
 )
 def test_the_predicted_loop_is_that_measured_in_the_emulator(autopilot):

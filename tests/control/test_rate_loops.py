@@ -31,6 +31,8 @@ SETTINGS = {
     "inav": {"mc_p_roll": 60.0, "mc_i_roll": 200.0, "mc_d_roll": 40.0, "looptime": 2500.0,
              "gyro_lpf_hz": 90.0, "dterm_lpf_hz": 70.0, "rpm_gyro_filter_enabled": 1.0,
              "rpm_gyro_min_hz": 30.0, "rpm_gyro_harmonics": 2.0},
+    "betaflight-adrc": {"adrc_wc_roll": 40.0, "adrc_b0_roll": 3000.0, "looptime": 2500.0,
+                        "gyro_lpf1_static_hz": 250.0},
 }  # fmt: skip
 
 

@@ -230,19 +230,3 @@ def test_an_ensemble_has_the_covariance_of_the_result(result):
     assert table[:, 0].mean() == pytest.approx(VALUES["Izz"], rel=0.005)
     assert all(v["moment_ratio"] == pytest.approx(v["k_M"] / v["k_T"]) for v in drawn)
     assert [v["Izz"] for v in drawn_vehicles(vehicle, 3, 7)] == table[:3, 0].tolist()
-
-
-def test_b0_of_adrc_is_the_slope_of_the_acceleration_for_a_pid_sum(vehicle):
-    lines = [
-        line for line in FORMATS["betaflight-adrc"].write(vehicle).splitlines() if line[:1] != "#"
-    ]
-    found = dict(line[4:].split(" = ") for line in lines)
-    lag, c = vehicle["motor_lag"], vehicle.get("thrust_curve") or 0.0
-    u = float(found["adrc_hover_throttle"]) / 100.0
-    # A quad X: a PID sum of 1000 on roll is a command of one on each rotor, up or down.
-    force = vehicle["T_max"] * (1.0 - c + 2.0 * c * u)
-    torque = sum(abs(r.y) for r in vehicle.rotors) * force
-    assert float(found["adrc_b0_roll"]) == pytest.approx(
-        np.degrees(torque / vehicle["Ixx"]) / 1000.0 / lag, rel=0.05
-    )
-    assert found.keys() == {"adrc_b0_roll", "adrc_b0_pitch", "adrc_b0_yaw", "adrc_hover_throttle"}

@@ -299,7 +299,7 @@ ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-d
 imported, to start fast (tests compare)."""
 EXPORT_TARGETS = (
     "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
-    "indiflight", "paparazzi", "betaflight-adrc",
+    "indiflight", "paparazzi",
 )  # fmt: skip
 """Names of `exports.FORMATS`."""
 LAYOUTS = (
@@ -659,7 +659,7 @@ COMMANDS = (
                 "--autopilot",
                 None,
                 "default: the vehicle's",
-                choices=("px4", "ardupilot", "betaflight", "inav"),
+                choices=("px4", "ardupilot", "betaflight", "inav", "betaflight-adrc"),
             ),
             option(
                 "--delay",
@@ -672,8 +672,8 @@ COMMANDS = (
             option(
                 "--to",
                 None,
-                "format of -o: gains, G1 and G2 of INDI (Indiflight, Paparazzi), b0 of ADRC, or "
-                "the measured response as a table",
+                "format of -o: gains, G1 and G2 of INDI (Indiflight, Paparazzi), or the measured "
+                "response as a table",
                 choices=(
                     "px4-params",
                     "ardupilot-param",

@@ -18,10 +18,11 @@ import numpy as np
 
 from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
-from gcs_sysid.control.loop_margins import frequencies, open_loops
+from gcs_sysid.control.loop_margins import check_needs, frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
     BAND,
+    LIMITS,
     TuningStudy,
     document_of,
     joined_vehicle,
@@ -34,7 +35,13 @@ from gcs_sysid.control.tuning_study import (
 )
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import FORMATS
-from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError, assemble
+from gcs_sysid.exports.exported_vehicle import (
+    ExportedVehicle,
+    MissingError,
+    assemble,
+    drawn_vehicles,
+)
+from gcs_sysid.exports.indi_effectiveness import effect_range
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
@@ -46,17 +53,15 @@ from gcs_sysid.signals.sampling import SampleBlock
 
 _OF_TARGET = {
     "px4-params": "px4", "ardupilot-param": "ardupilot", "betaflight-cli": "betaflight",
-    "inav-cli": "inav",
+    "inav-cli": "inav", "betaflight-adrc": "betaflight-adrc",
 }  # fmt: skip
-_SUFFIX = {"px4": ".params", "ardupilot": ".param", "betaflight": ".txt", "inav": ".txt"}
+_SUFFIX = {"px4": ".params", "ardupilot": ".param"}
 _OWN = {"betaflight": "pid_process_denom", "inav": "dterm_lpf_hz"}
 """Lines of blackbox headers that the other does not write."""
-_PREFIX = {"px4": "MC_", "ardupilot": "ATC_", **_OWN}
+_PREFIX = {"px4": "MC_", "ardupilot": "ATC_", **_OWN, "betaflight-adrc": _OWN["betaflight"]}
 """That parameters of an autopilot begin with."""
 _RESPONSE = "frequency-response"
-_EFFECTIVENESS = {
-    "indi": "indiflight", "paparazzi": "paparazzi", "betaflight-adrc": "betaflight-adrc",
-}  # fmt: skip
+_EFFECTIVENESS = {"indi": "indiflight", "paparazzi": "paparazzi"}
 _COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
 _LOW, _HIGH = 0.5, 300.0
 """rad/s, shown."""
@@ -88,7 +93,8 @@ def _check_outputs(options: argparse.Namespace) -> None:
         raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {
         "px4-params": (".params",), "ardupilot-param": (".param", ".parm"),
-        "betaflight-cli": (".txt",), "inav-cli": (".txt",), _RESPONSE: (".csv",),
+        "betaflight-cli": (".txt",), "inav-cli": (".txt",), "betaflight-adrc": (".txt",),
+        _RESPONSE: (".csv",),
     }.get(options.to)  # fmt: skip
     if wanted is None or options.output == "-" or is_device(options.output):
         return
@@ -108,11 +114,11 @@ def _vehicle(options: argparse.Namespace) -> ExportedVehicle:
     return with_deviations(vehicle, deviations)
 
 
-def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
+def _tuned(options: argparse.Namespace, vehicle: ExportedVehicle) -> TuningStudy:
     parameters, received, flight = _parameters(options, vehicle)
     autopilot = _autopilot(options, vehicle, received, parameters)
     try:
-        tuning = study(
+        return study(
             vehicle,
             autopilot,
             parameters,
@@ -123,7 +129,11 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
         )
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
-    suffix = _SUFFIX[autopilot]
+
+
+def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
+    tuning = _tuned(options, vehicle)
+    suffix = _SUFFIX.get(tuning.loop.autopilot, ".txt")
     responses = options.to == _RESPONSE
     there = tuning.measured if responses else tuning.proposed
     deliver(
@@ -142,12 +152,27 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
 
 
 def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
-    """What INDI and ADRC have in place of gains."""
+    """What INDI has in place of gains, where it is as sure as these."""
     if options.json is not None or options.bode is not None:
-        raise InputError("--json and --bode apply to gains: leave them out with INDI and ADRC")
+        raise InputError("--json and --bode apply to gains: leave them out with INDI")
+    check_needs(vehicle)
     target = FORMATS[_EFFECTIVENESS[options.to]]
-    write_text(options.output, target.write(vehicle), force=options.force)
-    for note in target.notes(vehicle):
+    text = target.write(vehicle)
+    drawn = drawn_vehicles(vehicle, options.draws, options.seed)
+    effect = effect_range(vehicle, drawn, LIMITS.battery)
+    ranges = ", ".join(
+        f"{axis} {least:.2f} to {m:.2f}" for axis, (least, m) in zip(AXES, effect, strict=True)
+    )
+    low = f"{100.0 * LIMITS.battery:.0f} %"
+    why = f"the effect is surely {ranges} times this, down to {low} of the thrust"
+    leave = "" if effect.min() > 0.0 and effect.max() < 2.0 else f"{why}: INDI bears 0 to 2"
+    if options.parameters is not None and not leave:
+        leave = "; ".join(each.words for each in _tuned(options, vehicle).objections)
+    if leave:
+        say(f"gcs-sysid: {options.output} is not written, leave it: {leave}")
+        return 1
+    write_text(options.output, text, force=options.force)
+    for note in (why, *target.notes(vehicle)):
         say(f"gcs-sysid: note: {note}")
     return 0
 

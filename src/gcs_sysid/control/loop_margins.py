@@ -183,6 +183,9 @@ def check_needs(vehicle: ExportedVehicle) -> None:
     Raises:
         MissingError: says what is not, why it matters, and which flight would help.
     """
+    if vehicle.result.verdict == "refused":
+        why = "; ".join(vehicle.result.reasons[:1])
+        raise MissingError(f"no gains from a result that is refused: {why}")
     missing: dict[str, str] = {}
     for name, group in (
         *((name, "inertia") for name in INERTIA[:3]),

@@ -21,6 +21,13 @@ INAV (`pid.c`: pidApplyMulticopterRateController, `mixer.c`; 4 to 9) has Betafli
 of its own, with a low-pass each of gyro, derivative and yaw's P; its control derivative is of
 set-points alone.
 
+Betaflight's ADRC (pull request 15400, July 2026, in no release) takes w'' = f + b0 u for the motion
+behind a motor's lag. An observer of poles at wo has z of w, w' and f, from the gyro and u:
+
+    torque = (wc^2 (w_sp - z_1) - 2 wc z_2 - z_3) / b0
+
+That its f decays, and its b0 rises beyond hover, is left out.
+
 The first two act on the gyro behind a second-order Butterworth low-pass (IMU_GYRO_CUTOFF,
 INS_GYRO_FILTER), and all of them behind notches at the rotors' frequency.
 Torques are normalized; a rotor's thrust command is the sum of its column of the mixer times them,
@@ -39,11 +46,12 @@ from gcs_sysid.control.signal_filters import SignalFilter, chain_response
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 
-Autopilot = Literal["px4", "ardupilot", "betaflight", "inav"]
-AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot", "betaflight", "inav")
+Autopilot = Literal["px4", "ardupilot", "betaflight", "inav", "betaflight-adrc"]
+AUTOPILOTS: tuple[Autopilot, ...] = ("px4", "ardupilot", "betaflight", "inav", "betaflight-adrc")
 _AXIS_NAMES: dict[Autopilot, tuple[str, str, str]] = {
     "px4": ("ROLL", "PITCH", "YAW"), "ardupilot": ("RLL", "PIT", "YAW"),
     "betaflight": ("roll", "pitch", "yaw"), "inav": ("roll", "pitch", "yaw"),
+    "betaflight-adrc": ("roll", "pitch", "yaw"),
 }  # fmt: skip
 _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
     "px4": {
@@ -56,6 +64,7 @@ _GAIN_NAMES: dict[Autopilot, dict[str, str]] = {
     },
     "betaflight": {"P": "p_{}", "I": "i_{}", "D": "d_{}"},
     "inav": {"P": "mc_p_{}", "I": "mc_i_{}", "D": "mc_d_{}"},
+    "betaflight-adrc": {"wc": "adrc_wc_{}", "wo": "adrc_wo_{}", "b0": "adrc_b0_{}"},
 }  # fmt: skip
 """Fields of `AxisGains` -> the parameter of an axis."""
 _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
@@ -66,6 +75,7 @@ _USUAL_GAINS: dict[Autopilot, tuple[tuple[float, ...], ...]] = {
     ),
     "betaflight": ((45.0, 80.0, 30.0), (47.0, 84.0, 34.0), (45.0, 80.0, 0.0)),
     "inav": ((40.0, 30.0, 23.0), (40.0, 30.0, 23.0), (85.0, 45.0, 0.0)),
+    "betaflight-adrc": ((60.0, 100.0, 2e3), (60.0, 100.0, 2e3), (60.0, 80.0, 2e3)),
 }  # fmt: skip
 """Defaults of the same, in the same order, on each axis."""
 _PID_SUM_UNITS = {
@@ -87,6 +97,9 @@ class AxisGains:
         D: the same per rad/s^2.
         FF: normalized torque per rad/s of the rate set-point.
         attitude: 1/s, rate set-point per attitude error.
+        wc: rad/s, of ADRC, which has no P, I and D.
+        wo: rad/s, of its observer.
+        b0: rad/s^3 per normalized torque.
     """
 
     P: float
@@ -94,6 +107,14 @@ class AxisGains:
     D: float
     attitude: float = 0.0
     FF: float = 0.0
+    wc: float = 0.0
+    wo: float = 0.0
+    b0: float = 0.0
+
+    @property
+    def at_once(self) -> float:
+        """Normalized torque per rad/s of a set-point that steps, of ADRC too."""
+        return self.wc**2 / self.b0 if self.b0 else self.P
 
 
 @dataclass(frozen=True)
@@ -155,7 +176,7 @@ class RateLoop:
             for field, name in _GAIN_NAMES[self.autopilot].items():
                 unit = _unit(self.autopilot, field, axis)
                 value = getattr(gains, field) / unit
-                out[name.format(axis)] = round(value) if self.autopilot in _PID_SUM_UNITS else value
+                out[name.format(axis)] = value if self.holds_attitude else round(value)
         return out | dict(self.besides)
 
     @property
@@ -215,6 +236,17 @@ class RateLoop:
             slope = (1.0 - z_inverse) / self.period
             rate = gyro * (PI + D * slope * chain_response(self.derivative_filters, s))
             reference = PI
+        elif self.autopilot == "betaflight-adrc":
+            wc, wo, b0 = (np.array([getattr(g, name) for g in self.gains]) for name in _ADRC)
+            # Steps of the observer, which takes the gyro of now and the torque of before.
+            step = (1.0 / z_inverse - 1.0) / self.period
+            observer = (step + wo) ** 3
+            by_rate = (wc**2 * (3.0 * step * (step + wo) + wo**2) + wo**2 * step**2) * wo
+            by_rate = by_rate + 2.0 * wc * wo**2 * step * (3.0 * step + wo)
+            by_torque = wc * step * (wc + 2.0 * step + 6.0 * wo) - wo**3
+            size = b0 * (observer + by_torque)
+            rate = gyro * by_rate / z_inverse / size
+            reference = wc**2 * observer / size
         else:
             error = self._first_order(self.error_cutoff, z_inverse)
             derivative = self._first_order(self.derivative_cutoff, z_inverse)
@@ -261,7 +293,7 @@ def read_loop(
     Raises:
         InputError: a parameter makes no sense.
     """
-    if autopilot in _PID_SUM_UNITS:
+    if "attitude" not in _GAIN_NAMES[autopilot]:
         parameters = _by_cli_name(autopilot, parameters)
     reader = _ParameterReader(parameters, hover)
     loop = _READERS[autopilot](reader, rotors)
@@ -298,7 +330,7 @@ def _gains(
     out = []
     for axis, usual in zip(_AXIS_NAMES[autopilot], _USUAL_GAINS[autopilot], strict=True):
         K = reader.get(f"MC_{axis}RATE_K", 1.0) if autopilot == "px4" else 1.0
-        known = {
+        known = dict.fromkeys("PID", 0.0) | {
             field: reader.get(name.format(axis), value)
             * (K if field in "PID" else 1.0)
             * _unit(autopilot, field, axis)
@@ -310,6 +342,8 @@ def _gains(
 
 def _unit(autopilot: Autopilot, field: str, axis: str) -> float:
     """A gain whose parameter is one."""
+    if field == "b0":
+        return math.radians(1000.0)
     if autopilot not in _PID_SUM_UNITS:
         return 1.0
     name = "I of yaw" if (field, axis) == ("I", "yaw") else field
@@ -418,7 +452,7 @@ def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[Signal
             yield from [SignalFilter("notch", middle, quality, depth)] * each
 
 
-_HEADER_AXES = ("rollPID", "pitchPID", "yawPID")
+_HEADER_AXES, _ADRC = ("rollPID", "pitchPID", "yawPID"), ("wc", "wo", "b0")
 
 
 def _by_cli_name(autopilot: Autopilot, parameters: Mapping[str, float]) -> dict[str, float]:
@@ -429,6 +463,11 @@ def _by_cli_name(autopilot: Autopilot, parameters: Mapping[str, float]) -> dict[
     out = dict(parameters)
     names = _GAIN_NAMES[autopilot]
     for i, (line, axis) in enumerate(zip(_HEADER_AXES, _AXIS_NAMES[autopilot], strict=True)):
+        if autopilot == "betaflight-adrc":
+            for name in _ADRC:
+                if (value := parameters.get(f"adrc{name.upper()}[{i}]")) is not None:
+                    out.setdefault(names[name].format(axis), value)
+            continue
         for place, gain in enumerate("PID"):
             value = parameters.get(f"{line}[{place}]")
             if value is not None:
@@ -518,8 +557,25 @@ def _inav(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     )
 
 
+def _betaflight_adrc(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
+    """Betaflight's loop and gyro filters with one more; b0 is that of the hover."""
+    usual = _betaflight(_ParameterReader(reader.parameters, reader.hover), rotors)
+    cutoff, throttle = reader.get("adrc_gyro_lpf_hz", 150.0), reader.hover.throttle
+    own = (SignalFilter("first", cutoff),) if cutoff > 0.0 else ()
+    return replace(
+        usual,
+        autopilot="betaflight-adrc",
+        error_cutoff=(0.0, 0.0, 0.0),
+        gains=_gains(reader, "betaflight-adrc"),
+        gyro_filters=(*usual.gyro_filters, *own),
+        derivative_filters=(),
+        besides=() if throttle is None else (("adrc_hover_throttle", round(100.0 * throttle)),),
+    )
+
+
 _READERS: dict[Autopilot, Callable[[_ParameterReader, tuple[Rotor, ...]], RateLoop]] = {
     "px4": _px4, "ardupilot": _ardupilot, "betaflight": _betaflight, "inav": _inav,
+    "betaflight-adrc": _betaflight_adrc,
 }  # fmt: skip
 
 

@@ -47,6 +47,7 @@ from gcs_sysid.judgement.prediction import parted
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
+from gcs_sysid.results.words import wrapped
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.significance import Z95
 
@@ -63,6 +64,8 @@ class DesignLimits:
         reduction_margin: dB by which the gain may fall, as with a sagging battery.
         integral: I/P over the crossover, a tenth: costs 6 deg of phase.
         attitude: attitude gain over the crossover, a quarter: the attitude is well damped.
+        observers: wo over wc, tried with ADRC.
+        b0: that its CLI takes.
         leads: s, D/P that are tried on roll and pitch. PX4's default is 0.02, ArduPilot's 0.027;
             beyond, noise decides and not phase. Yaw has no D, as with both autopilots.
         crossovers: rad/s that are tried.
@@ -85,6 +88,8 @@ class DesignLimits:
     reduction_margin: float = 7.0
     integral: float = 0.1
     attitude: float = 0.25
+    observers: tuple[float, ...] = (1.5, 2.5, 4.0)
+    b0: tuple[float, float] = (100.0, 65535.0)
     leads: tuple[float, ...] = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035)
     crossovers: tuple[float, float, int] = (1.0, 60.0, 60)
     authority: float = 0.5
@@ -174,7 +179,7 @@ def stepped(loop: RateLoop, now: RateLoop) -> RateLoop:
     for axis, (new, old) in enumerate(zip(loop.gains, now.gains, strict=True)):
         within = {
             name: float(np.clip(getattr(new, name), value / LIMITS.step, value * LIMITS.step))
-            for name in ("P", "I", "D", "attitude")
+            for name in ("P", "I", "D", "attitude", "wc", "wo", "b0")
             for value in (getattr(old, name),)
         }
         loop = loop.with_gains(axis, replace(new, **within))
@@ -257,8 +262,9 @@ def _short(few: HoverDynamics, loop: RateLoop) -> Array:
 def _scaled(gains: AxisGains, by: float) -> AxisGains:
     """The gains of a crossover that much lower."""
     return replace(
-        gains, P=gains.P * by, I=gains.I * by**2, D=gains.D * by, attitude=gains.attitude * by
-    )
+        gains, P=gains.P * by, I=gains.I * by**2, D=gains.D * by, attitude=gains.attitude * by,
+        wc=gains.wc * by, wo=gains.wo * by,
+    )  # fmt: skip
 
 
 def _axis(
@@ -271,12 +277,21 @@ def _axis(
     """Gains of one axis, the others open."""
     most = _most_gain(few, loop, axis)
     best: tuple[float, AxisGains] | None = None
+    adrc = loop.autopilot == "betaflight-adrc"
+    leads = LIMITS.observers if adrc else LIMITS.leads if axis < 2 else (0.0,)
+    # Of the acceleration behind the motors' lag.
+    b0 = few.effectiveness[0, axis, axis] / max(few.lag[0], 1e-3)
+    b0 = float(np.clip(b0, *np.radians(1000.0 * np.array(LIMITS.b0))))
     for crossover in np.geomspace(*LIMITS.crossovers)[::-1]:
-        for lead in LIMITS.leads if axis < 2 else (0.0,):
-            gains = _of_crossover(plant[0], loop, axis, omega, float(crossover), lead)
+        for lead in leads:
+            if adrc:  # the loop crosses over at about half of wc
+                wc = 2.0 * float(crossover)
+                gains = AxisGains(0.0, 0.0, 0.0, wc=wc, wo=lead * wc, b0=b0)
+            else:
+                gains = _of_crossover(plant[0], loop, axis, omega, float(crossover), lead)
             if (
                 gains.P + gains.D / max(loop.derivative_lag(axis), lead, 1e-3) > 3.0 * most
-                or most < gains.P
+                or most < gains.at_once
             ):
                 continue
             trial = loop.with_gains(axis, gains)
@@ -642,10 +657,13 @@ def tuning_text(tuning: TuningStudy) -> str:
     """The study as lines for a terminal."""
     loop = tuning.loop
     of = "attitude" if loop.holds_attitude else "rate"
-    lines = [
+    head = (
         f"{loop.autopilot}, rate loop {loop.rate:g} Hz, motor lag "
         f"{1e3 * tuning.dynamics.lag[0]:.0f} ms, delay {1e3 * tuning.delay[0]:.1f} ms "
-        f"({tuning.delay_from}), {len(tuning.dynamics) - 1} draws from the covariance",
+        f"({tuning.delay_from}), {len(tuning.dynamics) - 1} draws from the covariance"
+    )
+    lines = [
+        *wrapped(head),
         "",
         f"{'':10}{'axis':7}{'crossover':>11}{'phase margin':>20}{'gain margin':>20}"
         f"{'overshoot':>11}",
@@ -669,8 +687,9 @@ def tuning_text(tuning: TuningStudy) -> str:
                     f"{'':10}{'  flown':7}{own.crossover[0]:>11.1f}{_interval(own.phase, 0):>20}"
                 )
     lines += ["", *_response_table(tuning), *_gain_table(tuning)]
-    lines += [f"leave it: {tuning.leave}"] if tuning.leave else []
-    lines += [f"note: {note}" for note in tuning.notes]
+    lines += wrapped(tuning.leave, "leave it: ") if tuning.leave else []
+    for note in tuning.notes:
+        lines += wrapped(note, "note: ")
     return "\n".join(lines)
 
 
@@ -695,18 +714,21 @@ def _response_table(tuning: TuningStudy) -> list[str]:
             model = np.abs(one.model[:, i])
             phase = np.degrees(np.angle(one.model[0, i]))
             rows.append(
-                f"{name:7}{found.omega[i]:>7.1f}{found.coherence[i]:>11.2f}"
+                f"{name:6}{found.omega[i]:>5.1f}{found.coherence[i]:>5.2f}"
                 f"{f'{size:.3g} ({size * (1 - half):.3g} to {size * (1 + half):.3g})':>24}"
-                f"{_interval(model, 2):>24}"
-                f"{f'{phase + np.degrees(off[i]):.0f} +- {turn:.0f}':>12}{phase:>7.0f}"
+                f"{_interval(model, 2):>23}"
+                f"{f'{phase + np.degrees(off[i]):.0f} +- {turn:.0f}':>10}{phase:>6.0f}"
             )
     if not rows:
         return []
     source = next(iter(tuning.measured.values())).torque.instrument
     return [
-        f"rate over normalized torque, measured with {source} as instruments, 95 %:",
-        f"{'axis':7}{'rad/s':>7}{'coherence':>11}{'measured, rad/s':>24}{'model':>24}"
-        f"{'deg':>12}{'model':>7}",
+        *wrapped(
+            f"rate over normalized torque, measured with {source} as instruments, 95 % (coh.: "
+            "coherence):"
+        ),
+        f"{'axis':6}{'rad/s':>5}{'coh.':>5}{'measured, rad/s':>24}{'model':>23}"
+        f"{'deg':>10}{'model':>6}",
         *rows,
         "",
     ]
@@ -719,9 +741,9 @@ def _gain_table(tuning: TuningStudy) -> list[str]:
     now = {} if tuning.now is None else tuning.now.as_parameters()
     lines = [f"{'parameter':18}{'now':>12}{'proposed':>12}"]
     for name, value in proposed.items():
-        old = f"{now[name]:.4g}" if name in now else "-"
-        lines.append(f"{name:18}{old:>12}{value:>12.4g}")
-    return lines
+        old, new = f"{now[name]:.4g}" if name in now else "-", f"{value:.4g}"
+        lines += [f"{name:18}{old:>12}{new:>12}"] if old != new else []
+    return [*lines, "others: as now"] if len(lines) <= len(proposed) else lines
 
 
 def parameter_text(tuning: TuningStudy, suffix: str) -> str:

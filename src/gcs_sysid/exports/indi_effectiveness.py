@@ -1,4 +1,4 @@
-"""Control effectiveness: G1 and G2 of INDI for Indiflight and Paparazzi, b0 of Betaflight's ADRC.
+"""Control effectiveness: G1 and G2 of INDI for Indiflight and Paparazzi.
 
     [f_z, p', q', r'] = G1 u + G2 u',   axes forward, right, down
 
@@ -9,12 +9,10 @@ Indiflight (`flight/indi.h`, `indi_init.c`): u is a rotor's thrust over its full
 (m/s^2) * 100 and (rad/s^2) * 10, G2 in (rad/s^2) / (rad/s^2) * 1e5, integers.
 Paparazzi (`stabilization_indi.c`; Smeur et al. 2016): u is a command of 0 to 9600, its effect that
 around hover, scaled by 1000; G2 is that of the change of u from one period to the next, at 512 Hz.
-Betaflight (pull request 15400, July 2026, in no release): w'' = f + b0 u of each axis in deg/s^3, u
-the PID sum, of which 1000 is full torque, at adrc_hover_throttle. Behind a motor's lag that is the
-angular acceleration for u over the lag.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +43,23 @@ def g2(vehicle: ExportedVehicle) -> Array:
     inertia = vehicle.get("rotor_inertia") or 0.0
     moments = np.stack([0.0 * spin, 0.0 * spin, inertia * spin])
     return np.linalg.solve(vehicle.inertia, moments)
+
+
+def effect_range(vehicle: ExportedVehicle, drawn: Sequence[ExportedVehicle], low: float) -> Array:
+    """(3, 2) least and most that rotors turn drawn vehicles by, over what they do this one.
+
+    INDI holds angular acceleration by what its last command did. With the same filters on both,
+    small gain keeps that stable while the true effect is 0 to 2 times the one it is given.
+
+    Args:
+        vehicle: nominal.
+        drawn: from the covariance.
+        low: share of the thrust that a low battery leaves.
+    """
+    nominal = g1(vehicle)[1:]
+    along = np.array([(g1(one)[1:] * nominal).sum(axis=1) for one in (vehicle, *drawn)])
+    along = along / (nominal**2).sum(axis=1)
+    return np.column_stack([low * along.min(axis=0), along.max(axis=0)])
 
 
 def _indiflight_g1(vehicle: ExportedVehicle) -> Array:
@@ -85,33 +100,12 @@ def _integers(values: Array, most: int = 32767) -> str:
     return ",".join(str(int(v)) for v in np.clip(np.rint(values), -most, most))
 
 
-def _around_hover(vehicle: ExportedVehicle) -> tuple[float, float]:
-    """Command in hover, and slope there of thrust over full thrust by command."""
-    c = vehicle.get("thrust_curve") or 0.0
-    u = vehicle.hover_command(c)
-    return u, 1.0 - c + 2.0 * c * u
-
-
-def _adrc_text(vehicle: ExportedVehicle, head: list[str]) -> str:
-    """Lines for Betaflight's CLI; bandwidths are the pilot's."""
-    command, slope = _around_hover(vehicle)
-    factors = np.array([[-r.y, r.x, float(r.spin)] for r in vehicle.rotors])
-    factors = factors / np.abs(factors).max(axis=0)
-    turning = np.diag(g1(vehicle)[1:] * slope @ factors)
-    b0 = np.degrees(turning) / 1000.0 / max(vehicle["motor_lag"], 1e-3)
-    rows = [
-        f"set adrc_b0_{axis} = {round(float(np.clip(value, 100.0, 65535.0)))}"
-        for axis, value in zip(AXES, b0, strict=True)
-    ]
-    rows.append(f"set adrc_hover_throttle = {round(100.0 * command)}")
-    return commented(head, "#") + "\n".join(rows) + "\n"
-
-
 def _paparazzi_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     """A section of Paparazzi's airframe file."""
     n = len(vehicle.rotors)
     # Thrust over full thrust per command, around hover.
-    slope = _around_hover(vehicle)[1] / _PPRZ * _SCALE
+    c = vehicle.get("thrust_curve") or 0.0
+    slope = (1.0 - c + 2.0 * c * vehicle.hover_command(c)) / _PPRZ * _SCALE
     force, *angular = g1(vehicle) * slope
     k_T = vehicle.get("k_T")
     yaw = np.zeros(n)
@@ -166,14 +160,4 @@ PAPARAZZI_FORMAT = replace(
     remarks=lambda _: [
         f"commands of 0 to {_PPRZ:g} span the range of outputs; G2 is for {_RATE:g} Hz"
     ],
-)
-ADRC_FORMAT = replace(
-    INDIFLIGHT_FORMAT,
-    name="betaflight-adrc",
-    title="b0 of Betaflight's experimental ADRC, lines of its CLI",
-    owner="ADRC has",
-    text=_adrc_text,
-    uses=("thrust_curve",),
-    absent={},
-    remarks=lambda _: ["wc and wo are left alone; too high a b0 is soft, too low a b0 unstable"],
 )

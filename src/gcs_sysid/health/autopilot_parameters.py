@@ -369,10 +369,13 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
         lacks = "" if health.arm_known else "the size of the airframe is not known"
         use = TUNING.worth_knowing * health.airframe.arm
         ratio = health.airframe.priors.get("moment_ratio")
-        for i, rotor in enumerate(health.airframe.rotors):
+        rotors = health.airframe.rotors
+        # Each stands where the file says but for its own error, of which the CG has the mean.
+        own = (TUNING.position_std * health.airframe.arm) ** 2 * (1.0 - 2.0 / len(rotors))
+        for i, rotor in enumerate(rotors):
             for axis, place, offset in zip("XY", (rotor.x, rotor.y), health.cg, strict=True):
                 yield flight.propose(
-                    f"CA_ROTOR{i}_P{axis}", None if lacks else _less(place, offset),
+                    f"CA_ROTOR{i}_P{axis}", None if lacks else _less(place, offset, own),
                     "m from the CG as flown", use=use, lacks=lacks, fly="give --arm",
                 )  # fmt: skip
             if ratio is not None and not lacks:
@@ -626,9 +629,12 @@ def _imu(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
         )  # fmt: skip
 
 
-def _less(place: float, offset: Estimate) -> Estimate:
+def _less(place: float, offset: Estimate, variance: float = 0.0) -> Estimate:
+    """A place from the CG, m; `variance` is that of what is given of it, beyond the CG's, m^2."""
     assert offset.value is not None
-    return Estimate(place - offset.value, offset.std, "m", std_given=offset.std_given)
+    assert offset.std is not None
+    std, given = (math.sqrt(x**2 + variance) for x in (offset.std, offset.std_given))
+    return Estimate(place - offset.value, std, "m", std_given=given)
 
 
 def check_suffix(path: Path, *, cli: bool = False) -> None:
