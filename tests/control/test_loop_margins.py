@@ -1,9 +1,12 @@
 """Margins and steps of loops whose answers are known, and those measured in the emulator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.tune import RATE_MODE, SLOW
+from benchmarks.response import true_vehicle
+from benchmarks.tune import RATE_MODE, SLOW, Steps
 from gcs_sysid.control.loop_margins import (
     HoverDynamics,
     frequencies,
@@ -14,19 +17,11 @@ from gcs_sysid.control.loop_margins import (
 )
 from gcs_sysid.control.rate_loops import read_loop
 from gcs_sysid.control.tuning_study import LIMITS, propose
-from gcs_sysid.exports.exported_vehicle import (
-    ExportedVehicle,
-    KnownEstimate,
-    MissingError,
-    drawn_vehicles,
-)
+from gcs_sysid.exports.exported_vehicle import KnownEstimate, MissingError, drawn_vehicles
 from sim_bridge.controller import Gains
-from sim_bridge.missions import HEIGHT, Reference
 from sim_bridge.rate_controllers import CONTROLLERS
 from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle_files import load_vehicle
-
-from ..exports.known import speed_result
 
 OMEGA = np.geomspace(0.1, 1000.0, 1500)
 
@@ -34,15 +29,14 @@ OMEGA = np.geomspace(0.1, 1000.0, 1500)
 def known_vehicle(share=0.01, **changes):
     """The emulator's `paper` as identified, every standard deviation a share of the value."""
     truth = load_vehicle("paper")
-    names = ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "T_max",
-             "motor_lag", "rotational_damping", "rotor_inertia", "thrust_curve")  # fmt: skip
-    values = {n: getattr(truth, n) for n in names} | {"moment_ratio": truth.moment_ratio} | changes
+    whole = true_vehicle(truth)
+    values = {n: estimate.value for n, estimate in whole.known.items()} | changes
     known = {
         n: KnownEstimate(v, abs(share * v) or None, origin="identified")
         for n, v in values.items()
         if v is not None
     }
-    return truth, ExportedVehicle("paper", truth.rotors, known, speed_result())
+    return truth, replace(whole, known=known)
 
 
 def test_margins_of_a_known_loop():
@@ -151,20 +145,13 @@ def test_the_predicted_loop_is_that_measured_in_the_emulator(autopilot):
     loop = propose(dynamics, loop)
     tones = 2.0 * np.pi * np.array([2.0, 3.5, 5.0, 8.0, 12.0])
     settings = {**loop.as_parameters(), **RATE_MODE}
-    zero, level = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-
-    class Hover:
-        name, duration, turbulence = "hover", 3.0, 0.0
-
-        def reference(self, t):
-            return Reference((0.0, 0.0, -HEIGHT), zero, zero, level, level, zero, zero, zero)
 
     def injection(t):
         return 0.005 * float(np.cos(tones * t).sum()), 0.0, 0.0
 
     sim = Simulation(
         truth,
-        Hover(),
+        Steps(0, at=np.inf),
         np.random.SeedSequence(1),
         0.0,
         step_us=1250,
