@@ -44,10 +44,6 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_units import assumed_unit
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
-_ORDER = (
-    "the vehicle does not rotate as these rotors would make it ({})",
-    "give --airframe with the rotors in the autopilot's motor order",
-)
 _AS_FLOWN = (
     "the motion does not match this motor order ({}); as flown, {}",
     "give --airframe with the rotors in that order, or see what changed places in the record",
@@ -269,11 +265,6 @@ def health_of(
         # Without an accelerometer nothing is calm.
         others = () if any(each.absent for each in saturated) else unseen.objections
         return replace(unseen, objections=on_sound_data((*sensors, *others)))
-    flown = complete_rows(np.column_stack([thrust, windows.turning]))
-    asked = turns_shown and not guess.shown
-    if asked and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
-        reason, how = _ORDER
-        return _contradicted(airframe, reason.format(guess.origin), how)
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
     health = _balances(streams, hover, thrust, curve if rotor_input.motors else None, guess)

@@ -359,37 +359,6 @@ def shares_by_wind(airframe: Airframe, center: Center) -> Array:
     return out
 
 
-def turns_otherwise(windows: Windows, airframe: Airframe, thrust: Array) -> bool:
-    """Whether the vehicle answers other moments than those of these rotors: a wrong motor order.
-
-    Roll and pitch acceleration over the moments of roll, pitch and yaw that the airframe would
-    have: where another axis' moment turns it more than its own, and surely, motors are swapped.
-    Gusts, which the autopilot answers, weaken an axis' own moment; they make no other one.
-
-    Args:
-        windows: in flight, with all of thrust.
-        airframe: places of the rotors.
-        thrust: (n, rotors), in any unit.
-    """
-    x, y, spin = airframe.geometry
-    total = thrust.sum(axis=1, keepdims=True)
-    moments = (thrust / total) @ np.column_stack([-y, x, spin * airframe.arm])
-    if len(moments) < 2 * TUNING.fewest_windows:
-        return False
-    columns = np.column_stack([np.ones(len(moments)), moments - moments.mean(axis=0)])
-    for axis in (0, 1):
-        fit = robust_fit(columns, windows.turning[:, axis])
-        effect = fit.value[1:]
-        sure = effect / np.sqrt(np.maximum(np.diag(fit.covariance)[1:], 1e-30))
-        others = [i for i in range(2) if i != axis]
-        for i in others:
-            if abs(effect[i]) > 2.0 * abs(effect[axis]) and abs(sure[i]) > TUNING.sure_of_order:
-                return True
-        if sure[axis] < -TUNING.sure_of_order:
-            return True
-    return False
-
-
 def scatter_of_cg(airframe: Airframe, shares: Array, cg: Array) -> Array:
     """(2, 2) covariance of the CG by what is assumed of rotors: k_T's scatter and their places.
 

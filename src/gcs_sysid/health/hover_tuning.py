@@ -19,8 +19,6 @@ class HoverTuning:
         enough_rate: Hz; beyond it a faster rotor stream brings nothing to averages.
         longest_lag: s, of motors and transport that is looked for.
         lag_step: s between the lags tried.
-        sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
-            its own moment the wrong way, for the motor order to be wrong.
         order_windows: s, half widths of windows in which motion shows where the rotors are: short
             against gusts, and those that a motor's lag leaves something of.
         order_delays: s by which thrust may lag behind commands: a lag, seen over tenths of a
@@ -145,7 +143,6 @@ class HoverTuning:
     enough_rate: float = 50.0
     longest_lag: float = 0.4
     lag_step: float = 0.02
-    sure_of_order: float = 5.0
     order_windows: tuple[float, ...] = (0.05, 0.1, 0.2)
     order_delays: tuple[float, ...] = (0.0, 0.02, 0.04, 0.06, 0.08)
     fewest_for_order: int = 60
