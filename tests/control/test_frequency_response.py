@@ -3,22 +3,17 @@
 import numpy as np
 import pytest
 
-from benchmarks.response import flown_by_pilot, true_vehicle
+from benchmarks.response import flown_by_pilot, outcome, true_vehicle
 from benchmarks.tune import DELAY, LAYOUTS, loop_of
 from gcs_sysid.control.frequency_response import (
     FlownSignals,
     flown_signals,
-    measured_axes,
-    measured_margins,
     measured_response,
-    smooth_ratio,
 )
 from gcs_sysid.control.loop_margins import frequencies, hover_dynamics, margins_of, open_loops
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.control.tuning_study import LIMITS, propose
+from gcs_sysid.control.tuning_study import propose
 from gcs_sysid.exports.exported_vehicle import drawn_vehicles
-from gcs_sysid.judgement.prediction import parted
-from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.recursions import lfilter
 from testbed.vehicles import draw
 
@@ -94,7 +89,8 @@ def test_response_to_the_set_point():
     assert np.median(apart) < 0.02
 
 
-def test_flight_in_pieces_too_short_shows_nothing():
+def test_flight_in_pieces_too_short_or_without_commands_shows_nothing():
+    assert flown_signals([], read_loop("px4", {}, draw(0).vehicle.rotors)) is None
     whole = closed_loop(5.0, 20.0).stretches[0]
     pieces = FlownSignals(tuple(whole[i : i + 400] for i in range(0, 4000, 400)), DT, 100.0)
     assert measured_response(pieces, 0) is None
@@ -129,33 +125,14 @@ def flight(request):
 
 
 @pytest.mark.slow
-def test_an_emulated_flight_shows_its_vehicle_and_phase_margin(flight):
-    _, loop, dynamics, signals = flight
-    omega = frequencies(loop)
-    inside = []
-    for name, one in measured_axes(signals, dynamics, loop).items():
-        found, axis = one.torque, AXES.index(name)
-        ratio = (found.values / one.model[0])[found.claimed]
-        inside += [*(np.abs(ratio - 1.0) <= np.sqrt(2.0) * found.half_width[found.claimed])]
-        by = measured_margins(one, dynamics, loop, axis)
-        whole = margins_of(omega, open_loops(dynamics, loop, omega)[:, :, axis])
-        assert by.phase[0] == pytest.approx(whole.phase[0], abs=3.0)
-    assert len(inside) > 30
-    assert np.mean(inside) > 0.88
-
-
-@pytest.mark.slow
-def test_a_model_that_parts_from_the_flight_is_objected_to(flight):
-    drawn, loop, _, signals = flight
-    for inertia, wrong in ((1.0, False), (4.0 / 3.0, True)):
-        vehicle = true_vehicle(drawn.vehicle, inertia)
-        some = [vehicle, *drawn_vehicles(vehicle, 30, 1)]
-        measured = measured_axes(signals, hover_dynamics(some, loop, (DELAY, 0.001)), loop)
-        smooth = {name: smooth_ratio(one) for name, one in measured.items()}
-        objections = [*parted({n: s.departure() for n, s in smooth.items()}, LIMITS.unmodeled)]
-        assert bool(objections) is wrong
-        assert all("departs from the model's" in o.words for o in objections)
-
-
-def test_no_flight_with_commands_shows_nothing():
-    assert flown_signals([], read_loop("px4", {}, draw(0).vehicle.rotors)) is None
+def test_an_emulated_flight_shows_its_vehicle_and_phase_margin_and_objects_to_another(flight):
+    drawn, loop, dynamics, signals = flight
+    vehicles = [true_vehicle(drawn.vehicle, inertia) for inertia in (1.0, 4.0 / 3.0)]
+    both = [hover_dynamics([v, *drawn_vehicles(v, 30, 1)], loop, (DELAY, 0.001)) for v in vehicles]
+    loops = open_loops(dynamics, loop, omega := frequencies(loop))
+    phases = [margins_of(omega, loops[:, :, axis]).phase[0] for axis in range(3)]
+    found = outcome(signals, both, loop, phases)
+    assert found["inside"] > 0.88 * found["claimed"] > 50
+    assert all(abs(measured - true) < 3.0 for measured, _, true in found["margins"])
+    assert len(found["margins"]) == 3
+    assert found["objections"] == [False, True]

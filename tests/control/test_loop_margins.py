@@ -131,12 +131,9 @@ def test_proposed_gains_keep_the_margins_on_every_draw():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "autopilot",
-    [
-        *("px4", "ardupilot"),
-        *(pytest.param(a, marks=pytest.mark.thorough) for a in ("betaflight", "inav")),
-        "betaflight-adrc",
-    ],
-)
+    ["px4", "betaflight-adrc", *(pytest.param(a, marks=pytest.mark.thorough)
+                                 for a in ("ardupilot", "betaflight", "inav"))],
+)  # fmt: skip
 def test_the_predicted_loop_is_that_measured_in_the_emulator(autopilot):
     """Tones on the roll torque of the flying emulator: the loop transfer at each."""
     truth, vehicle = known_vehicle()

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import Proposal, determined, proposal_file
 from gcs_sysid.health.command_curve import Curve
+from gcs_sysid.health.drive_health import motor_current
 from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, HoverCommand
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
@@ -136,15 +138,19 @@ def test_a_flight_of_px4_s_own_simulator_has_nothing_to_set(shared_log, capsys):
     assert "set" not in verdicts.values()
 
 
-def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
-    airframe = load_airframe("betaflight-quad-x")
-    curve = Curve(Estimate(0.6, 0.02, "1"), "speeds over commands")
-    still = Estimate(0.0, 1e-3, "m")
-    health = Health(
-        "a.bbl", autopilot="generic", airframe=airframe, cg=(still, still), curve=curve,
-        hover_command=HoverCommand(0.4, 0.16, 0.01),
-        parameters={"thrust_linear": 0.0, "motor_poles": 14.0},
+def hovering(autopilot, parameters, **fields):
+    """A vehicle of the layout given, whose CG is in the middle."""
+    still, airframe = Estimate(0.0, 1e-3, "m"), load_airframe("betaflight-quad-x")
+    return Health(
+        "a.log", autopilot=autopilot, airframe=airframe, cg=(still, still), parameters=parameters,
+        **fields,
     )  # fmt: skip
+
+
+def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
+    curve = Curve(Estimate(0.6, 0.02, "1"), "speeds over commands")
+    command, now = HoverCommand(0.4, 0.16, 0.01), {"thrust_linear": 0.0, "motor_poles": 14.0}
+    health = hovering("generic", now, curve=curve, hover_command=command)
     found = by_name(determined([health]))
     linear = found["thrust_linear"]
     assert linear.verdict == "leave"
@@ -157,9 +163,6 @@ def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
     assert all(line.startswith("#") for line in text.splitlines())
     with pytest.raises(InputError, match=r"\.txt"):
         proposal_file([health], determined([health]), ".params")
-
-
-def test_no_parameter_of_px4_is_written_for_betaflights_command_line():
     with pytest.raises(InputError, match=r"\.params"):
         proposal_file([Health("a.ulg", autopilot="px4")], (), ".txt")
 
@@ -195,15 +198,37 @@ def test_emulated_vehicles_get_what_is_true_and_keep_what_is_right(number, tmp_p
             assert abs(one.new - truth[one.name]) < abs(one.now - truth[one.name])
 
 
+def test_the_line_of_motor_currents_is_one_for_all_motors_and_moves_as_a_whole():
+    t, at = np.arange(0.0, 60.0, 0.5), np.arange(-1.0, 61.0, 0.1)
+    thrust, commanded = (np.tile(0.4 + 0.05 * np.sin(x[:, None]), 4) for x in (t, at))
+    flown = SimpleNamespace(t=t, half=0.5, commands=thrust, squares=0.0 * thrust, idle=t < 0.0)
+    currents = 6.9 * commanded + 0.4 + np.random.default_rng(1).normal(0.0, 0.1, commanded.shape)
+    streams = SimpleNamespace(start=5.0, extras={"motor currents": (at + 5.0, currents)})
+    line = motor_current(streams, flown, 0.0)
+
+    def verdicts(slope, idle, line=line):
+        now = {"MOTFAIL_C2T": slope, "MOTFAIL_IDLE": idle}
+        found = by_name(determined([hovering("px4", now, motor_current=line)]))
+        return [(found[f"MOTFAIL_{n}"].verdict, found[f"MOTFAIL_{n}"].new) for n in ("C2T", "IDLE")]
+
+    (what, slope), (idle, left) = verdicts(35.0, 0.0)
+    assert (what, idle) == ("set", "leave")
+    assert (slope, left) == pytest.approx((6.9, 0.4), abs=0.3)
+    assert [what for what, _ in verdicts(6.9, 0.4)] == ["leave", "leave"]
+    assert [what for what, _ in verdicts(6.9, 2.9)] == ["leave", "set"]
+    # C2T alone would lower the line in hover, where it was right.
+    (what, _), (idle, moved) = verdicts(3.0, 1.96)
+    assert (what, idle) == ("set", "set")
+    assert moved == pytest.approx(0.4, abs=0.2)
+    assert [what for what, _ in verdicts(35.0, 0.0, None)] == ["cannot tell", "cannot tell"]
+
+
 def of_notch(autopilot, **now):
     """Proposals for a vehicle whose rotors turn with 100 Hz at a throttle of 0.25."""
-    still = Estimate(0.0, 1e-3, "m")
-    health = Health(
-        "a.bin", autopilot=autopilot, airframe=load_airframe("betaflight-quad-x"),
-        cg=(still, still), hover_command=HoverCommand(0.25, 0.0625, 0.01, throttle=0.25),
-        hover_frequency=Estimate(100.0, 0.5, "Hz"), parameters={"MOT_THST_EXPO": 0.0, **now},
-    )  # fmt: skip
-    return by_name(determined([health]))
+    command, turning = HoverCommand(0.25, 0.0625, 0.01, throttle=0.25), Estimate(100.0, 0.5, "Hz")
+    now |= {"MOT_THST_EXPO": 0.0}
+    fields = {"hover_command": command, "hover_frequency": turning}
+    return by_name(determined([hovering(autopilot, now, **fields)]))
 
 
 def test_a_notch_is_set_where_the_rotors_are_and_one_for_something_else_is_left():

@@ -114,13 +114,14 @@ def test_vehicle_parameters_and_dropouts_are_told(path, of):
 
 def test_escs_are_put_in_motor_order(tmp_path, ulog_file, of):
     log = ulog_file
-    log.nested("esc_report", ["uint64_t timestamp", "int32_t esc_rpm", "uint8_t actuator_function"])
+    log.nested("esc_report", ["float esc_current", "int32_t esc_rpm", "uint8_t actuator_function"])
     log.topic("esc_status", ["uint8_t esc_count", "esc_report[2] esc"])
-    log.row("esc_status", 3.0, 2, 2_990_000, -600, 102, 2_990_000, 1200, 101)
+    log.row("esc_status", 3.0, 2, 1.5, -600, 102, 2.5, 1200, 101)
     path = tmp_path / "escs.ulg"
     path.write_bytes(log.bytes())
     (record,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
     np.testing.assert_allclose(record.values, np.array([40.0, 20.0]) * math.pi)
+    assert read_ulog(path).extras["motor currents"][1].tolist() == [[2.5, 1.5]]
 
 
 @pytest.mark.parametrize("count", [NAN, math.inf, -3.0, 0.0])

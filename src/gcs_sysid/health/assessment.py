@@ -19,6 +19,7 @@ from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.drive_health import (
     battery_of,
     idle_output,
+    motor_current,
     motor_gains,
     power_of_voltage,
     vibration_of,
@@ -281,6 +282,7 @@ def health_of(
         arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
         by_voltage=power_of_voltage(streams, windows, curve),
+        motor_current=motor_current(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         drag=drag_of(streams, windows),
     )
     health = with_throttle(health, streams, windows, hover, curve)

@@ -13,6 +13,8 @@ Conventions, by the autopilots' own sources and parameter descriptions:
   positive for counter-clockwise. INS_POSn_* and EKF2_IMU_POS_* are forward, right and down, of the
   IMU from the CG.
 - MOT_SPIN_MIN is a share of the whole range of the outputs, MOT_BAT_VOLT_* are volts of the pack.
+- PX4 takes a motor for failed whose current departs from MOTFAIL_C2T times its thrust command plus
+  MOTFAIL_IDLE, one line for all motors (MotorFailureDetector, mfd_fit).
 - PX4 multiplies its thrust by 1 / v where MC_BAT_SCALE_EN is set; Betaflight takes off
   vbat_sag_compensation percent of what a full battery gives beyond an empty one (mixer.c).
 - Betaflight's output is u (1 + k (1 - u)^2), k thrust_linear in percent (pid.c).
@@ -171,6 +173,7 @@ _SPEEDS = "log the rotors' speeds: ESC telemetry, or bidirectional DShot"
 _FOLLOWS = ", and this is the least that the notch goes to: judge the gains again (tune)"
 _LEGS = "fly legs of 20 s at 3 m/s and at 10 m/s, north, east, south and west, in calm air"
 _STEADY = "hover for 60 s, in calm air and with one load"
+_CURRENTS = "hover for 60 s with climbs and descents of 2 m, the ESCs' currents logged (esc_status)"
 _DISCHARGE = "hover from a full battery until it is low, with the voltage logged"
 
 
@@ -187,9 +190,10 @@ def determined(flights: Sequence[Health]) -> tuple[Proposal, ...]:
         return ()
     curve = _together([c for h in usable if (c := _curve(h)) is not None])
     voltage = _together([h.by_voltage for h in usable if h.by_voltage is not None])
+    current = _together([h.motor_current.slope for h in usable if h.motor_current is not None])
     found: dict[str, list[Proposal]] = {}
     for health in usable:
-        for one in of[health.autopilot](_HoverFlight(health, curve, voltage)):
+        for one in of[health.autopilot](_HoverFlight(health, curve, voltage, current)):
             found.setdefault(one.name, []).append(one)
     return tuple(_merged(some) for some in found.values())
 
@@ -241,11 +245,13 @@ class _HoverFlight:
         health: of the flight.
         curve: c of the thrust curve.
         voltage: power of the voltage, see `Health.by_voltage`.
+        current: A of a motor for full thrust.
     """
 
     health: Health
     curve: Estimate | None
     voltage: Estimate | None
+    current: Estimate | None
 
     def now(self, name: str) -> float | None:
         return self.health.parameters.get(name)
@@ -361,6 +367,7 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
         then=_then(flight, "MPC_THR_HOVER", "THR_MDL_FAC", c, (1.0, 1.0)),
     )
     yield _by_voltage(flight, "MC_BAT_SCALE_EN", 1.0, "")
+    yield from _current(flight)
     if int(flight.now("IMU_GYRO_DNF_EN") or 0) & 1:
         yield _notch(flight, "IMU_GYRO_DNF_MIN", None, _FOLLOWS)
     assert health.airframe is not None
@@ -383,6 +390,32 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
                 yield flight.propose(f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
     yield from _imu(flight, "EKF2_IMU_POS_")
     yield from _drag(flight, "EKF2_")
+
+
+def _current(flight: _HoverFlight) -> Iterator[Proposal]:
+    """The line of PX4's motor failure detection: MOTFAIL_IDLE is what C2T leaves of the hover."""
+    slope, idle = flight.now("MOTFAIL_C2T"), flight.now("MOTFAIL_IDLE")
+    if slope is None or idle is None:
+        return
+    line, pooled_slope = flight.health.motor_current, flight.current
+    if line is None or pooled_slope is None:
+        for name in ("MOTFAIL_C2T", "MOTFAIL_IDLE"):
+            lacks = "no currents of the ESCs over a range of thrust"
+            yield flight.propose(name, None, lacks=lacks, fly=_CURRENTS)
+        return
+    assert pooled_slope.value is not None
+    assert line.mean.value is not None
+    use = 2.0 * TUNING.worth_knowing * pooled_slope.value
+    note = "current over thrust commanded, of all motors"
+    after = flight.propose("MOTFAIL_C2T", pooled_slope, note, use=use, fly=_CURRENTS)
+    yield replace(after, quantity=line.slope)
+    used = pooled_slope.value if after.verdict == "set" else slope
+    level = Estimate(max(line.mean.value - used * line.thrust, 0.0), line.mean.std, "A")
+    # The same line in hover as before, where only C2T is surely another.
+    then = max(idle + (slope - used) * line.thrust, 0.0) if used != slope else None
+    note = f"{line.mean.value:.3g} A in hover with MOTFAIL_C2T {used:.3g}"
+    lacks = "MOTFAIL_C2T is not known" if after.verdict == "cannot tell" else ""
+    yield flight.propose("MOTFAIL_IDLE", level, note, lacks=lacks, then=then, fly=_CURRENTS)
 
 
 def _of_hover(hover: Estimate | None) -> float:

@@ -19,7 +19,7 @@ from gcs_sysid.health.command_curve import Curve, curve_of, gentle_of, thrust_of
 from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
-from gcs_sysid.health.vehicle_health import Health, HoverCommand
+from gcs_sysid.health.vehicle_health import Health, HoverCommand, MotorCurrent
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
@@ -184,6 +184,34 @@ def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) ->
     full = float(fit.value[:2].sum())
     std = math.sqrt(max(float(fit.covariance[2, 2]), 0.0)) / abs(full) if full else 0.0
     return Estimate(float(fit.value[2]) / full, std, "1") if std > 0.0 else None
+
+
+def motor_current(streams: Streams, windows: Windows, c: float) -> MotorCurrent | None:
+    """The motors' current over their thrust as commanded, by climbs and descents.
+
+    Args:
+        streams: of the log.
+        windows: all those in flight.
+        c: of the thrust curve that the autopilot inverts.
+    """
+    t, currents = streams.extras.get("motor currents", (np.empty(0), np.empty((0, 0))))
+    if currents.shape[1] != windows.commands.shape[1]:
+        return None
+    amperes = windowed_means(t - streams.start, currents, windows.t, windows.half).mean(axis=1)
+    thrust = thrust_of(windows, c).mean(axis=1)
+    there = complete_rows(np.column_stack([amperes, thrust])) & ~windows.idle & (amperes > 0.0)
+    amperes, thrust = amperes[there], thrust[there]
+    if len(thrust) < 2 * TUNING.fewest_windows or np.std(thrust) < TUNING.least_throttle_motion:
+        return None
+    mean = float(thrust.mean())
+    columns = np.column_stack([thrust - mean, np.ones(len(thrust))])
+    fit = balance.robust_fit(columns, amperes, between=windows.half)
+    # The battery's charge differs from flight to flight.
+    slope, level = (
+        Estimate(float(v), math.hypot(std, TUNING.common_command * abs(float(v))), "A")
+        for v, std in zip(fit.value, np.sqrt(np.diag(fit.covariance)), strict=True)
+    )
+    return MotorCurrent(slope, level, mean)
 
 
 def idle_output(streams: Streams) -> float | None:

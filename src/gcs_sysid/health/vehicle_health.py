@@ -96,6 +96,21 @@ class HoverCommand:
 
 
 @dataclass(frozen=True)
+class MotorCurrent:
+    """Current of the mean motor, straight over the thrust commanded.
+
+    Attributes:
+        slope: A for full thrust.
+        mean: A, at the mean thrust.
+        thrust: that mean, over full thrust.
+    """
+
+    slope: Estimate
+    mean: Estimate
+    thrust: float
+
+
+@dataclass(frozen=True)
 class RotorHealth:
     """One rotor in hover.
 
@@ -150,6 +165,8 @@ class Health:
         hover_frequency: Hz, of the mean rotor in hover; None without measured speeds.
         by_voltage: power of the battery's voltage that a command is multiplied by: 1 where rotors
             slow down with the battery, 0 where the ESC makes up for it; None: not logged.
+        motor_current: None where ESCs do not report it, or hardly any thrust but the weight was
+            commanded.
         thrust_to_weight: full thrust over weight; None without commands.
         scale: name of the coefficient (k_T or T_max) and its value; None without a mass.
         mass: kg, where k_T or T_max was given.
@@ -197,6 +214,7 @@ class Health:
     hover_command: HoverCommand | None = None
     hover_frequency: Estimate | None = None
     by_voltage: Estimate | None = None
+    motor_current: MotorCurrent | None = None
     thrust_to_weight: Estimate | None = None
     scale: tuple[str, Estimate] | None = None
     mass: Estimate | None = None

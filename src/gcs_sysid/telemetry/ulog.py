@@ -78,7 +78,7 @@ _FIELDS = {
 }
 _FIELDS[_STATUS] |= {"nav_state", "system_id", "component_id", "system_type"}
 """Topic -> fields that are read."""
-_ESC_FIELDS = {"esc_count", "esc_rpm", "actuator_function"}
+_ESC_FIELDS = {"esc_count", "esc_rpm", "esc_current", "actuator_function"}
 """Of each ESC."""
 _NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
 
@@ -182,7 +182,10 @@ def _add_topic(
         commands = _motors(topic, parameters.get("THR_MDL_FAC", 0.0))
         recording.add(Stream.ROTOR_COMMAND, t, commands, source=source)
     elif name == _ESCS:
-        recording.add(Stream.ROTOR_SPEED, t, _speeds(topic, parameters), source=source)
+        speeds = np.abs(_by_motor(topic, parameters, "esc_rpm")) * RPM
+        recording.add(Stream.ROTOR_SPEED, t, speeds, source=source)
+        if "esc[0].esc_current" in topic:
+            recording.extras["motor currents"] = t, _by_motor(topic, parameters, "esc_current")
     elif name == _BATTERY:
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name in _GPS and not (name == _GPS[1] and len(recording.clock[0])):
@@ -273,8 +276,8 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     return np.copysign(magnitude, thrust)
 
 
-def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
-    """(n, motors) rad/s without sign, by motor.
+def _by_motor(topic: Topic, parameters: Mapping[str, float], field: str) -> Array:
+    """(n, motors) what ESCs report, by motor.
 
     ESCs report which they drive; those of firmware that does not say are in the order of outputs.
     """
@@ -282,7 +285,7 @@ def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
     count = min(max(_whole(topic["esc_count"].max()), 0), count) or count
     if not count:
         raise KeyError("esc")
-    rpm = np.column_stack([topic[f"esc[{i}].esc_rpm"] for i in range(count)])
+    values = np.column_stack([topic[f"esc[{i}].{field}"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
     motors = [motor_of("px4", float(f.max())) for f in functions if f is not None]
     if not motors:
@@ -291,5 +294,5 @@ def _speeds(topic: Topic, parameters: Mapping[str, float]) -> Array:
         motors = [outputs.get(i, -1) for i in range(count)]
     where = {motor: i for i, motor in enumerate(motors) if motor >= 0}
     if where and sorted(where) == list(range(len(where))):
-        rpm = rpm[:, [where[motor] for motor in range(len(where))]]
-    return np.abs(rpm.astype(float)) * RPM
+        values = values[:, [where[motor] for motor in range(len(where))]]
+    return values.astype(float)
