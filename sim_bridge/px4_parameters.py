@@ -36,6 +36,7 @@ def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
             table[f"CA_ROTOR{i}_AY"] = side * rotor.x
             table[f"CA_ROTOR{i}_AZ"] = -math.cos(tilt)
         table[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
+        table |= {f"PWM_MAIN_MIN{i + 1}": 1000, f"PWM_MAIN_MAX{i + 1}": 2000}
         table[f"CA_ROTOR{i}_PX"] = rotor.x
         table[f"CA_ROTOR{i}_PY"] = rotor.y
         # PX4's moment ratio: positive for counter-clockwise; the number is its default.

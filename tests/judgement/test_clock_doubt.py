@@ -5,10 +5,11 @@ import struct
 import numpy as np
 import pytest
 
-from gcs_sysid.judgement.received import clock_doubt, is_simulated
+from gcs_sysid.judgement.received import clock_doubt
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.signals.rotor_units import is_simulated
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import read_tlog

@@ -42,18 +42,9 @@ def test_motors_are_found_on_whatever_outputs_and_nothing_else_is_taken(outputs)
         "SERVO_OUTPUT_RAW": expected,
         "ESC": expected,
     }
-    assert by_motor(order, sent("RCOU", width=14)) == {"RCOU": expected}
-
-
-def test_outputs_without_motors_are_in_no_motors_place():
-    order = MotorOrder.of("ardupilot", servos(1, 2, 3, 4), 4)
-    tracks = order.tracks([sent("RCOU", width=14), sent("RCOU", 14, 4)])
-    assert [(track.offset, track.values.shape[1]) for track in tracks] == [(0, 4), (4, 0)]
-
-
-def test_an_order_of_which_a_part_is_known_is_not_used():
-    parameters = servos(9, 10, 11)
-    assert MotorOrder.of("ardupilot", parameters, 4) == MotorOrder("ardupilot")
+    assert by_motor(order, sent("RCOU", width=14), sent("RCOU", 14, 4)) == {"RCOU": expected}
+    # An order of which a part is known is not used.
+    assert MotorOrder.of("ardupilot", servos(*outputs[1:]), 4) == MotorOrder("ardupilot")
 
 
 def test_a_motor_that_version_1_cannot_hold_is_named():
@@ -82,11 +73,8 @@ def test_drivers_that_are_off_turn_no_motor():
         "UAVCAN_ENABLE": 2.0,
         "SYS_HITL": 0.0,
     }
-    assert MotorOrder.of("px4", parameters, 4).outputs == (0, 1, 2, 3)
-    assert [name for name, _ in MotorOrder.of("px4", parameters, 4).orders] == ["PWM_MAIN"]
-
-
-def test_motors_of_two_drivers_are_not_all_in_one_stream():
+    assert MotorOrder.of("px4", parameters, 4).orders == (("PWM_MAIN", (1, 3, 0, 2)),)
+    # Of two drivers that share the motors none has all.
     parameters = {**pwm(1, 2), "PWM_AUX_FUNC1": 103.0, "PWM_AUX_FUNC2": 104.0}
     order = MotorOrder.of("px4", parameters, 4)
     assert by_motor(order, sent("ACTUATOR_OUTPUT_STATUS")) == {}
@@ -115,12 +103,20 @@ def test_the_order_of_escs_is_that_in_which_they_follow_the_commands(truth):
     assert set(out_of_order(streams, order)) == {f"ESC_STATUS by {wrong}"}
 
 
-@pytest.mark.parametrize("servo", [0.0, 420.0])
-def test_outputs_that_no_rotor_follows_are_those_of_another_driver(servo):
-    """A gimbal on MAIN, motors on AUX: PX4 sends the outputs of one driver."""
-    order = MotorOrder.of("px4", {**pwm(1, 2, 3, 4, driver="PWM_AUX"), "PWM_MAIN_FUNC1": servo}, 4)
+def test_outputs_that_no_rotor_follows_are_those_of_another_driver():
+    """A gimbal on MAIN, motors on AUX: PX4 sends each driver's outputs from its own port."""
+    parameters = {**pwm(2, 4, 1, 3, driver="PWM_AUX"), "PWM_MAIN_FUNC1": 0.0}
+    assert MotorOrder.of("px4", parameters, 4).doubt("SERVO_OUTPUT_RAW") == ""
+    order = MotorOrder.of("px4", {**parameters, "PWM_MAIN_FUNC1": 420.0}, 4)
     turn, move = np.random.default_rng(1).normal(size=(2, 500, 4)).cumsum(axis=1)
-    streams = {"ESC_STATUS": (Stream.ROTOR_SPEED, [(T, v) for v in turn.T]),
-               "ACTUATOR_OUTPUT_STATUS": (Stream.ROTOR_COMMAND, [(T, v) for v in move.T]),
-               "SERVO_OUTPUT_RAW": (Stream.ROTOR_COMMAND, [(T, v) for v in turn.T])}  # fmt: skip
-    assert [*out_of_order(streams, order)] == (["ACTUATOR_OUTPUT_STATUS"] if servo else [])
+    outputs = np.hstack([move, turn[:, [2, 0, 3, 1]]])
+    commands = {track.source: (track.stream, [(T, v) for v in track.values.T])
+                for port in (0, 1) for track in order.tracks([Track(Stream.ROTOR_COMMAND, T,
+                outputs[:, 4 * port : 4 * port + 4], 16 * port, "SERVO_OUTPUT_RAW")])}  # fmt: skip
+    speeds = {"ESC_STATUS": (Stream.ROTOR_SPEED, [(T, v) for v in turn.T])}
+    assert [*out_of_order(speeds | commands, order)] == ["SERVO_OUTPUT_RAW"]
+    refused = out_of_order(commands, order)
+    assert {*refused} == {"SERVO_OUTPUT_RAW", "SERVO_OUTPUT_RAW_1"}
+    assert all("PWM_MAIN" in why and "PWM_AUX" in why for why in refused.values())
+    del commands["SERVO_OUTPUT_RAW_1"]  # one alone is taken, and the motion may contradict it
+    assert not out_of_order(commands, order)

@@ -237,9 +237,8 @@ def test_groups_of_one_kind_are_one_source():
 def test_scale_and_airframe_decide_between_sound_sources(anchor, wanted, kind):
     t, u, v = signals()
     airframe = replace(PAPER, rotor_input=wanted)
-    assert (
-        judged(commands(u, t), speeds(v, t), airframe=airframe, anchor=anchor).choice.kind == kind
-    )
+    found = judged(commands(u, t), speeds(v, t), airframe=airframe, anchor=anchor)
+    assert found.choice.kind == kind
 
 
 @pytest.mark.parametrize(
@@ -258,9 +257,8 @@ def test_streams_that_tell_the_same_commands_are_used_together(
     """And not what comes late, is about something else, or comes more seldom."""
     t, u, _ = signals(rate=2.0 * RATE)
     first, second = slice(None, None, 2), slice(1, None, 2 * every)
-    one = commands(u[first], t[first])
     other = commands(u[second] + above, t[second] + late, source)
-    rotor_selector = judged(one, other)
+    rotor_selector = judged(commands(u[first], t[first]), other)
     assert rotor_selector.choice.name == "ACTUATOR_OUTPUT_STATUS"
     assert rotor_selector.twin == (source if together else None)
 
@@ -350,11 +348,10 @@ def test_a_unit_that_firmware_defines_is_not_guessed(source, low):
 
 
 def test_stopped_is_zero():
-    u = normalized(np.array([[900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0]]), Range(1000, 2000, ""))
-    np.testing.assert_array_equal(u, [[0.0, 0.0, 0.0, 0.0, 0.5, 1.0]])
     # Curves between samples pass a little below and above.
-    between = normalized(np.array([990.0, 2010.0]), Range(1000, 2000, ""))
-    np.testing.assert_allclose(between, [-0.01, 1.01])
+    outputs = np.array([900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0, 990.0, 2010.0])
+    u = normalized(outputs, Range(1000, 2000, ""))
+    np.testing.assert_allclose(u, [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, -0.01, 1.01])
 
 
 @pytest.mark.parametrize(
@@ -391,7 +388,7 @@ def test_groups_of_rotors_repeat_on_their_own():
     rotor_selector = RotorSourceSelector(PAPER, MASS)
     for i in range(50):
         for offset in (0, 4):
-            values = (float(i),) * 4 if offset else (1.0,) * 4
+            values = (float(i) if offset else 1.0,) * 4
             source = f"ESC_TELEMETRY_{offset + 1}_TO_{offset + 4}"
             record = Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source)
             rotor_selector.extend(block_of([record]).tracks)
@@ -421,7 +418,13 @@ def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
 
 
 def test_a_range_that_the_parameters_leave_open_is_assumed():
-    for parameters in (SPIN | {"MOT_PWM_MIN": 0.0}, {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}):
-        found = command_range("RCOU", CommandRange(), "ardupilot", parameters, 1600.0)
+    pulses, px4 = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}, {"PWM_MAIN_FUNC1": 101.0}
+    for key, known in (
+        ("ardupilot", SPIN | {"MOT_PWM_MIN": 0.0}),
+        ("ardupilot", pulses),
+        ("px4", px4),
+    ):
+        found = command_range("RCOU", CommandRange(), key, known, 1600.0)
         assert found.assumed
         assert "assumed" in found.origin
+    assert not command_range("RCOU", CommandRange(), "px4", px4 | {"SIM_BAT": 1}, 1600.0).assumed

@@ -255,14 +255,14 @@ def health_of(
     thrust = thrust_of(windows, c)
     if rotor_input.motors and c is None:
         reason, how = _no_hover(streams, windows)
-        return _refused(reason, how=how, airframe=airframe)
+        return _refused(*streams.doubts, reason, how=how, airframe=airframe)
     sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
     sound &= ~windows.idle
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         # A sensor that reads otherwise than the vehicle moves is the cause of the rest.
         reason, how = _no_hover(streams, windows)
-        unseen = _refused(reason, how=how, airframe=airframe)
+        unseen = _refused(*streams.doubts, reason, how=how, airframe=airframe)
         # Without an accelerometer nothing is calm.
         others = () if any(each.absent for each in saturated) else unseen.objections
         return replace(unseen, objections=on_sound_data((*sensors, *others)))

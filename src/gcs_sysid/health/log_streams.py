@@ -65,6 +65,7 @@ class Streams:
         commands: the best source of commands; None likewise.
         refused: source -> why not.
         misread: those of them of which a rotor reads what it does not do.
+        doubts: what else the commands may be, where no speeds show it.
         extras: as of `telemetry.track_collector.Recording`.
     """
 
@@ -74,6 +75,7 @@ class Streams:
     commands: RotorStream | None
     refused: Mapping[str, str]
     misread: Mapping[str, str] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
     extras: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def rate(self, stream: Stream) -> float:
@@ -171,7 +173,9 @@ def streams_of(
     if speeds is not None:  # what is no rotor's in another order is not misread
         own = in_any_order(speeds.source)
         misread = {name: why for name, why in misread.items() if in_any_order(name) != own}
-    return Streams(start, plain, speeds, commands, refused | misread, misread)
+    doubt = order.doubt(commands.source) if commands is not None and speeds is None else ""
+    doubts = (f"{commands.source} {doubt}",) if commands is not None and doubt else ()
+    return Streams(start, plain, speeds, commands, refused | misread, misread, doubts)
 
 
 def _turning(stream: RotorStream) -> Array:

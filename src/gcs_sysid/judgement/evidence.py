@@ -25,6 +25,7 @@ class Received:
         searched: whether the choice among rotor streams is made.
         has_rotors: whether there is a rotor stream in use.
         input_lost: why it was given up; empty where it was not.
+        doubt: what else than the motors' it may be; empty: nothing else.
         outdated: whether the autopilot's parameters came too late to be heeded.
         flown: s in the air.
     """
@@ -35,6 +36,7 @@ class Received:
     searched: bool = False
     has_rotors: bool = True
     input_lost: str = ""
+    doubt: str = ""
     outdated: bool = False
     flown: float = 0.0
 

@@ -19,6 +19,7 @@ from gcs_sysid.model.estimate import Objection, Verdict
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.signals.records import NEEDED_RATE, Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
+from gcs_sysid.signals.rotor_units import is_simulated
 
 NAMED_LOSS = 0.1
 """Share of IMU samples missing from which it is reported: five times what PX4 leaves out."""
@@ -90,9 +91,10 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
         ("data", True, _unexplained(fit, cut=cut, still=still)),
     ):
         if reasons:
+            doubt = received.doubt if verdict else ""
             yield from (
-                Objection(reason, verdict=verdict, by=by, how=how, flying=flying)
-                for reason, how in reasons
+                Objection(reason, verdict=verdict, by=by, how=how, flying=flying and not doubt)
+                for reason, how in (*(((doubt, ""),) if doubt else ()), *reasons)
             )
             return
 
@@ -263,22 +265,6 @@ def clock_doubt(
     if abs(ppm) >= NO_CLOCK or is_simulated(parameters):
         return None
     return ClockDoubt(1e-6 * ppm, by_gps)
-
-
-def is_simulated(parameters: Mapping[str, float]) -> bool:
-    """Whether it is a simulator, by parameters that only simulators have.
-
-    Where PX4's firmware can simulate its vehicle, it answers for SIH_MASS in real flight as well.
-    """
-    if any(name.startswith("SIM_") for name in parameters):
-        return True
-    if "SIH_MASS" not in parameters:
-        return False
-    # SYS_AUTOSTART of vehicles that PX4 simulates on a computer.
-    low, high = 10_000.0, 20_000.0
-    # SYS_HITL: PX4 simulates its own vehicle.
-    on_board = parameters.get("SYS_HITL") == 2.0
-    return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
 
 
 def wrong_clock(evidence: Evidence) -> Iterator[Objection]:

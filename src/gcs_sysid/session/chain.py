@@ -672,6 +672,7 @@ class Findings:
                 selector.judged,
                 chain.rotors is not None,
                 chain.input_lost,
+                "" if chain.rotors is None else chain.rotors.doubt,
                 chain.outdated,
                 sampler.time_base.flown,
             ),

@@ -28,7 +28,7 @@ _MOTORS = {
 """Autopilot -> functions of motor 1 and those after it."""
 _BY_OUTPUT = {
     "ardupilot": re.compile(r"SERVO_OUTPUT_RAW|RCOU|ESC|ESC_TELEMETRY(_\d+_TO_\d+)?"),
-    "px4": re.compile(r"ACTUATOR_OUTPUT_STATUS|SERVO_OUTPUT_RAW|actuator_outputs(_\d+)?"),
+    "px4": re.compile(r"ACTUATOR_OUTPUT_STATUS|(SERVO_OUTPUT_RAW|actuator_outputs)(_\d+)?"),
 }
 """Autopilot -> sources whose values are those of outputs."""
 _EITHER_ORDER = "ESC_STATUS"
@@ -37,8 +37,10 @@ MIXER = "mixer "
 """Begins the names of what a blackbox log shows of its mixer: axis and motor follow."""
 _BY = " by "
 """In the name of a stream that comes once in each order that it may have."""
-_OF_VERSION_1 = 8
-"""Outputs that SERVO_OUTPUT_RAW has in MAVLink 1."""
+_OF_VERSION_1, _OF_PORT = 8, 16
+"""Outputs that SERVO_OUTPUT_RAW has in MAVLink 1, and in MAVLink 2."""
+_ALIKE = 0.5
+"""Correlation above which two streams are of the same motors."""
 
 
 def is_function(name: str) -> bool:
@@ -99,13 +101,13 @@ class MotorOrder:
         orders: name of the order -> output of each motor; several where it is not known which
             driver turns the motors. Empty: nothing is known, outputs are taken for motors.
         split: whether no driver has all motors, so that outputs in one stream are not all.
-        shared: whether other drivers have outputs too, so that those in a stream may be theirs.
+        others: drivers that have outputs of something else; those in a stream may be theirs.
     """
 
     autopilot: str = ""
     orders: tuple[tuple[str, tuple[int, ...]], ...] = ()
     split: bool = False
-    shared: bool = False
+    others: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -135,7 +137,7 @@ class MotorOrder:
             if value and (match := _FUNCTION[autopilot].fullmatch(name))
         }
         others = {driver for driver in used - drivers.keys() if _is_in_use(driver, parameters)}
-        return cls(autopilot, tuple(named), split=not named, shared=bool(named and others))
+        return cls(autopilot, tuple(named), not named, tuple(sorted(others)) if named else ())
 
     @property
     def outputs(self) -> tuple[int, ...]:
@@ -169,6 +171,10 @@ class MotorOrder:
             if track.stream not in ROTOR_STREAMS:
                 yield track
                 continue
+            if self.others and track.source == "SERVO_OUTPUT_RAW" and track.offset:
+                # PX4 sends each driver's outputs from a port of their own.
+                port, offset = divmod(track.offset, _OF_PORT)
+                track = replace(track, source=f"{track.source}_{port}", offset=offset)
             for name, outputs in self.readings(track.source):
                 if outputs is None:
                     yield track
@@ -179,6 +185,13 @@ class MotorOrder:
         """Whether a source has values by output, whatever drives that."""
         by_output = _BY_OUTPUT.get(self.autopilot)
         return by_output is not None and by_output.fullmatch(source) is not None
+
+    def doubt(self, source: str) -> str:
+        """What else a source may have than outputs of motors, in words; empty: nothing else."""
+        if not (self.others and self.is_of_outputs(source)):
+            return ""
+        motors = " or ".join(driver for driver, _ in self.orders)
+        return f"may have outputs of {' or '.join(self.others)}; the motors' are {motors}'s"
 
     def gap_in(self, source: str, first_missing: int) -> str:
         """Why a source lacks a motor, where its output explains it; begins with a colon."""
@@ -239,23 +252,36 @@ def out_of_order(sources: Mapping[str, tuple[Stream, Rotors]], order: MotorOrder
         }
         first, *others = sorted(names, key=lambda name: -scores[name])
         # More alike than not, and twice as alike as in any other order.
-        if scores[first] > max([0.5, *(2.0 * scores[name] for name in others)]):
+        if scores[first] > max([_ALIKE, *(2.0 * scores[name] for name in others)]):
             refused |= dict.fromkeys(others, f"does not follow the commands as {first} does")
         else:
             orders = " or ".join(name.removeprefix(source + _BY) for name in names)
             refused |= dict.fromkeys(
                 names, f"may be in the order of {orders}, and no commands show which"
             )
-    speeds = [
-        rotors
+    return refused | _of_another_driver(sources, order)
+
+
+def _of_another_driver(
+    sources: Mapping[str, tuple[Stream, Rotors]], order: MotorOrder
+) -> dict[str, str]:
+    """Of streams of outputs, those that are another driver's or may be, and why."""
+    open_ = {
+        name: rotors
         for name, (stream, rotors) in sources.items()
-        if stream is Stream.ROTOR_SPEED and name not in refused
-    ]
-    for name, (stream, asked) in sources.items():
-        open_ = order.shared and stream is Stream.ROTOR_COMMAND and order.is_of_outputs(name)
-        if open_ and speeds and all(_likeness(turn, asked) < 0.5 for turn in speeds):
-            refused[name] = "has outputs that the speeds do not follow: those of another driver"
-    return refused
+        if order.others and stream is Stream.ROTOR_COMMAND and order.is_of_outputs(name)
+    }
+    of_motors = [rotors for name, (_, rotors) in sources.items() if name not in open_]
+    if of_motors:
+        return {
+            name: f"has outputs that no motor follows: those of {' or '.join(order.others)}"
+            for name, asked in open_.items()
+            if all(_likeness(asked, motors) < _ALIKE for motors in of_motors)
+        }
+    moving = [rotors for rotors in open_.values() if apart(rotors[0][0], rotors).any()]
+    if all(_likeness(moving[0], rotors) >= _ALIKE for rotors in moving[1:]):
+        return {}
+    return {name: f"{order.doubt(name)}, and no speeds show whose it has" for name in open_}
 
 
 def _likeness(speeds: Rotors, commands: Rotors) -> float:

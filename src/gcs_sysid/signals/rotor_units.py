@@ -20,10 +20,10 @@ Parameters = Mapping[str, float]
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
                    "PWM_MAIN_TIM", "PWM_AUX_TIM", "DSHOT_", "SERVO_BLH_3DMASK",
-                   "SIM_GZ_EC_", "HIL_ACT_M", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
+                   "SIM_", "SIH_MASS", "SYS_AUTOSTART", "HIL_ACT_M", "INS_GYRO_FILTER",
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
-                   "THR_MIN", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
+                   "THR_MIN", "IMU_GYRO_CUTOFF", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
 """How the names of the parameters that matter here begin, beside functions of outputs."""
 
 _USUAL = (800.0, 2200.0)
@@ -87,12 +87,30 @@ def command_range(
     if found is not None and largest <= 1.05 * found.high:
         return found
     if _USUAL[0] <= largest <= _USUAL[1]:
-        # PX4's simulators have no parameters of a range, and these pulses.
-        return replace(_CONVENTION, assumed=bool(parameters) and autopilot != "px4")
+        simulated = is_simulated(parameters) or parameters.get("SYS_HITL", 0.0) > 0.0
+        if autopilot == "px4" and simulated:  # which have no parameters of a range
+            return replace(_CONVENTION, origin="pulses of PX4's simulators", assumed=False)
+        return replace(_CONVENTION, assumed=bool(parameters))
     return (
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
     )
+
+
+def is_simulated(parameters: Parameters) -> bool:
+    """Whether it is a simulator, by parameters that only simulators have.
+
+    Where PX4's firmware can simulate its vehicle, it answers for SIH_MASS in real flight as well.
+    """
+    if any(name.startswith("SIM_") for name in parameters):
+        return True
+    if "SIH_MASS" not in parameters:
+        return False
+    # SYS_AUTOSTART of vehicles that PX4 simulates on a computer.
+    low, high = 10_000.0, 20_000.0
+    # SYS_HITL: PX4 simulates its own vehicle.
+    on_board = parameters.get("SYS_HITL") == 2.0
+    return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
 
 
 def _turns_either_way(source: str, parameters: Parameters) -> bool:
@@ -255,6 +273,12 @@ class RotorSource:
     order: MotorOrder = field(default_factory=MotorOrder)
     stops: bool = False
     unlike: float | None = None
+
+    @property
+    def doubt(self) -> str:
+        """What else it may be than the motors' input, in words; empty: nothing else."""
+        doubt = self.order.doubt(self.name)
+        return f"{self.name} {doubt}" if doubt else ""
 
     def reads_as(self, other: "RotorSource") -> bool:
         """Whether it is the same stream, read in the same way."""
