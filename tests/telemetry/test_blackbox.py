@@ -89,9 +89,8 @@ def test_betaflight(read):
         [*np.radians([7.0, -10.0, 20.0]), 0.0, -0.5 * G, -G], rel=1e-6
     )
     assert of(recording, Stream.ROTOR_COMMAND).values[0].tolist() == [48, 500, 1000, 2047]
-    speeds = of(recording, Stream.ROTOR_SPEED)
     # 100 x 100 electrical revolutions a minute, six to one of a motor with twelve poles
-    assert speeds.values[0] == pytest.approx(
+    assert of(recording, Stream.ROTOR_SPEED).values[0] == pytest.approx(
         [10_000 / 6 * 2 * math.pi / 60 * n for n in (1, 2, 3, 6)]
     )
     # About the left axis it is nose down, which about the right axis is negative.
@@ -105,14 +104,15 @@ def test_betaflight(read):
     )
     assert recording.extras["battery voltage"][1][0] == pytest.approx([16.5])
     told = {name: value for _, name, value in recording.parameters}
-    assert told["motorOutput[1]"] == 2047
-    assert told["motor_poles"] == 12
+    assert (told["motorOutput[1]"], told["motor_poles"]) == (2047, 12)
     assert recording.counts["I frames"] == 4
 
 
-def test_high_resolution_counts_in_tenths(read):
-    settings = SETTINGS | {"blackbox_high_resolution": 1}
-    recording = read(log_of({"gyroADC": (3, lambda k: (k, 0, 0))}, settings=settings))
+def test_high_resolution_counts_in_tenths_and_so_did_voltages_in_a_byte(read):
+    settings = SETTINGS | {"blackbox_high_resolution": 1, "vbatref": 166}
+    fields = {"gyroADC": (3, lambda k: (k, 0, 0)), "vbatLatest": (1, lambda k: 165)}
+    recording = read(log_of(fields, settings=settings))
+    assert recording.extras["battery voltage"][1][0] == pytest.approx([16.5])
     assert of(recording, Stream.IMU).values[10, 0] == pytest.approx(math.radians(1.0))
 
 

@@ -81,7 +81,7 @@ def _text(flights: Sequence[Health], found: Sequence[Proposal]) -> Iterator[str]
     head = f"Autopilot parameters by {count}, {seconds:.0f} s of hover (nothing is sent)"
     yield from wrapped(head)
     if not found:
-        yield "none are known for this autopilot, or its log has none"
+        yield "the log has none of the parameters that a flight shows"
         return
     yield _ROW.format("", "old", "new", "± 95 %", "").rstrip()
     for (reason, action), alike in groupby(found, lambda one: (one.reason, one.action)):

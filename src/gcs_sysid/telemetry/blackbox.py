@@ -324,7 +324,9 @@ class _SessionReader:
             recording.add(Stream.RATE_SETPOINT, self._t, asked * self._degrees * _FRD)
         elif turns is not None:
             recording.add(Stream.RATE_SETPOINT, self._t, np.radians(turns))
+        # Up to Betaflight 3 tenths of a volt, in a byte.
+        unit = 0.1 if 0.0 < self._header.number("vbatref", 0.0) < 256.0 else 0.01
         for name in ("vbatLatest", "vbat"):
             volts = self._frames.main.columns(name)
             if volts is not None:
-                recording.add_voltage(self._t, volts * 0.01)
+                recording.add_voltage(self._t, volts * unit)

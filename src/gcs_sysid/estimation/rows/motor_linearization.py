@@ -197,7 +197,7 @@ class MotorRows:
         self._points = 2 + len(basis.varied)
         self._thrusts = np.zeros(self._points)
         at_hover, by_curve = self._drive(np.array(hover))
-        self._hover, self._hover_by_curve = float(at_hover), float(by_curve)
+        self._hover, self._hover_by_curve = max(float(at_hover), _LEAST), float(by_curve)
         self._step = step_of(dt)
         before, after = basis.late_by - basis.spacing, basis.late_by + basis.spacing
         # Rows about any motors are of the same samples, and so of the same noise: whole steps, and
