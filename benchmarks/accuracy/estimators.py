@@ -1,5 +1,6 @@
 """The program's own estimators, and the bound that no estimator beats on average."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.problem import residual_maker
-from gcs_sysid.estimation.noise.whitening import NONE
+from gcs_sysid.estimation.noise.whitening import NONE, Whitener, corrected, torque_noise
 from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
-from gcs_sysid.estimation.offline.likeliest_noise import AxisNoise, innovations
+from gcs_sysid.estimation.offline.likeliest_noise import innovations
 from gcs_sysid.estimation.offline.prediction_error import estimate
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
@@ -26,6 +27,8 @@ from testbed.article_flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 
 Outcome = dict[str, list[float]]
 """error and std of the ten parameters, both in % of the truth."""
+Noise = tuple[float, Callable[[float, float], Whitener]]
+"""(rad/s)^2 of the gyro, and the whitener of that for T in s and torque noise to so many Hz."""
 
 
 def true_theta() -> Array:
@@ -40,18 +43,17 @@ def online(samples: Samples, dt: float, tuning: EstimatorTuning | None = None) -
     return estimator.fit()
 
 
-def offline(samples: Samples, dt: float, start: Fit, *, reach: float = 0.0) -> Fit:
+def offline(samples: Samples, dt: float, start: Fit) -> Fit:
     """The prediction-error estimate, from the online one; the translation stays the online one.
 
     Args:
         samples: of a flight.
         dt: s between them.
         start: the online estimate.
-        reach: s, by how much the rotors' stamps may be late or early; 0: known to be right.
     """
     assert start.rotation is not None
     known = replace(start.rotation, coordinates=at_delay(0.0))
-    rows = SpeedRows([samples], GEOMETRY, dt, 0.0, reach, speed_noise(samples, dt))
+    rows = SpeedRows([samples], GEOMETRY, dt, 0.0, 0.0, speed_noise(samples, dt))
     found = estimate(rows, known, choice=DeviationChoice(GEOMETRY))
     assert found is not None
     return replace(start, rotation=found.fit.rotation)
@@ -94,18 +96,18 @@ def _short(values: Array) -> list[float]:
 # ---- the bound -------------------------------------------------------------------------------
 
 
-def article_noise(sigma: float, dt: float) -> AxisNoise:
+def article_noise(sigma: float, dt: float) -> Noise:
     """Of the gyro in the "paper" noise model: white noise through s / (s + corner)."""
     pole = float(np.exp(-CORNER * dt))
-    return AxisNoise(0.5 * (1.0 + pole) * sigma**2, c=1.0, p=pole)
+    return 0.5 * (1.0 + pole) * sigma**2, lambda T, f_u: corrected(T, CORNER, f_u)
 
 
-def white_noise(sigma: float) -> AxisNoise:
+def white_noise(sigma: float) -> Noise:
     """The same standard deviation, white."""
-    return AxisNoise(sigma**2)
+    return sigma**2, torque_noise
 
 
-def bound(mission: str, rate: float, noise: AxisNoise, *, rounded: bool) -> list[float]:
+def bound(mission: str, rate: float, noise: Noise, *, rounded: bool) -> list[float]:
     """Ten least standard deviations in % (Cramér-Rao), scale known; NaN for k_T."""
     samples, theta = exact(fly(mission, rate)), true_theta()
     covariance = speed_noise(samples, 1.0 / rate) if rounded else np.zeros((5, 5))
@@ -116,12 +118,14 @@ def bound(mission: str, rate: float, noise: AxisNoise, *, rounded: bool) -> list
     TP = residual_maker(Q) @ P
     # Rounding of the speeds acts as torque noise does.
     walks = np.diag(TP @ rows.noise(basis, [NONE])[0] @ TP.T) * rows.time**2
-    whiteners = [replace(noise, u=float(u)).whitener(rows.time, "true") for u in walks]
+    r, whitener_for = noise
+    exceeded = np.sqrt(walks / r) / (2.0 * np.pi * rows.time)
+    whiteners = [whitener_for(rows.time, float(f_u)) for f_u in exceeded]
     information = np.zeros((rb.N_THETA, rb.N_THETA))
     for run in rows.made(basis):
         for axis, whitener in enumerate(whiteners):
-            x = innovations(run.rows @ P[: rb.N_SIGNALS].T, whitener) @ G[:, axis].T
-            information += x.T @ x * rows.time**2 / whitener.variance
+            x = innovations(run @ P[: rb.N_SIGNALS].T, whitener) @ G[:, axis].T
+            information += x.T @ x * rows.time**2 * whitener.gyro_share / r
     d = np.sqrt(np.diag(information))
     std = np.sqrt(np.diag(np.linalg.inv(information / np.outer(d, d)))) / d
     core = [*range(rb.CG_Y + 1), rb.MOMENT_RATIO]

@@ -2,21 +2,20 @@
 
     python -m benchmarks.truth.closed_loop --flights 12
     python -m benchmarks.truth.closed_loop --cells doublets:ou1 gentle:wind --smoothers window
-    python -m benchmarks.truth.closed_loop --smoothers whitened offline setpoints
+    python -m benchmarks.truth.closed_loop --smoothers whitened offline
 
 A regression of acceleration on a torque that answers a disturbance attributes some of it to
 inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
 `OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals, and
 how many moments of inertia would be `identified` by their intervals and the share that rotors
-explain. `offline` is the prediction-error estimate, `setpoints` the same with the rates asked for
-as instruments.
+explain. `offline` is the prediction-error estimate.
 
 The flights are those of `testbed.rate_loop`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,10 +88,8 @@ def online(flight: Samples, vehicle: Vehicle, dt: float, tuning: EstimatorTuning
     return fit
 
 
-def offline(flight: Samples, vehicle: Vehicle, dt: float, *, setpoints: bool) -> RotationFit:
+def offline(flight: Samples, vehicle: Vehicle, dt: float) -> RotationFit:
     """The offline estimate of a flight; the online one where there is none."""
-    if not setpoints:
-        flight = replace(flight, setpoint=np.full_like(flight.setpoint, np.nan))
     tracker = Tracker(vehicle.geometry, dt, EstimatorTuning(), keep=True)
     tracker.update(dt * np.arange(len(flight.gyro)), flight)
     first = tracker.fit()
@@ -108,8 +105,7 @@ def estimators(dt: float) -> dict[str, Callable[[Samples, Vehicle], RotationFit]
         "window": lambda s, v: online(s, v, dt, EstimatorTuning(smoother="window")),
         "td": lambda s, v: online(s, v, dt, EstimatorTuning(smoother="td")),
         "whitened": lambda s, v: online(s, v, dt, EstimatorTuning()),
-        "offline": lambda s, v: offline(s, v, dt, setpoints=False),
-        "setpoints": lambda s, v: offline(s, v, dt, setpoints=True),
+        "offline": lambda s, v: offline(s, v, dt),
     }
 
 

@@ -1,4 +1,4 @@
-"""The offline estimate: likeliest noise, rows at any delay, instruments, what it says of itself."""
+"""The offline estimate: likeliest noise, rows at any delay, what it says of itself."""
 
 from dataclasses import replace
 
@@ -8,22 +8,16 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.fit.problem import residual_maker
-from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, gauss_markov, torque_noise
+from gcs_sysid.estimation.noise.whitening import (
+    WhitenedMoments,
+    averaged,
+    corrected,
+    gauss_markov,
+    torque_noise,
+)
 from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
-from gcs_sysid.estimation.offline.likeliest_noise import (
-    AxisNoise,
-    Periodogram,
-    innovations,
-    whitened,
-)
-from gcs_sysid.estimation.offline.offline import (
-    INSTRUMENT_RULES,
-    InstrumentFit,
-    combined,
-    fit_axis,
-    fit_offline,
-)
+from gcs_sysid.estimation.offline.likeliest_noise import innovations, likeliest
+from gcs_sysid.estimation.offline.offline import fit_offline
 from gcs_sysid.estimation.offline.prediction_error import estimate
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -34,47 +28,41 @@ T = 0.004
 SILENT = np.zeros((5, 5))
 
 
-def residuals_of(noise, n, seed):
-    """(n,) changes of a rate with this noise."""
-    whitener = noise.whitener(T, "true")
+def residuals_of(whitener, n, seed):
+    """(n,) changes of a rate with the noise that a whitener is for."""
     drawn = np.random.default_rng(seed).standard_normal(n + 2000)
-    return np.sqrt(whitener.variance) * lfilter(whitener.under, whitener.above, drawn)[2000:]
+    return lfilter([1.0, *whitener.factor], [1.0, -whitener.a], drawn)[2000:]
 
 
 @pytest.mark.parametrize(
     "true",
     [
-        AxisNoise(1e-6, d=2e-9, tau=0.4, b=0.5),
-        AxisNoise(1e-6, u=3e-7, d=3e-9),
-        AxisNoise(1e-6, u=5e-7, b=0.3),
-        AxisNoise(1e-6, c=1.0, p=0.9),
+        averaged(gauss_markov(T, 8.4, tau=0.4), 0.5),
+        gauss_markov(T, 9.3, 21.8),
+        averaged(torque_noise(T, 28.0), 0.3),
+        corrected(T, 26.0, 0.1),
     ],
-    ids=["moment, averaged gyro", "moment and torque noise", "torque noise", "colored gyro"],
+    ids=["moment, averaged gyro", "moment and torque noise", "torque noise", "corrected gyro"],
 )
 def test_the_likeliest_noise_is_that_of_the_record(true):
     runs = [residuals_of(true, 8000, seed) for seed in (1, 2)]
-    best, calm = Periodogram(runs, T).likeliest(1e-13)
-    found = best.polished(runs, [np.ones(8000)] * 2).noise
+    best, calm = likeliest(runs, [np.ones(8000, dtype=bool)] * 2, T)
     powers = [
-        np.mean([np.mean(innovations(run, noise.whitener(T, "")) ** 2) for run in runs])
-        for noise in (true, found)
+        np.mean([np.mean(innovations(run, whitener) ** 2) for run in runs])
+        for whitener in (true, best)
     ]
     # No filter makes innovations weaker, but by what each unknown takes.
     assert (1.0 - 1e-3) * powers[0] < powers[1] < (1.0 + 1e-3) * powers[0]
-    assert bool(found.d) == bool(true.d)
-    assert not calm.noise.d
+    assert best.disturbed == true.disturbed
+    assert not calm.disturbed
 
 
-def test_the_whitener_of_a_bank_is_one_of_these():
-    """Closed form and roots of a polynomial are the same."""
-    T2 = (2.0 * np.pi * T) ** 2
-    noise = AxisNoise(2e-6, u=2e-6 * T2 * 25.0**2, d=2e-6 * T2**2 * 13.0**4, tau=1.0)
-    rows = np.random.default_rng(1).standard_normal((500, 2))
-    same = gauss_markov(T, 13.0, 25.0)
-    found = noise.whitener(T, "")
-    np.testing.assert_allclose(whitened(rows, found), whitened(rows, same), atol=1e-9)
-    assert found.below == pytest.approx(13.0)
-    assert found.gyro_share == pytest.approx(same.gyro_share)
+def test_a_corrected_gyro_is_whitened_exactly():
+    whitener, z = corrected(T, 26.0, 12.0), np.exp(-1j * np.linspace(0.01, np.pi, 50))
+    gyro = np.abs((1.0 - z) ** 2 / (1.0 - np.exp(-26.0 * T) * z)) ** 2
+    white = whitener.power(np.linspace(0.01, np.pi, 50)) * (gyro + (2.0 * np.pi * 12.0 * T) ** 2)
+    # What is left is the variance of an innovation, of which the gyro's is 1.
+    np.testing.assert_allclose(white, 1.0 / whitener.gyro_share)
 
 
 @pytest.mark.parametrize("every", [1, 10])
@@ -88,8 +76,8 @@ def test_rows_are_exact_at_any_delay(truth, flight, every):
     rows = SpeedRows([samples], truth.geometry, dt, late, 0.0, SILENT)
     (run,) = rows.made(rows.basis(at_delay(late)))
     Q = rb.forward_matrix(truth.theta)
-    left = run.rows @ (residual_maker(Q) @ rows.basis(at_delay(late)).map_at(at_delay(late))).T
-    scale = run.rows[:, -3:].std(axis=0)
+    left = run @ (residual_maker(Q) @ rows.basis(at_delay(late)).map_at(at_delay(late))).T
+    scale = run[:, -3:].std(axis=0)
     # Linear interpolation of this test leaves most of that.
     assert (left.std(axis=0) / scale).max() < 3e-3
 
@@ -100,7 +88,7 @@ def test_gaps_split_the_record_and_short_pieces_are_left_out(truth, flight):
     holed = replace(flight, gyro=np.where(gone[:, None], np.nan, flight.gyro))
     rows = SpeedRows([holed], truth.geometry, 0.005, 0.0, 0.0, SILENT)
     runs = rows.made(rows.basis(at_delay(0.0)))
-    assert [len(run.rows) for run in runs][:2] == [391, 351]
+    assert [len(run) for run in runs][:2] == [391, 351]
     assert len(runs) == 3
 
 
@@ -123,86 +111,6 @@ def test_batches_weigh_by_more_than_chance():
     assert np.ptp(data.weighed(chance).counts) <= 3
     gusty = np.where(np.arange(400) % 2, 4.0, 1.0)
     assert set(data.weighed(gusty).counts) == {3, 7}
-
-
-# ---- instruments -----------------------------------------------------------------------------
-
-
-def fit_with(disturbance=(9.0, 9.0, 9.0), std=0.02):
-    """A fit of nothing, by whiteners that assume too little of a disturbance."""
-    theta = Vehicle().theta
-    return RotationFit(
-        theta,
-        np.diag((std * np.maximum(np.abs(theta), 1e-3)) ** 2),
-        np.eye(3),
-        np.full(3, 0.8),
-        1000,
-        converged=True,
-        whiteners=(torque_noise(T, 6.0),) * 3,
-        disturbance=np.array(disturbance),
-    )
-
-
-def asked_and_answered(seed, *, answering):
-    """Whitened residual, slope and setpoint of a run where torque answers gusts, and the setpoint
-    too if it is `answering`; and which rows are sound.
-    """
-    rng = np.random.default_rng(seed)
-    n = 12_000
-    gust = lfilter([1.0], [1.0, -0.99], rng.standard_normal(n))
-    asked = np.repeat(rng.choice([-1.0, 0.0, 1.0], n), rng.integers(20, 200, n))[:n]
-    if answering:
-        asked = asked + 0.05 * np.concatenate([np.zeros(5), np.cumsum(gust[:-5]) * 0.01])
-    slope = lfilter([6.0, -6.0], [1.0, -1.9, 0.905], asked)
-    slope -= 0.6 * lfilter([0.0, 0.1], [1.0, -0.9], gust)
-    residual = 0.08 * slope + gust
-    white = (innovations(signal, torque_noise(T, 6.0)) for signal in (residual, slope, asked))
-    return (*white, np.ones(n, dtype=bool))
-
-
-def test_instruments_are_free_of_what_the_loop_answered():
-    e, s, z, sound = asked_and_answered(1, answering=False)
-    least_squares = float(s @ e / (s @ s))
-    by = fit_axis([(e, s, z, sound)], T)
-    assert by.believed
-    assert by.delta == pytest.approx(0.08, abs=3.0 * by.std)
-    assert abs(least_squares - 0.08) > 4.0 * by.std
-    assert by.std < 0.02
-
-
-def test_setpoints_that_answer_the_vehicle_or_are_absent_are_no_instruments():
-    by = fit_axis([asked_and_answered(2, answering=True)], T)
-    assert not by.believed
-    assert by.strength > INSTRUMENT_RULES.least_f
-    assert fit_axis([], T) is None
-    e, s, z, sound = asked_and_answered(1, answering=False)
-    assert fit_axis([(e, s, np.zeros_like(z), sound)], T) is None
-
-
-def test_instruments_move_a_fit_as_far_as_there_is_evidence():
-    fit = fit_with(std=0.02)
-    strong = {"strength": 50.0, "answer": 1.0}
-    far, near = InstrumentFit(0.3, 0.03, **strong), InstrumentFit(0.02, 0.03, **strong)
-    moved, by_them = combined(fit, (far, near))
-    assert by_them
-    # Nearly all of the way, and no surer than the instruments are.
-    assert np.log(moved.theta[0] / fit.theta[0]) == pytest.approx(0.3, rel=0.01)
-    assert 0.03 < moved.std[0] / fit.theta[0] < 0.04
-    # What chance explains moves nothing.
-    assert moved.theta[1] == fit.theta[1]
-    assert moved.std[1] == fit.std[1]
-    assert moved.full_covariance[0, 0] == moved.covariance[0, 0]
-
-
-@pytest.mark.parametrize(("by", "disturbance"), [
-    (None, 9.0),
-    (InstrumentFit(0.3, 0.03, strength=3.0, answer=1.0), 9.0),
-    (InstrumentFit(0.3, 0.03, strength=50.0, answer=9.0), 9.0),
-    (InstrumentFit(0.3, 0.03, strength=50.0, answer=1.0), 0.2),
-])  # fmt: skip
-def test_weak_or_answering_setpoints_and_calm_air_move_nothing(by, disturbance):
-    fit = fit_with(disturbance=(disturbance,) * 3)
-    assert combined(fit, (by, by)) == (fit, False)
 
 
 # ---- whole flights ---------------------------------------------------------------------------
@@ -233,7 +141,6 @@ def test_in_disturbed_air_the_noise_is_looked_for(gusty):
     heard = []
     found = fit_offline(tracker, online, lambda what, share: heard.append((what, share)))
     fit = found.fit.rotation
-    assert found.method.startswith("prediction error")
     for axis in (0, 1):
         assert abs(fit.theta[axis] - vehicle.theta[axis]) < 3.0 * fit.std[axis]
         assert fit.std[axis] < 1.1 * online.rotation.std[axis]

@@ -55,7 +55,7 @@ class ResultData:
     parameters: dict[str, Estimate]
     estimator: Literal["online", "offline"] = "online"
     method: str = ""
-    """Which offline estimator: "prediction error", perhaps with "instruments"."""
+    """Which offline estimator: "prediction error"."""
     timing: dict[str, Estimate] = field(default_factory=dict)
     events: tuple[dict[str, Any], ...] = ()
     segments: tuple[dict[str, Any], ...] = ()

@@ -637,7 +637,7 @@ class Findings:
             rotor_input=chain.rotor_input,
             parameters=parameters,
             estimator="online" if isinstance(offline, str | None) else "offline",
-            method="" if isinstance(offline, str | None) else offline.method,
+            method="" if isinstance(offline, str | None) else "prediction error",
             timing=timing,
             events=(*chain.log.of_rotors, *self._changes([*past, chain.values(fit, anchor)])),
             segments=self._segments(),

@@ -87,16 +87,19 @@ class Whitener:
     @property
     def disturbed(self) -> bool:
         """Whether it assumes a disturbance."""
-        return self.a != 0.0
+        return self.below != 0.0
 
     @property
     def gyro_share(self) -> float:
         """Variance of the gyro's slow noise over that of an innovation, r / sigma^2.
 
         sigma^2 |C|^2 has the same coefficient of the highest lag as r |1 - z^-1|^2 |1 - a z^-1|^2:
-        sigma^2 c2 = r a, or -sigma^2 c1 = r without disturbance.
+        sigma^2 c2 = r a; without disturbance sigma^2 c2 = r where the gyro is corrected, as of
+        `corrected`, and else -sigma^2 c1 = r.
         """
-        return (1.0 + self.b) ** 2 * (self.c2 / self.a if self.a else -self.c1)
+        if self.disturbed:
+            return (1.0 + self.b) ** 2 * self.c2 / self.a
+        return (1.0 + self.b) ** 2 * (self.c2 if self.a else -self.c1)
 
     def power(self, omega: Array) -> Array:
         """(n,) |(1 - a z^-1) / C|^2 at (n,) rad a row."""
@@ -121,7 +124,11 @@ def spectral_factor(a: float, rho_d: float, rho_u: float) -> tuple[float, float]
         rho_u: q_u / r.
     """
     square = 1.0 + a * a
-    b, c = -(square + 2.0 * a + rho_u * a), rho_d + (rho_u + 2.0) * square
+    return _factor(a, -(square + 2.0 * a + rho_u * a), rho_d + (rho_u + 2.0) * square)
+
+
+def _factor(a: float, b: float, c: float) -> tuple[float, float]:
+    """(c1, c2) of C with |C|^2 ~ a s^2 + b s + c, s = z + 1/z."""
     root = np.sqrt(complex(b * b - 4.0 * a * c))
     zeros = []
     for s in ((-b + root) / (2.0 * a), (-b - root) / (2.0 * a)):
@@ -159,6 +166,22 @@ def torque_noise(T: float, f_u: float) -> Whitener:
     half = 0.5 * (2.0 * np.pi * f_u * T) ** 2
     z = 1.0 + half - np.sqrt(half * (half + 2.0))
     return Whitener(f"torque noise to {f_u:g} Hz", 0.0, -float(z), 0.0)
+
+
+def corrected(T: float, corner: float, f_u: float) -> Whitener:
+    """Whitener of torque noise and of a gyro whose noise at low frequency has been corrected.
+
+    With p = exp(-corner T), S_v |1 - p z^-1|^2 is r |1 - z^-1|^4 + q_u |1 - p z^-1|^2, which over r
+    is s^2 - (4 + rho_u p) s + 4 + rho_u (1 + p^2).
+
+    Args:
+        T: s between rows.
+        corner: rad/s, below which it is.
+        f_u: Hz, see `torque_noise`.
+    """
+    p, rho_u = float(np.exp(-corner * T)), (2.0 * np.pi * f_u * T) ** 2
+    c1, c2 = _factor(1.0, -(4.0 + rho_u * p), 4.0 + rho_u * (1.0 + p * p))
+    return Whitener(f"corrected to {corner:g} rad/s, torque noise to {f_u:g} Hz", p, c1, c2)
 
 
 def leak(T: float, memory: float) -> Whitener:

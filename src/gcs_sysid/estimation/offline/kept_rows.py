@@ -10,7 +10,7 @@ moves.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -88,19 +88,6 @@ class SpeedDynamics(LocalDynamics):
         return out
 
 
-@dataclass(frozen=True)
-class RowRun:
-    """Rows of one step without a gap.
-
-    Attributes:
-        rows: (n, width) of elements of a basis.
-        setpoint: (n, 3) mean rates asked for, rad/s; NaN where none is reported.
-    """
-
-    rows: Array
-    setpoint: Array
-
-
 class SpeedRows:
     """Makes rows from samples that hold rotor speeds.
 
@@ -129,7 +116,7 @@ class SpeedRows:
         self.time = h * dt
         self._steps = max(1, math.ceil(self.time / _MAX_STEP - 1e-9))
         self._margin = _END + math.ceil((abs(delay) + reach + _APART) / self.time)
-        self._runs: list[tuple[Array, Array, Array, Array]] = []
+        self._runs: list[tuple[Array, Array, Array]] = []
         mixer, spin = rb.mixer(geometry), geometry[2]
         for part in gapless(parts):
             low_pass = low_pass_for(gyro_cutoff, dt)
@@ -137,7 +124,7 @@ class SpeedRows:
             if low_pass is not None:
                 rotors = low_pass.update(rotors)
             settled = int(np.argmax(np.isfinite(rotors[:, 0])))
-            signals = rotors, part.gyro, part.rates, part.setpoint
+            signals = rotors, part.gyro, part.rates
             some = tuple(_means(signal[settled:], h) for signal in signals)
             if len(some[0]) >= LEAST + 2 * self._margin + 1 and np.isfinite(some[0]).all():
                 self._runs.append(some)  # type: ignore[arg-type]
@@ -148,12 +135,12 @@ class SpeedRows:
         point = at_delay(float(np.clip(at[Coordinate.DELAY], low, high)))
         return SpeedDynamics(point, low, high)
 
-    def made(self, basis: LocalDynamics) -> list[RowRun]:
-        """Rows of every run about the delay of a basis."""
+    def made(self, basis: LocalDynamics) -> list[Array]:
+        """(n, width) rows of every run without a gap, about the delay of a basis."""
         from scipy.interpolate import make_interp_spline  # takes a while to load
 
         out, shift = [], float(basis.at[Coordinate.DELAY]) / self.time
-        for rotors, gyro, rates, setpoint in self._runs:
+        for rotors, gyro, rates in self._runs:
             n = len(rotors)
             of_rotors, of_rates = (
                 make_interp_spline(np.arange(n, dtype=float), values, k=_DEGREE)
@@ -166,8 +153,7 @@ class SpeedRows:
                 times = np.arange(start, stop) + _nodes(self._steps)[:, None]
                 self._fill(rows[start - first : stop - first], times, shift, of_rotors, of_rates)
             rows[:, -3:] = np.diff(gyro[first : last + 1], axis=0) / self.time
-            asked = 0.5 * (setpoint[first:last] + setpoint[first + 1 : last + 1])
-            out.append(RowRun(rows, asked))
+            out.append(rows)
         return out
 
     def _fill(self, out: Array, times: Array, shift: float, of_rotors, of_rates) -> None:  # type: ignore[no-untyped-def]
@@ -266,8 +252,8 @@ class CommandRows:
             at[Coordinate.CURVE] = self._curve
         return LocalDynamics(at, self.of, self._dt, curve=self._curve is None)
 
-    def made(self, basis: LocalDynamics) -> list[RowRun]:
-        """Rows of every run about the motors of a basis."""
+    def made(self, basis: LocalDynamics) -> list[Array]:
+        """(n, width) rows of every run without a gap, about the motors of a basis."""
         out = []
         maker = MotorRows(self._geometry, self._dt, basis, self._hover)
         for signals in self._runs:
@@ -275,7 +261,7 @@ class CommandRows:
             maker.restart()
             rows = rows[complete_rows(rows)]
             if len(rows) >= LEAST:
-                out.append(RowRun(rows, np.full((len(rows), 3), np.nan)))
+                out.append(rows)
         return out
 
     def noise(self, basis: LocalDynamics, whiteners: Sequence[Whitener]) -> Array:

@@ -21,8 +21,8 @@ from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import SHOCK, WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, bank_for
-from gcs_sysid.estimation.offline.kept_rows import CommandRows, RowRun, SpeedRows
-from gcs_sysid.estimation.offline.likeliest_noise import Periodogram, innovations
+from gcs_sysid.estimation.offline.kept_rows import CommandRows, SpeedRows
+from gcs_sysid.estimation.offline.likeliest_noise import innovations, likeliest
 from gcs_sysid.estimation.online.fit import FitMoments
 from gcs_sysid.estimation.record.command_record import STAYED, TRUSTED
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
@@ -34,11 +34,6 @@ _LOOKS = 8
 """Most times that noise and motors are looked for again."""
 _SETTLED = 0.1
 """Standard deviations that another look moves theta by at most."""
-_PRECISION = 1e-4
-"""Share of the angular acceleration that no model explains. Rotors that follow held commands
-(250 Hz, 30 ms lag) leave about that between any samples of their speeds."""
-_FASTER = 1.6
-"""How much faster the moment of the whitener is that the likeliest is contrasted with."""
 _THRUST = rb.SIGNALS.index("thrust")
 _COMPARED = frozenset(
     ("none", "leak 0.3 s", "leak 1 s", "torque noise to 18 Hz", "moment to 4 Hz",
@@ -54,13 +49,13 @@ class Whitened:
     Attributes:
         data: moments.
         basis: of the rows.
-        runs: the rows themselves.
+        runs: (n, width) the rows themselves, of every run without a gap.
         time: s of a row.
     """
 
     data: WhitenedMoments
     basis: LocalDynamics
-    runs: Sequence[RowRun]
+    runs: Sequence[Array]
     time: float
 
     def validate(self, prior: Prior | None, choice: DeviationChoice) -> Validation | None:
@@ -87,12 +82,8 @@ class Whitened:
     @property
     def thrust(self) -> float:
         """rad^2/s^2, rms of the thrust signal."""
-        power = sum(float((run.rows[:, _THRUST] ** 2).sum()) for run in self.runs)
-        return math.sqrt(power / sum(len(run.rows) for run in self.runs))
-
-    def residuals(self, fit: RotationFit) -> list[Array]:
-        """(n, 3) rad/s^2 that a fit leaves of every run."""
-        return residuals_of(self.runs, self.basis, fit)
+        power = sum(float((run[:, _THRUST] ** 2).sum()) for run in self.runs)
+        return math.sqrt(power / sum(len(run) for run in self.runs))
 
 
 @dataclass(frozen=True)
@@ -191,7 +182,7 @@ def estimate(
 
 
 def _likeliest(
-    runs: Sequence[RowRun],
+    runs: Sequence[Array],
     basis: LocalDynamics,
     fit: RotationFit,
     T: float,
@@ -200,34 +191,20 @@ def _likeliest(
     """Whiteners to fit with, those without a disturbance first, and the likeliest of each axis."""
     residuals = residuals_of(runs, basis, fit)
     sound = sound_rows(residuals, T, fit.whiteners or judges)
-    least = np.zeros(3)
-    rows = sum(len(run.rows) for run in runs)
-    for run in runs:
-        least += (run.rows[:, -3:] ** 2).sum(axis=0) * (_PRECISION * T) ** 2 / rows
     own, others = [], []
     for axis, name in enumerate("xyz"):
-        axis_runs = [T * r[:, axis] for r in residuals]
-        spectrum = Periodogram([r * ok for r, ok in zip(axis_runs, sound, strict=True)], T)
-        if spectrum.empty:
-            return tuple(bank_for(T)), tuple(judges)
-        best, calm = (
-            model.polished(axis_runs, [ok.astype(float) for ok in sound]).noise
-            for model in spectrum.likeliest(float(least[axis]))
-        )
-        own.append(best.whitener(T, f"likeliest {name}"))
-        others.append(calm.whitener(T, f"calm {name}"))
-        if best.d:
-            faster = replace(best, d=_FASTER**4 * best.d)
-            others.append(faster.whitener(T, f"faster {name}"))
+        best, calm = likeliest([T * r[:, axis] for r in residuals], sound, T)
+        own.append(replace(best, name=f"likeliest {name}"))
+        others.append(replace(calm, name=f"calm {name}"))
     known = [w for w in bank_for(T) if w.name in _COMPARED]
     by_name = {whitener.name: whitener for whitener in (*known, *judges, *others, *own)}
     return tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed)), tuple(own)
 
 
-def residuals_of(runs: Sequence[RowRun], basis: LocalDynamics, fit: RotationFit) -> list[Array]:
+def residuals_of(runs: Sequence[Array], basis: LocalDynamics, fit: RotationFit) -> list[Array]:
     """(n, 3) rad/s^2 that a fit leaves of every run."""
     TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
-    return [run.rows @ TP.T for run in runs]
+    return [run @ TP.T for run in runs]
 
 
 def sound_rows(residuals: Sequence[Array], T: float, whiteners: Sequence[Whitener]) -> list[Mask]:
@@ -248,7 +225,7 @@ def sound_rows(residuals: Sequence[Array], T: float, whiteners: Sequence[Whitene
 
 def _whitened(
     rows: SpeedRows | CommandRows,
-    runs: Sequence[RowRun],
+    runs: Sequence[Array],
     basis: LocalDynamics,
     whiteners: Sequence[Whitener],
     own: Sequence[Whitener],
@@ -256,16 +233,14 @@ def _whitened(
 ) -> Whitened:
     """Moments of all rows under every whitener."""
     T = rows.time
-    total = sum(len(run.rows) for run in runs)
+    total = sum(len(run) for run in runs)
     size = max(round(_BATCH / T), -(-total // _MOST_BATCHES), 1)
-    counts = np.concatenate(
-        [np.diff([*range(0, len(run.rows), size), len(run.rows)]) for run in runs]
-    )
+    counts = np.concatenate([np.diff([*range(0, len(run), size), len(run)]) for run in runs])
     moments = np.empty((len(counts), len(whiteners), basis.width, basis.width))
     for place, whitener in enumerate(whiteners):
         first = 0
         for run in runs:
-            white = innovations(run.rows, whitener)
+            white = innovations(run, whitener)
             whole = len(white) // size
             blocks = white[: whole * size].reshape(whole, size, basis.width)
             moments[first : first + whole, place] = np.swapaxes(blocks, 1, 2) @ blocks
