@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.checks.validation import validate
+from gcs_sysid.estimation.checks.validation import validate, whiteness_of
 from gcs_sysid.estimation.fit.problem import N_X
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -103,6 +103,11 @@ def colors(truth, flight, seeds, disturb):
 
 
 @pytest.mark.slow
+def test_one_batch_shows_no_whiteness():
+    power = np.ones((1, 3))
+    assert np.isnan(whiteness_of(power, power, np.array([100]))[1]).all()
+
+
 def test_white_gyro_noise_passes(truth, flight):
     whiteness, p = colors(truth, flight, 24, lambda noise: noise)
     np.testing.assert_allclose(whiteness.mean(axis=0), 1.0, atol=0.12)

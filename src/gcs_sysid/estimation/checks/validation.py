@@ -183,8 +183,8 @@ def whiteness_of(summed: Array, expected: Array, counts: NDArray[np.int64]) -> t
     k = len(counts)
     # Leaky sums reach over the ends of batches: neighbors count, as in the sandwich.
     lagged = (apart[1:] * apart[:-1]).sum(axis=0)
-    variance = np.maximum((apart * apart).sum(axis=0) + lagged, 1e-300) * k / (k - 1)
-    freedom = (k - 1) / 1.5
+    variance = np.maximum((apart * apart).sum(axis=0) + lagged, 1e-300) * k / max(k - 1, 1)
+    freedom = (k - 1) / 1.5  # of one batch none: p is NaN
     whiteness = summed.sum(axis=0) / np.maximum(expected.sum(axis=0), 1e-300)
     p: Array = 2.0 * stdtr(freedom, -np.abs(total) / np.sqrt(variance))
     return whiteness, p
