@@ -7,6 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from gcs_sysid.signals.motor_order import AS_SENT
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import ulog_format
 from gcs_sysid.telemetry.logs import open_log
@@ -139,7 +140,7 @@ def test_counts_that_are_none_give_no_rotors(tmp_path, ulog_file, of, count):
     path = tmp_path / "counts.ulg"
     path.write_bytes(log.bytes())
     assert of(open_log(path), Stream.ROTOR_COMMAND, "actuator_outputs") == []
-    (speeds,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
+    (speeds,) = of(open_log(path), Stream.ROTOR_SPEED, AS_SENT)
     assert len(speeds.values) == 2
     assert len(of(open_log(path), Stream.ARMED)) == 1
 

@@ -31,8 +31,10 @@ _BY_OUTPUT = {
     "px4": re.compile(r"ACTUATOR_OUTPUT_STATUS|(SERVO_OUTPUT_RAW|actuator_outputs)(_\d+)?"),
 }
 """Autopilot -> sources whose values are those of outputs."""
-_EITHER_ORDER = "ESC_STATUS"
-"""Of PX4: by output, and since late 2025 by motor; the message does not say which."""
+AS_SENT = "esc_status as sent"
+"""ESCs of a log of PX4 that do not report which motors they drive."""
+_EITHER_ORDER = ("ESC_STATUS", AS_SENT)
+"""Of PX4: by output, and since late 2025 by motor; neither says which."""
 MIXER = "mixer "
 """Begins the names of what a blackbox log shows of its mixer: axis and motor follow."""
 _BY = " by "
@@ -146,7 +148,7 @@ class MotorOrder:
 
     def readings(self, source: str) -> list[tuple[str, tuple[int, ...] | None]]:
         """Names that a source's streams get, and the output of each motor; None: as they are."""
-        either = self.autopilot == "px4" and source == _EITHER_ORDER
+        either = self.autopilot == "px4" and source in _EITHER_ORDER
         if not (either or self.is_of_outputs(source)):
             return [(source, None)]
         if self.split:

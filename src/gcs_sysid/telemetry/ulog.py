@@ -19,7 +19,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.signals.motor_order import motor_of, motor_outputs
+from gcs_sysid.signals.motor_order import AS_SENT, motor_of
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
@@ -182,10 +182,11 @@ def _add_topic(
         commands = _motors(topic, parameters.get("THR_MDL_FAC", 0.0))
         recording.add(Stream.ROTOR_COMMAND, t, commands, source=source)
     elif name == _ESCS:
-        speeds = np.abs(_by_motor(topic, parameters, "esc_rpm")) * RPM
-        recording.add(Stream.ROTOR_SPEED, t, speeds, source=source)
-        if "esc[0].esc_current" in topic:
-            recording.extras["motor currents"] = t, _by_motor(topic, parameters, "esc_current")
+        rpm, by_motor = _of_escs(topic, "esc_rpm")
+        speeds = np.abs(rpm) * RPM
+        recording.add(Stream.ROTOR_SPEED, t, speeds, source=source if by_motor else AS_SENT)
+        if by_motor and "esc[0].esc_current" in topic:
+            recording.extras["motor currents"] = t, _of_escs(topic, "esc_current")[0]
     elif name == _BATTERY:
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name in _GPS and not (name == _GPS[1] and len(recording.clock[0])):
@@ -276,11 +277,8 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     return np.copysign(magnitude, thrust)
 
 
-def _by_motor(topic: Topic, parameters: Mapping[str, float], field: str) -> Array:
-    """(n, motors) what ESCs report, by motor.
-
-    ESCs report which they drive; those of firmware that does not say are in the order of outputs.
-    """
+def _of_escs(topic: Topic, field: str) -> tuple[Array, bool]:
+    """(n, motors) what ESCs report; whether by motor, as they may report which they drive."""
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
     count = min(max(_whole(topic["esc_count"].max()), 0), count) or count
     if not count:
@@ -288,11 +286,8 @@ def _by_motor(topic: Topic, parameters: Mapping[str, float], field: str) -> Arra
     values = np.column_stack([topic[f"esc[{i}].{field}"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
     motors = [motor_of("px4", float(f.max())) for f in functions if f is not None]
-    if not motors:
-        drivers = motor_outputs("px4", parameters).values()
-        outputs = {output: motor for driver in drivers for motor, output in driver.items()}
-        motors = [outputs.get(i, -1) for i in range(count)]
     where = {motor: i for i, motor in enumerate(motors) if motor >= 0}
-    if where and sorted(where) == list(range(len(where))):
+    by_motor = bool(where) and sorted(where) == list(range(len(where)))
+    if by_motor:
         values = values[:, [where[motor] for motor in range(len(where))]]
-    return values.astype(float)
+    return values.astype(float), by_motor
