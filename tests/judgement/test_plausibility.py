@@ -193,7 +193,7 @@ def test_an_assumed_unit_concerns_what_goes_with_it_and_no_inertia():
     assert statuses["Ixx"].status == statuses["moment_ratio"].status == "identified"
     of_commands = replace(evidence(rotor_input=RotorInput.COMMAND), assumed="pulses assumed")
     (objection,) = assumed_unit(of_commands)
-    assert {"Ixx", "T_max", "thrust_curve"} <= objection.parameters
+    assert {"Ixx", "T_max", "thrust_curve", "cg_x"} <= objection.parameters
 
 
 def test_vehicles_of_the_documentation_are_well_within_the_range():

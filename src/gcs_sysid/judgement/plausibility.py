@@ -100,11 +100,14 @@ def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
 def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
     """A unit that the log does not define: what is in proportion to it is not known.
 
-    Speeds by the mass leave torques, and so inertia, as they are.
+    Speeds by the mass leave torques, and so inertia, as they are. A range of commands is a unit
+    and a zero: by how much rotors differ in thrust, and so the CG, follows from it too.
     """
     if evidence.assumed:
-        speeds = evidence.rotor_input is RotorInput.SPEED and evidence.anchor != "k_T"
-        parameters = _BY_SPEED if speeds else _BY_SCALE | {"thrust_curve"}
+        speeds = evidence.rotor_input is RotorInput.SPEED
+        parameters = _BY_SCALE if speeds else _BY_SCALE | {"thrust_curve", "cg_x", "cg_y"}
+        if speeds and evidence.anchor != "k_T":
+            parameters = _BY_SPEED
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
 
 
