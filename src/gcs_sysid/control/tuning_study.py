@@ -454,7 +454,9 @@ def study(
     dynamics = hover_dynamics(vehicles, loop, late, seed, traded=origin == IDENTIFIED_DELAY)
     notes = [*dynamics.notes, *loop.notes]
     measured: dict[str, MeasuredAxis] = {}
-    if flight is not None:
+    if flight is None:  # rotors of an octocopter that turn alike may be swapped, and fit as well
+        notes.append("no flight is held against the model: give its log before you load gains")
+    else:
         signals = flown_signals(flight, loop)
         # PX4 logs the gyro before its filters, the others behind.
         gyro = np.ones_like if autopilot == "px4" else loop.gyro_response
