@@ -27,7 +27,7 @@ def test_its_cells_run_and_hold_no_outputs(monkeypatch):
     samples = names["samples"]
     ratio, Izz = samples["k_M"] / samples["Izz"], samples["Izz"]
     # What the notebook says of them.
-    assert ratio.std() / ratio.mean() < 0.3 * Izz.std() / Izz.mean()
+    assert ratio.std() / ratio.mean() < 0.4 * Izz.std() / Izz.mean()
     result = names["result"]
     assert result.history.t[-1] > 50.0
     assert result.prediction.r_squared == pytest.approx(

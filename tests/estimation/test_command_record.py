@@ -9,7 +9,6 @@ import pytest
 
 from gcs_sysid.coach.information import predicted_information, prior_noise, prior_vehicle
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
-from gcs_sysid.estimation.fit.window_fit import fit_lag_places
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.command_record import CommandRecord
@@ -87,18 +86,14 @@ def test_motors_are_found_where_slow_motion_is_the_airs(truth, samples, usual):
     t = DT * np.arange(len(samples.gyro))[:, None]
     turned = samples.gyro + 4.0 * np.sin(2.0 * np.pi * 0.4 * t + np.arange(3.0))
     estimator = flown(truth, replace(samples, gyro=turned, rates=turned))
-    window = estimator.record.rotation
-    explained = fit_lag_places(
-        window.batches, window.counts, estimator.record.basis, estimator.record.noise(0)[None],
-        estimator.record.places(), SECONDS,
-    )  # fmt: skip
+    explained = estimator.record._window()()
     assert explained is None or explained.r_squared[:2].min() < 0.3
     fit = estimator.fit().rotation
     found, std = fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
     for place in (0, 1):  # Ixx, Iyy
         assert abs(found[place] - usual.outcome[0][place]) < 4.0 * std[place]
         assert std[place] < 0.5 * found[place]
-    assert fit.whiteners
+    assert fit.of_steps
 
 
 def test_a_flight_that_ends_before_motors_are_looked_for_has_them_at_its_end(truth, samples, usual):
@@ -106,7 +101,7 @@ def test_a_flight_that_ends_before_motors_are_looked_for_has_them_at_its_end(tru
     assert short.record.commands.white is None
     fit = short.fit().rotation
     found, std = fit.unknowns, np.sqrt(np.diag(fit.full_covariance))
-    assert fit.whiteners
+    assert fit.of_steps
     for place in (0, 1):  # Ixx, Iyy
         assert abs(found[place] - usual.outcome[0][place]) < 3.0 * std[place]
         assert std[place] < 0.3 * found[place]
@@ -160,7 +155,7 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
     estimator = OnlineEstimator(truth.geometry, DT, replace(COMMANDS, curves=curves))
     estimator.update(samples)
     fit = estimator.fit()
-    assert fit.rotation.whiteners
+    assert fit.rotation.of_steps
     known = prior_vehicle(load_airframe("paper"), RotorInput.COMMAND)
     noise = prior_noise(known.craft)
     before = predicted_information(

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from gcs_sysid.estimation.changes.change_reference import actuator_of, reference_of
-from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.input_noise import CommandNoise
 from gcs_sysid.estimation.record.record import FlightRecord
@@ -16,6 +14,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, LagPlace
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.stream_buffer import interpolate
+from tests.estimation.rows_fit import fit_rows
 
 DT = 0.005
 FULL = 1.2
@@ -183,7 +182,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     moments, counts = record.rotation.batches, record.rotation.counts
     noisy = moments + counts[:, None, None, None] * added
     clean, untold, told = (
-        fit_rotation(batches, counts, record.basis, n, doubt=noise.doubt)
+        fit_rows(batches, counts, record.basis, n, doubt=noise.doubt)
         for batches, n in ((moments, 0.0 * added), (noisy, 0.0 * added), (noisy, added))
     )
     names = [0, 1, 2, rb.MOMENT_RATIO]
@@ -211,21 +210,7 @@ def test_elements_show_noise_as_their_filters_let_it_pass(truth):
     roll = [k for k in range(record.basis.late) if k % SIGNALS == 0]
     for leak in range(len(tuning.leaks)):
         seen = record.rotation.total[leak] / record.rotation.rows
-        said = record.noise(leak)
+        said = record.whitened_noise([leak])[0]
         np.testing.assert_allclose(seen[np.ix_(roll, roll)], said[np.ix_(roll, roll)], rtol=0.1)
         # Nothing of it is in yaw.
         assert np.abs(said[3]).max() < 1e-9 * said[0, 0]
-
-
-@pytest.mark.slow
-def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
-    commands, _ = commands_of(flight, truth, 0.05, 0.4)
-    estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
-    estimator.update(replace(flight, speeds=commands).part(slice(0, 3000)))
-    fit = estimator.fit()
-    assert not fit.rotation.warm_start.stuck
-    actuator = actuator_of(fit.rotation, COMMANDS.curves)
-    assert reference_of(fit, truth.geometry, DT, actuator).watched.all()
-    start = replace(fit.rotation.warm_start, stuck=True)
-    stuck = replace(fit, rotation=replace(fit.rotation, warm_start=start))
-    assert not reference_of(stuck, truth.geometry, DT, actuator).watched.any()

@@ -7,7 +7,7 @@ import pytest
 
 from gcs_sysid.estimation.fit import whitened_fit as module
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Unknown
-from gcs_sysid.estimation.fit.problem import AxisProblem
+from gcs_sysid.estimation.fit.problem import Problem
 from gcs_sysid.estimation.fit.whitened_fit import curve_scatter
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 
@@ -35,7 +35,7 @@ def scattered(basis=BASIS, counts=COUNTS):
     width = basis.width
     batches = np.zeros((len(counts), 3, width, width))
     batches[:, 0, 0, 0] = np.arange(len(counts))
-    problem = AxisProblem(batches.sum(axis=0)[None], 1, basis, None, np.zeros((1, 3, width, width)))
+    problem = Problem(batches.sum(axis=0)[None], 1, basis, None, np.zeros((1, 3, width, width)))
     covariance = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     covariance[Unknown.CURVE, Unknown.CURVE] = STD**2
     covariance[0, Unknown.CURVE] = covariance[Unknown.CURVE, 0] = -3.0 * STD**2

@@ -52,7 +52,7 @@ def assert_same(fits, others):
         assert a.seconds == b.seconds
         assert (a.rotation is None) == (b.rotation is None), k
         if a.rotation is not None:
-            assert a.rotation.leak == b.rotation.leak, k
+            assert a.rotation.whiteners == b.rotation.whiteners, k
             difference = np.abs(a.rotation.unknowns - b.rotation.unknowns)
             std = np.sqrt(np.diag(b.rotation.full_covariance))
             # Sums in another order, which differs between processors. A search stops where it can

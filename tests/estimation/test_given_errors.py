@@ -8,7 +8,6 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
 from gcs_sysid.estimation.parameters.given_errors import (
     Given,
@@ -20,6 +19,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
+from tests.estimation.rows_fit import fit_rows
 from tests.known_theta import theta_from
 
 ROWS = 4000
@@ -54,7 +54,7 @@ def fit_of(airframe, sigma=0.3):
     y += sigma * rng.standard_normal(y.shape)
     moments = NormalEquations((1, WIDTH, WIDTH), 40)
     moments.add(np.column_stack([inputs(airframe.geometry, rates), y])[None])
-    fit = fit_rotation(moments.batches, moments.counts, PLAIN, np.zeros((1, WIDTH, WIDTH)))
+    fit = fit_rows(moments.batches, moments.counts, PLAIN, np.zeros((1, WIDTH, WIDTH)))
     total = moments.total[0]
     told = FitMoments(np.broadcast_to(total, (3, WIDTH, WIDTH)), total)
     return Fit(fit, MOTION, 30.0, moments=told)

@@ -8,6 +8,7 @@ from scipy.signal import butter, lfilter
 
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
+from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, Coordinate
 from gcs_sysid.estimation.rows.rotor_signals import cutoff_of
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.rotor_input import RotorInput
@@ -38,11 +39,11 @@ def test_how_thrust_over_mass_goes_with_the_thrust_curve_is_told(truth, flight, 
     free = estimator_of(truth, samples, CURVES)
     found = free.fit().translation
     assert found.source == source
-    # What two fits with given curves differ by.
-    kappas = [
-        estimator_of(truth, samples, replace(CURVES, curves=(c,))).fit().translation.kappa
-        for c in (-0.05, 0.05)
-    ]
+    # What motors with other curves differ by.
+    rotation = free.fit().rotation
+    moved = 0.05 * np.eye(N_COORDINATES)[Coordinate.CURVE]
+    others = [replace(rotation, coordinates=rotation.coordinates + c * moved) for c in (-1, 1)]
+    kappas = [free.fit_translation(other)[0].kappa for other in others]
     expected = (kappas[1] - kappas[0]) / 0.1
     # Gravity over the mean share of thrust, to first order: within 5 % here.
     assert found.curve_slope == pytest.approx(expected, rel=0.05)
@@ -94,7 +95,7 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
     fit = estimator.fit().rotation
     assert estimator.other_layout(fit) is None
     # Rows of one step hold the filter's own motion: the window takes it for a delay.
-    assert bool(fit.whiteners) == (cutoff is None)
+    assert fit.of_steps == (cutoff is None)
     assert estimator.record.low_passed == (cutoff is not None)
     if cutoff is not None:
         assert cutoff_of(-fit.delay) == pytest.approx(cutoff, rel=0.1)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.fit import window_fit
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
+from tests.estimation.rows_fit import fit_rows
 from tests.known_theta import THETA, prior_of
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO
@@ -38,7 +38,7 @@ def fit(seed, prior=None, tumbling=True, color=1, theta=THETA, sigma=1.0):
     moments = NormalEquations((1, WIDTH, WIDTH), PER_BATCH)
     moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None])
     none = np.zeros((1, WIDTH, WIDTH))
-    return window_fit.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
+    return fit_rows(moments.batches, moments.counts, PLAIN, none, prior)
 
 
 def test_a_known_moment_ratio_makes_the_yaw_inertia_known():

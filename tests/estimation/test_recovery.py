@@ -7,17 +7,18 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
-from gcs_sysid.estimation.fit import translation, window_fit
+from gcs_sysid.estimation.fit import translation
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.article_estimator import ArticleEstimator
 from gcs_sysid.estimation.record.input_noise import SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import LeakySums, NormalEquations, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.signals.stream_buffer import interpolate
+from tests.estimation.rows_fit import fit_rows
 from tests.known_theta import sizes
 
 DT = 0.005
@@ -42,12 +43,12 @@ def bank_of(truth, samples, smoother, memory=0.0):
     basis = ActuatorDynamics(smoother.delays)
     moments = NormalEquations((1, basis.width, basis.width), 40)
     moments.add(rows[:, 0])
-    noise = np.zeros((1, WIDTH, WIDTH))
+    noise = np.zeros((1, basis.width, basis.width))
     return moments.batches, moments.counts, basis, noise
 
 
 def rotation_fit(truth, samples, smoother, memory=0.0):
-    return window_fit.fit_rotation(*bank_of(truth, samples, smoother, memory))
+    return fit_rows(*bank_of(truth, samples, smoother, memory))
 
 
 SIZE = sizes(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3)
@@ -87,18 +88,9 @@ def test_intervals_hold_the_truth_with_noise(truth, flight):
     assert np.all(fit.std[:2] < 0.01 * fit.theta[:2])
 
 
-def test_a_start_near_the_minimum_leads_to_the_same_minimum(truth, flight):
-    bank = bank_of(truth, noisy(flight, 0.02, 1), WindowSmoother(DT, 20))
-    cold = window_fit.fit_rotation(*bank)
-    warm = replace(cold, theta=cold.theta * 1.02)
-    for _ in range(5):  # a few steps each
-        warm = window_fit.fit_rotation(*bank, warm)
-    np.testing.assert_allclose(warm.theta / SIZE, cold.theta / SIZE, rtol=0.0, atol=1e-6)
-
-
 def test_no_fit_without_data_or_response(truth, flight):
     assert (
-        window_fit.fit_rotation(
+        fit_rows(
             np.zeros((3, 1, 19, 19)),
             np.array([5, 5, 5]),
             ActuatorDynamics((0.0,)),

@@ -3,16 +3,13 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.fit import window_fit
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import Unknown
-from gcs_sysid.estimation.fit.problem import JointProblem
-from gcs_sysid.estimation.fit.search import MAX_ITERATIONS
-from gcs_sysid.estimation.fit.solver import minimize
-from gcs_sysid.estimation.fit.window_fit import fit_rotation
-from gcs_sysid.estimation.rows.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.fit.problem import Problem
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
+from tests.estimation.rows_fit import fit_rows
 from tests.known_theta import prior_of, theta_from
 
 ROWS = 4000
@@ -39,72 +36,22 @@ def moments_of_elements(basis, at, sigma=0.5, n=ROWS):
     return moments.batches, moments.counts
 
 
-def quiet(basis, leaks=1):
-    return np.zeros((leaks, basis.width, basis.width))
-
-
-@pytest.mark.parametrize("prior", [None, prior_of({0: (THETA[0], 0.5)})], ids=["none", "prior"])
-@pytest.mark.parametrize("index", [0, 4, Unknown.DELAY, Unknown.LAG])
-def test_what_is_left_is_twice_the_rise_of_the_likelihood(prior, index):
-    batches, _ = moments_of_elements(COMMANDS, AT)
-    problem = JointProblem(batches.sum(axis=0), ROWS, COMMANDS, prior)
-    best, _ = minimize(problem, np.append(THETA, AT)[None], MAX_ITERATIONS)
-    std = 1.0 / np.sqrt(best.hessian[0].diagonal()[problem.free.tolist().index(index)])
-    unknowns = best.unknowns.copy()
-    unknowns[:, index] += 0.3 * std
-    point = problem.evaluate(unknowns)
-    left = Outcome(problem, point).left
-    np.testing.assert_allclose(left, ROWS * (point.cost - best.cost), rtol=0.02)
-    assert Outcome(problem, best).left < 1e-6
-
-
-def astray(unknowns, *, converged=True):
-    """A search that ended at these unknowns of each leak."""
-    ended = np.full(len(unknowns), converged)
-    return lambda problem, starts: (problem.evaluate(unknowns), ended)
-
-
-def test_a_search_that_ended_at_no_minimum_goes_on(monkeypatch):
-    batches, counts = moments_of_elements(COMMANDS, AT)
-    fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
-    off = fit.warm_start.unknowns.copy()
-    off[0] *= 1.1
-    monkeypatch.setattr(window_fit, "search", astray(off[None], converged=False))
-    again = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
-    assert again.converged
-    assert not again.warm_start.stuck
-    np.testing.assert_allclose(again.theta, fit.theta, atol=1e-3 * fit.std.min())
-
-
-@pytest.mark.parametrize("bad", [0, 1])
-def test_a_memory_whose_search_got_stuck_is_not_chosen(monkeypatch, bad):
-    batches, counts = moments_of_elements(COMMANDS, AT)
-    fit = fit_rotation(batches, counts, COMMANDS, quiet(COMMANDS))
-    both = np.stack([fit.warm_start.unknowns] * 2)
-    both[bad, 0] *= 1.1
-    monkeypatch.setattr(window_fit, "search", astray(both))
-    chosen = fit_rotation(np.repeat(batches, 2, axis=1), counts, COMMANDS, quiet(COMMANDS, 2))
-    assert chosen.leak == 1 - bad
-    assert not chosen.warm_start.stuck
-
-
 @pytest.mark.parametrize(
-    ("share", "stuck", "widened"),
+    ("share", "widened"),
     [
-        (1.0, False, False),
-        (0.5, False, False),  # twice the motion: the model explains about nothing
-        (0.33, False, True),  # three times: worse than nothing
-        (1.0, True, True),
+        (1.0, False),
+        (0.5, False),  # twice the motion: the model explains about nothing
+        (0.33, True),  # three times: worse than nothing
     ],
 )
-def test_curve_and_lag_of_a_false_minimum_are_hardly_known(share, stuck, widened):
+def test_curve_and_lag_of_a_false_minimum_are_hardly_known(share, widened):
     batches, _ = moments_of_elements(COMMANDS, AT)
-    problem = JointProblem(batches.sum(axis=0), ROWS, COMMANDS, None)
+    problem = Problem(batches.sum(axis=0), ROWS, COMMANDS, None)
     theta = THETA.copy()
     theta[:6] *= share
     point = problem.evaluate(np.append(theta, AT)[None])
     outcome, p = Outcome(problem, point), problem.p
-    (fit,) = outcome.fits(np.eye(p), np.ones(p), [True], [0], np.array([stuck]))
+    (fit,) = outcome.fits(np.eye(p), np.ones(p), [True])
     assert bool(fit.r_squared.min() < -0.5) is (share == 0.33)
     usual = np.linalg.inv(point.hessian[0])
     more = fit.full_covariance[np.ix_(problem.free, problem.free)] - usual
@@ -124,7 +71,7 @@ def test_a_delay_at_the_end_of_its_range_holds_with_a_prior_too(delay):
     at = np.array([delay, 0.0, 1.0, 0.0, 0.0])
     batches, counts = moments_of_elements(SPEEDS, at, sigma=0.1)
     alone, given = (
-        fit_rotation(batches, counts, SPEEDS, np.zeros((1, WIDTH, WIDTH)), prior=prior)
+        fit_rows(batches, counts, SPEEDS, np.zeros((1, SPEEDS.width, SPEEDS.width)), prior)
         for prior in (None, SLIGHT)
     )
     for fit in (alone, given):

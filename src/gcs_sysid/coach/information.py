@@ -508,7 +508,7 @@ def _information_of(
         freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
     for axis, of_axis in enumerate(_OF_AXIS):
-        if rotation.r_squared[axis] < RULES.explained(whitened=bool(rotation.whiteners))[1]:
+        if rotation.r_squared[axis] < RULES.explained(whitened=rotation.of_steps)[1]:
             # Where gusts turn the vehicle more than its rotors do, the scatter is deceptive.
             covariance[of_axis, of_axis] += (10.0 * prior_vehicle.std[of_axis]) ** 2
     information = np.zeros_like(covariance)

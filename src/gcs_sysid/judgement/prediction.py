@@ -77,7 +77,7 @@ def explained(evidence: Evidence) -> Iterator[Objection]:
     if rotation is None:
         return
     shares = rotation.r_squared
-    limits = STATUS_RULES.explained(whitened=bool(rotation.whiteners))
+    limits = STATUS_RULES.explained(whitened=rotation.of_steps)
     caps: tuple[Status, ...] = ("weak", "unobservable")
     for below, cap in zip(limits, caps, strict=True):
         axes = ~(shares >= below)
@@ -137,7 +137,7 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
         },
         evidence=_by_axis(test.share),
     )
-    least = STATUS_RULES.explained(whitened=bool(rotation.whiteners))[0]
+    least = STATUS_RULES.explained(whitened=rotation.of_steps)[0]
     if rotation.r_squared.min() < least and not evidence.rotor_input.motors:
         # A gust leaves gyroscopic torque as it is; a speed read wrong spoils both, and the CG.
         yield Objection(
@@ -218,7 +218,7 @@ def white(evidence: Evidence) -> Iterator[Objection]:
     by_speed = not evidence.rotor_input.motors
     if by_speed and evidence.interval > RULES.slow:
         return
-    fine = by_speed or bool(rotation.whiteners)
+    fine = by_speed or rotation.of_steps
     limit = RULES.whiteness if fine else RULES.whiteness_commands
     colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
     if colored.any():
@@ -323,7 +323,7 @@ def is_hover(evidence: Evidence) -> bool:
 
 def _unclaimed(rotation: RotationFit, found: Validation) -> Mask:
     """(3,) axes of which so little is predicted that nothing there is `identified`."""
-    least = RULES.least_whitened_r2 if rotation.whiteners else RULES.least_r2
+    least = RULES.least_whitened_r2 if rotation.of_steps else RULES.least_r2
     unclaimed: Mask = ~(found.r_squared >= least)
     return unclaimed
 

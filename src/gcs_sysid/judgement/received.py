@@ -226,7 +226,7 @@ def _unexplained(fit: Fit, *, cut: bool, still: bool) -> _Reasons:
     rotation = fit.rotation
     if rotation is None or still:
         return ()
-    least, share = RULES.explained(whitened=bool(rotation.whiteners))[0], rotation.r_squared.min()
+    least, share = RULES.explained(whitened=rotation.of_steps)[0], rotation.r_squared.min()
     if not share < least:
         return ()
     what = f"the rotors explain only {max(100.0 * share, 0.0):.0f} % of the motion on one axis"

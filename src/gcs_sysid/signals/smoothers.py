@@ -281,6 +281,11 @@ class WindowSmoother:
         """(delays, length) response of the late signals' averages to a single sample."""
         return self._late_taps.T[: len(self.delays), ::-1]
 
+    @property
+    def late_slopes(self) -> Array:
+        """(delays, length) the same of their derivatives, 1/s."""
+        return self._late_taps.T[len(self.delays) :, ::-1]
+
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""
         if memory not in self._gains:
@@ -347,6 +352,11 @@ class DifferentiatorSmoother:
     def late_taps(self) -> Array:
         """(1, length) response of an average to a single sample."""
         return self._taps[:1]
+
+    @property
+    def late_slopes(self) -> Array:
+        """(1, length) the same of a derivative, 1/s."""
+        return self._taps[1:]
 
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""

@@ -17,7 +17,6 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
-from gcs_sysid.estimation.checks.validation import FITTED_SHARE
 from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
@@ -26,6 +25,8 @@ from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.prediction_errors import HORIZONS, FlightPart, Twin, judge
 from gcs_sysid.twin.twin_flight import TwinFlight
 
+FITTED_SHARE = 0.6
+"""Share of the flight that is fitted; the rest is predicted."""
 _SETTLING, _SETTLING_SHARE = 5.0, 0.4
 """s in which the complementary filter finds the attitude, and the share of a part of the flight
 that may be left out for it. With the gyro's bias taken from later, errors on emulated flights with

@@ -184,7 +184,7 @@ def actuator_of(fit: RotationFit | None, curves: tuple[float, ...]) -> Actuator:
     if len(curves) == 1:
         mean[Coordinate.CURVE], std[Coordinate.CURVE] = curves[0], 0.0
     lag_of: LagOf = "command"
-    if fit is not None and not _is_stuck(fit):
+    if fit is not None:
         known = fit.coordinates_std < std
         mean = np.where(known, fit.coordinates, mean)
         std = np.where(known, fit.coordinates_std, std)
@@ -212,7 +212,7 @@ def reference_of(
     """
     matrix = np.full((4, N_X), np.nan)
     trans, rot, shift = fit.translation, fit.rotation, 0.0
-    if actuator is not None and (rot is None or _is_stuck(rot)):
+    if actuator is not None and rot is None:
         # Of commands nothing is known without lag and curve.
         return Reference(geometry, matrix, shift, actuator)
     if trans is not None and 0.0 < trans.kappa_std < MAX_KAPPA_SHARE * trans.kappa:
@@ -226,11 +226,6 @@ def reference_of(
             # To a quarter of a sample: a finer shift gains nothing, a whole one adds no lag.
             shift = round(4.0 * rot.delay / dt) / 4.0
     return Reference(geometry, matrix, shift, actuator)
-
-
-def _is_stuck(fit: RotationFit) -> bool:
-    """Whether its search ended elsewhere than near a minimum."""
-    return fit.warm_start is not None and fit.warm_start.stuck
 
 
 def _axes_known(rot: RotationFit) -> Array:

@@ -67,20 +67,14 @@ def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
     """Compare the gyroscopic torque in the data with that of the fit.
 
     Args:
-        batches: (k, width, width) moments of rows of elements; or (k, 3, width, width) where each
-            axis has its own.
+        batches: (k, 3, width, width) moments of rows of elements, as each axis has them.
         P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
         Q: (3, N_SIGNALS) of the fit.
     """
     n = rb.N_SIGNALS
-    each = (
-        batches
-        if batches.ndim == 4
-        else np.broadcast_to(batches[:, None], (len(batches), 3, *batches.shape[1:]))
-    )
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):
-        own = each[:, axis]
+        own = batches[:, axis]
         total = P @ own.sum(axis=0) @ P.T
         predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
         predicted[PRODUCTS] = Q[axis, PRODUCTS]

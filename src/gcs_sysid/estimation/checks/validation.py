@@ -1,17 +1,12 @@
 """Does a fit predict held-out data?
 
-The parameters are fitted on a part of the flight and predict the angular acceleration of the rest:
-the first part where rows are the window's (`validate`), stretches between those predicted where
-they are whitened (`predict_held_out`). Both parts are sums of moments, so no sample is needed
-again.
+The parameters are fitted on a part of the flight and predict the angular acceleration of stretches
+in between. Both parts are sums of moments, so no sample is needed again.
 
-**Whiteness.** Neighboring rows of the window share samples, so their residuals are colored by the
-window itself, and a test of the rows for whiteness would always fail. What can be tested is whether
-the residual has the color that white noise on the sensors gets from the filters: white gyro noise
-is differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the
-same residual decide: the rows as they are, and their leaky sums, which weigh low frequencies more.
-Given the residual's power in the one, white sensor noise fixes its power in the other. Both are in
-the moments already.
+**Whiteness.** What is left may be noise, or what the model lacks. Two filters on the same residual
+decide: the whitener that was fitted with, and one for which what is slow counts more. Given the
+residual's power in the one, noise fixes its power in the other. Neighboring rows of the window
+share samples: their residual is to have the color that white gyro noise gets from it.
 """
 
 from dataclasses import dataclass, replace
@@ -26,13 +21,9 @@ from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened
-from gcs_sysid.estimation.fit.window_fit import fit_rotation
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped, slower
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 
-FITTED_SHARE = 0.6
-"""Share of the flight that is fitted; the rest is predicted."""
-_MIN_BATCHES = 6
 _FREQUENCIES = 4096
 SHORTEST_VALIDATED = 4.0
 """s of flight."""
@@ -52,7 +43,7 @@ class Validation:
         whiteness: (3,) power of the residual's leaky sums over what white sensor noise would
             give them, on the rows that were not fitted. 1: white; above: slow disturbances
             (wind, drifting parameters); below: fast ones (vibration, an oscillation above
-            about 3 Hz). NaN where no second leak is carried.
+            about 3 Hz). NaN where there is no second leak.
         whiteness_p: (3,) two-sided probability of a whiteness so far from 1 if the noise is
             white, from its scatter over the batches: below 0.05 one doubts it.
         theta: (N_THETA,) fitted on the first part.
@@ -66,49 +57,6 @@ class Validation:
     whiteness_p: Array
     theta: Array
     coordinates: Array
-
-
-def validate(
-    batches: Array,
-    counts: NDArray[np.int64],
-    basis: ActuatorDynamics,
-    noise: Array,
-    gains: Array,
-    prior: Prior | None = None,
-    choice: DeviationChoice | None = None,
-) -> Validation | None:
-    """Fit the first batches, predict the others.
-
-    Args:
-        batches: (k, leaks, width, width), as of `fit_rotation`; the prediction is judged
-            on the first leak.
-        counts: (k,) rows in each.
-        basis: of the elements.
-        noise: of the inputs, as of `fit_rotation`.
-        gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
-        prior: what else is known.
-        choice: of deviations from the model.
-
-    Returns:
-        None while the flight is too short to be divided.
-    """
-    cut = validation_cut(len(counts))
-    if cut is None:
-        return None
-    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior, choice=choice)
-    if fit is None:
-        return None
-    rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
-    Q = fit.Q
-    return judge_prediction(
-        rest, fit, float(counts[:cut].sum() / counts.sum()),
-        *_whiteness(batches[cut:], counts[cut:], basis, noise, gains, fit.coordinates, Q),
-    )  # fmt: skip
-
-
-def validation_cut(batches: int) -> int | None:
-    """How many of the first batches are fitted; None while a flight is too short to be divided."""
-    return None if batches < _MIN_BATCHES else round(FITTED_SHARE * batches)
 
 
 def judge_prediction(
@@ -141,32 +89,6 @@ def judge_prediction(
         theta=fit.theta,
         coordinates=fit.coordinates,
     )
-
-
-def _whiteness(
-    batches: Array,
-    counts: NDArray[np.int64],
-    basis: ActuatorDynamics,
-    noise: Array,
-    gains: Array,
-    at: Array,
-    Q: Array,
-) -> tuple[Array, Array]:
-    """Whiteness and its p-value, per axis, from the first two leaks: none, and a short one."""
-    if len(gains) < 2:
-        return np.full(3, np.nan), np.full(3, np.nan)
-    T = residual_maker(Q)
-    TP = T @ basis.map_at(at)
-
-    # (k, 3) of residuals
-    plain, summed = (
-        by_parts(lambda some: axis_power(TP, some), batches[:, leak : leak + 1]) for leak in (0, 1)
-    )
-    of_speeds = axis_power(T, basis.noise_at(noise[:2], at)[:, None])
-    ratio = gains[1] / gains[0]
-    # Of the plain power, what the speeds' noise does not explain is the gyro's.
-    expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
-    return whiteness_of(summed, expected, counts)
 
 
 def whiteness_of(summed: Array, expected: Array, counts: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -211,7 +133,7 @@ def predict_held_out(
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
         return None
     # Held out now and then: maneuvers come one after the other, and a part must have its own.
-    folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
+    folds = [(i,) for i in range(5)] if data.own else [(1, 3)]
     found: list[_Fold] = []
     # By how much it has moved: a flight may turn for a second and hover for the rest. By time,
     # where nearly all of that was a crash; by commands that spoils the thrust curve unseen.
@@ -298,22 +220,31 @@ def _slow_power(
 
         sigma_b^2 = sigma_a^2 mean over omega of |W_b / W_a|^2 ,
 
-    with W_b one for which what is slow counts more.
+    with W_b one for which what is slow counts more. NaN where there is none.
     """
     own_places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
     references = [slower(data.whiteners, i) for i in own_places]
     TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
     omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
-    ratio = np.array(
-        [
-            np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
-            for a, b in zip(own_places, references, strict=True)
-        ]
-    )
+    if data.gains is not None:
+        ratio = data.gains[references] / data.gains[own_places]
+        ratio[np.array(references) == own_places] = np.nan
+    else:
+        ratio = np.array(
+            [
+                np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
+                for a, b in zip(own_places, references, strict=True)
+            ]
+        )
     powers = []
     for pick in (own_places, references):
         batches, counts = data.of_axes(pick)[kept], data.counts[kept]
         batches, counts = grouped(batches, counts, data.grouped)
         powers.append(by_parts(lambda some: axis_power(TP, some), batches))
     own, slow = powers
-    return slow, ratio * own, counts
+    expected = ratio * own
+    if data.gains is not None:
+        # What the speeds' noise does not explain is the gyro's.
+        known, known_slow = (axis_power(TP, data.noise[pick]) for pick in (own_places, references))
+        expected = expected + counts[:, None] * (known_slow - ratio * known)
+    return slow, expected, counts

@@ -63,11 +63,14 @@ class BankTrial:
 
     @property
     def detected(self) -> Array:
-        """(3,) nats a second by which some whitener of a disturbance explains an axis better.
+        """(3,) nats a second by which some whitener of a disturbance explains an axis better; NaN
+        where there is none.
 
         g = ln(sigma of the best without disturbance / sigma of the best of all) / T
         """
         calm = [i for i, whitener in enumerate(self.whiteners) if not whitener.disturbed]
+        if len(calm) == len(self.whiteners):
+            return np.full(3, np.nan)
         best, best_calm = self.variance.min(axis=0), self.variance[calm].min(axis=0)
         return 0.5 * np.log(best_calm / best) / self.time
 

@@ -16,19 +16,17 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import (
     N_X,
-    AxisProblem,
     Evaluation,
-    JointProblem,
     Problem,
     residual_maker,
 )
 from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along
-from gcs_sysid.estimation.fit.solver import minimize, scales, vanish
+from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import symmetric_roots
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
-_FOLLOWED, _FOLLOWED_WHITENED = 2, 3
+_FOLLOWED = 3
 """Iterations of a fit that follows, where it is not near."""
 _ABSURD = -0.5
 """Share of an axis' acceleration explained: less indicates a false minimum."""
@@ -43,16 +41,16 @@ def follow_rotation(
     start: RotationFit,
     prior: Prior | None = None,
 ) -> list[RotationFit]:
-    """Follow a growing record from an earlier fit: a step or two with its leak, or its whiteners.
+    """Follow a growing record from an earlier fit: a step or two with its whiteners.
 
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
 
     Args:
-        totals: (K, width, width) moments of all rows at K instants, with the leak of `start`; or
-            (K, 3, width, width) as each axis' whitener has them.
+        totals: (K, 3, width, width) moments of all rows at K instants, as each axis' whitener of
+            `start` has them.
         rows: (K,) in them.
         basis: of the elements.
-        noise: (K, ...) of the inputs in one row, in the form of `ActuatorDynamics.noise_at`.
+        noise: (K, 3, width, width) of the inputs in one row.
         start: a fit of the same record when it was shorter.
         prior: what else is known.
 
@@ -62,34 +60,23 @@ def follow_rotation(
     before = start.warm_start
     assert before is not None
     unknowns = np.tile(before.unknowns, (len(rows), 1))
-    whitened = totals.ndim == 4
-    of_speeds = None if whitened or basis.motors else noise
-    problem: Problem = (
-        AxisProblem(totals, rows, basis, prior, noise, start.deviating)
-        if whitened
-        else JointProblem(
-            totals, rows, basis, prior, noise if basis.motors else None, start.deviating
-        )
-    )
-    outcome = Outcome(problem, problem.evaluate(unknowns), of_speeds)
+    problem = Problem(totals, rows, basis, prior, noise, start.deviating)
+    outcome = Outcome(problem, problem.evaluate(unknowns))
     # A step of less than 3 standard deviations is taken unseen.
     near = outcome.take_step(3.0)
-    scatter, stuck = (before.inflation, before.widening), np.full(len(rows), before.stuck)
-    leaks = [start.leak] * len(rows)
-    fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)
+    scatter = before.inflation, before.widening
+    fits = outcome.fits(*scatter, [start.converged] * len(rows))
     if not near.all():
         far = ~near
-        point, converged = _searched(problem.part(far), unknowns[far])
-        if of_speeds is not None:
-            of_speeds = noise[far]
-        searched = Outcome(problem.part(far), point, of_speeds)
-        better = searched.fits(*scatter, converged, leaks[: len(converged)], stuck[far])
+        point, converged = minimize(problem.part(far), unknowns[far], _FOLLOWED)
+        better = Outcome(problem.part(far), point).fits(*scatter, converged)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
     return [
         replace(
             fit,
             whiteners=start.whiteners,
+            of_steps=start.of_steps,
             disturbance=start.disturbance,
             deviating=start.deviating,
             ages=start.ages,
@@ -98,28 +85,16 @@ def follow_rotation(
     ]
 
 
-def _searched(problem: Problem, unknowns: Array) -> tuple[Evaluation, Mask]:
-    """Where a search from (K, N_UNKNOWNS + m) leads in a few iterations."""
-    if isinstance(problem, JointProblem) and not problem.silent:
-        # Where there is no cost to fall: by the rows as they are, then without the noise.
-        found, converged = minimize(problem.noisy, unknowns, _FOLLOWED)
-        return vanish(problem, found, problem.with_prior(found)[1]), converged
-    limit = _FOLLOWED if isinstance(problem, JointProblem) else _FOLLOWED_WHITENED
-    return minimize(problem, unknowns, limit)
-
-
 class Outcome:
     """What follows from points near the minima of K hypotheses.
 
     Args:
         problem: that was solved.
         point: its solution.
-        noise: (K, WIDTH, WIDTH) in the moments of one row, of measured speeds, that is still in
-            the problem; None: there is none, or it is taken out of the problem already.
     """
 
-    def __init__(self, problem: Problem, point: Evaluation, noise: Array | None = None) -> None:
-        self._problem, self._point, self._noise = problem, point, noise
+    def __init__(self, problem: Problem, point: Evaluation) -> None:
+        self._problem, self._point = problem, point
         self._unknowns: Array = point.unknowns
         self._gradient: Array = point.gradient
         self._scale = scales(point.hessian)
@@ -132,34 +107,6 @@ class Outcome:
         """(K, p, p) what a (K, p) gradient that is uncertain by itself adds to the inflation."""
         moved = _times(self.roots[1], pull / self._scale)
         return moved[:, :, None] * moved[:, None, :]
-
-    @property
-    def white(self) -> Array:
-        """(K, p) standard deviations, were rows independent and the model whole."""
-        white: Array = np.sqrt((self.roots[1] ** 2).sum(axis=2)) / self._scale
-        return white
-
-    @property
-    def left(self) -> Array:
-        """(K,) twice by how much the likelihood could still rise: standard deviations, squared."""
-        gradient, hessian = self._problem.with_prior(self._point)
-        inverse_roots = symmetric_roots(hessian / self._scales)[1]
-        return (_times(inverse_roots, gradient / self._scale) ** 2).sum(axis=1)
-
-    @property
-    def pull(self) -> Array:
-        """(K, p) gradient that undoes what noise of measured speeds does, to first order.
-
-        It makes least squares underrate its inputs (errors in variables).
-        """
-        problem, point = self._problem, self._point
-        pull = np.zeros_like(self._scale)
-        if self._noise is not None:
-            noise = problem.rows[:, None, None] * self._noise
-            excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
-            flat = point.WG.reshape(*point.WG.shape[:2], -1)
-            pull[:, : problem.linear] = _times(flat, excess.reshape(len(pull), -1))
-        return pull
 
     def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
@@ -242,8 +189,6 @@ class Outcome:
         spread: Array,
         widening: Array,
         converged: Iterable[bool],
-        leaks: Iterable[int],
-        stuck: Mask | None = None,
     ) -> list[RotationFit]:
         """The K estimates.
 
@@ -251,24 +196,20 @@ class Outcome:
             spread: (K, p, p) or (p, p) inflation of the covariance.
             widening: (K, p) or (p,) factors on the standard deviations.
             converged: whether each minimum was reached.
-            leaks: index of each one's leak.
-            stuck: (K,) whether each search ended elsewhere than near a minimum; None: none did.
         """
         problem, point, d, n = self._problem, self._point, self._scale, rb.N_THETA
         K, p = d.shape
         spread, widening = np.broadcast_to(spread, (K, p, p)), np.broadcast_to(widening, (K, p))
         root, inverse_root = self.roots
         prior = problem.prior
-        pull = self.pull
         wider = widening[:, :, None] * inverse_root
         added, data_covariance = self._with_sizes(wider @ symmetric_roots(spread, 0.0)[0])
         places = slice(n, problem.linear)
         covariance, phi = data_covariance, self._unknowns[:, N_UNKNOWNS:] * d[:, places]
         if prior is None:
-            step = _times(inverse_root, _times(inverse_root, pull / d))
-            step = step - _times(covariance[:, :, places], added * (step[:, places] + phi))
+            step = -_times(covariance[:, :, places], added * phi)
         else:
-            pull += self._gradient
+            pull = self._gradient.copy()
             coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
             inside = (coordinates > basis.low) & (coordinates < basis.high)
             pull[:, problem.linear :] *= inside[:, list(basis.free)]
@@ -288,11 +229,9 @@ class Outcome:
                 with_curve = along(own, Unknown.CURVE, problem.basis.curve_doubt)
                 own += np.outer(with_curve, with_curve)
         r_squared = self._explained()
-        stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
         if problem.basis.motors and Unknown.CURVE in problem.free:
             # A fit that explains an axis worse than nothing is in a false minimum.
-            astray = stuck | (r_squared.min(axis=1) < _ABSURD)
-            for i in np.flatnonzero(astray):
+            for i in np.flatnonzero(r_squared.min(axis=1) < _ABSURD):
                 own = full[i]
                 # There curve and lag are what they ordinarily are.
                 for place in (Unknown.CURVE, Unknown.LAG):
@@ -308,14 +247,13 @@ class Outcome:
                 rows=int(problem.rows[i]),
                 converged=bool(done),
                 coordinates=unknowns[i, COORDINATES],
-                leak=leak,
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
-                warm_start=RotationStart(self._unknowns[i], spread[i], widening[i], bool(stuck[i])),
+                warm_start=RotationStart(self._unknowns[i], spread[i], widening[i]),
                 deviations=unknowns[i, N_UNKNOWNS:],
                 extended_covariance=every[i],
             )
-            for i, (done, leak) in enumerate(zip(converged, leaks, strict=True))
+            for i, done in enumerate(converged)
         ]
 
     def _with_sizes(self, factor: Array) -> tuple[Array, Array]:

@@ -6,18 +6,15 @@ the covariance
 
     S = T P M P' T' / n ,    M the sum of z z'
 
-an exact quadratic in Q that follows from moments, as do its derivatives. The weight W is the
-inverse of what is left, iterated to the maximum-likelihood point, in one of two ways:
-
-    `JointProblem`   W = S^-1, all axes having the same rows; what falls is ln det S
-    `AxisProblem`    W = diag(1 / sigma_a^2), each axis having rows that its own whitener made
+an exact quadratic in Q that follows from moments, as do its derivatives. Each axis has rows that
+its own whitener made. The weight W = diag(1 / sigma_a^2) is the inverse of what is left, iterated
+to the maximum-likelihood point.
 
 Known noise N of the rotors' inputs is part of the residual; but it is no part of what turned the
 vehicle, and least squares would underrate the inputs for it (errors in variables). Gradient and
 curvature are therefore those of M - n N, for which the truth is the stationary point.
 """
 
-from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,12 +47,10 @@ to one or two percent, and where inputs are hardly more than noise, information 
 negative."""
 LEAST_POWER = 0.05
 """Share of an innovation's power that no correction leaves it without."""
-_ALIKE = 3e-13
-"""Share of all residual power that every axis has at least: weights stay finite."""
 _EPSILON = 4e-15
 """Rounding of sums of products, relative to the squares in them."""
 _IDENTITY = np.eye(3)
-_AXES, _DIAGONAL = np.arange(3), np.arange(WIDTH)
+_DIAGONAL = np.arange(WIDTH)
 
 
 @dataclass(frozen=True)
@@ -88,8 +83,8 @@ class Evaluation(Iterate):
         return np.diagonal(self.residual, axis1=1, axis2=2)
 
 
-class Problem(ABC):
-    """Hypotheses that are fitted side by side.
+class Problem:
+    """Hypotheses that are fitted side by side, each axis weighed by its innovations' power.
 
     Args:
         moments: (K, 1, width, width) of rows of elements, the same for all axes, or (K, 3, ...) as
@@ -101,8 +96,8 @@ class Problem(ABC):
         deviations: m of them, fitted too: unknowns after the coordinates.
     """
 
-    stopping: Stopping
-    _noise_share = 1.0
+    stopping = Stopping(enough=3e-4, unseen=3e-4, poor=0.25)
+    """Between two delays there is less noise than on a straight line: steps may overshoot."""
 
     def __init__(
         self,
@@ -136,7 +131,7 @@ class Problem(ABC):
         if noise is not None and not self.silent:
             noise = noise if noise.ndim == 4 else noise[:, None]
             self._noise = self.rows[:, None, None, None] * noise
-            self.informed = self.moments - self._noise_share * self._noise
+            self.informed = self.moments - NOISE_SHARE * self._noise
 
     def part(self, which: Array) -> Self:
         """Some of the hypotheses."""
@@ -144,6 +139,8 @@ class Problem(ABC):
         for name in ("moments", "rows", "informed", "_noise"):
             values = getattr(self, name)
             setattr(some, name, None if values is None else values[which])
+        if not self.silent and len(self._usual) > 1:
+            some._usual = self._usual[which]
         return some
 
     # ---- unknowns ----------------------------------------------------------------------------
@@ -268,9 +265,9 @@ class Problem(ABC):
             TP = T[:, None] @ P[:, 1:]
             TPM = times_moments(TP, self.informed)
             changed = TPM
-            if self._noise is not None and self._noise_share < 1.0:
+            if self._noise is not None:
                 # What a delay does to the noise itself is no information: all of it is taken out.
-                changed = TPM - (1.0 - self._noise_share) * times_moments(TP, self._noise)
+                changed = TPM - (1.0 - NOISE_SHARE) * times_moments(TP, self._noise)
             slopes = ((W[:, None] @ changed) * (T @ P[:, 0])[:, None]).sum(axis=(2, 3))
             weighted = (W[:, None] @ TPM).reshape(K, f, -1)
             bends = weighted @ np.swapaxes(TP.reshape(K, f, -1), 1, 2)
@@ -295,58 +292,6 @@ class Problem(ABC):
         WG = np.swapaxes(WG, 1, 2)
         return Evaluation(unknowns, gradient, hessian, bend, cost, power, weak, residual, W, Q, WG)
 
-    @abstractmethod
-    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
-        """Residual covariance, its inverse, and power, as of `Evaluation`.
-
-        Args:
-            T: (K, 3, WIDTH) what makes residuals.
-            moments: (K, 1 or 3, WIDTH, WIDTH) of rows [x, y].
-            informed: the same without the inputs' known noise.
-        """
-
-    @abstractmethod
-    def fall(self, before: Evaluation, after: Evaluation) -> Array:
-        """(K,) by how much a step lowers what is minimized."""
-
-
-class JointProblem(Problem):
-    """All axes have the same rows, and are weighed by their joint residual covariance."""
-
-    stopping = Stopping(enough=3e-4, unseen=1e-2, shortened=1.0)
-
-    @property
-    def noisy(self) -> Self:
-        """The same of rows as they are, noise taken for what acted."""
-        rows_as_they_are = copy(self)
-        rows_as_they_are.informed, rows_as_they_are.silent = self.moments, True
-        rows_as_they_are._noise = None
-        return rows_as_they_are
-
-    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
-        rows = self.rows[:, None]
-        S = times_moments(T[:, None], moments)[:, 0] @ np.swapaxes(T, -1, -2) / rows[..., None]
-        # Without noise only rounding is left of large terms; that keeps it definite.
-        sizes = moments[:, 0, _DIAGONAL, _DIAGONAL]
-        own = S[:, _AXES, _AXES]
-        S[:, _AXES, _AXES] = own + (
-            (T * T @ sizes[..., None])[..., 0] * (_EPSILON / rows)
-            + (_ALIKE * own.sum(axis=1) + 1e-300)[:, None]
-        )
-        return S, np.linalg.inv(S), S[:, _AXES, _AXES] * rows
-
-    def fall(self, before: Evaluation, after: Evaluation) -> Array:
-        """Of log det of the residual covariance: W is concentrated out."""
-        return before.cost - after.cost
-
-
-class AxisProblem(Problem):
-    """Each axis has rows that its own whitener made, and is weighed by its innovations' power."""
-
-    stopping = Stopping(enough=3e-4, unseen=3e-4, poor=0.25)
-    """Between two delays there is less noise than on a straight line: steps may overshoot."""
-    _noise_share = NOISE_SHARE
-
     @cached_property
     def _usual(self) -> Array:
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
@@ -356,14 +301,14 @@ class AxisProblem(Problem):
         at = self.basis.nodes[self.basis.middle]
         return NOISE_SHARE * self.basis.moments_at(self.noise, at)
 
-    def part(self, which: Array) -> Self:
-        """Some of the hypotheses."""
-        some = super().part(which)
-        if len(self._usual) > 1:
-            some._usual = self._usual[which]
-        return some
-
     def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
+        """Residual covariance, its inverse, and power, as of `Evaluation`.
+
+        Args:
+            T: (K, 3, WIDTH) what makes residuals.
+            moments: (K, 1 or 3, WIDTH, WIDTH) of rows [x, y].
+            informed: the same without the inputs' known noise.
+        """
         rows = self.rows[:, None]
         own = axis_power(T, informed)
         all_ = own if self.silent else axis_power(T, moments)
@@ -376,7 +321,7 @@ class AxisProblem(Problem):
         return variance[..., None] * _IDENTITY, _IDENTITY / variance[..., None], own
 
     def fall(self, before: Evaluation, after: Evaluation) -> Array:
-        """Of the power over the innovations' variance as it was before the step.
+        """(K,) by how much a step lowers the power over the innovations' variance as it was before.
 
         At the point that this leads to in the end the gradient without the known noise vanishes.
         """

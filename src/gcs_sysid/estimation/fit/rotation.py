@@ -26,13 +26,11 @@ class RotationStart:
         unknowns: (N_UNKNOWNS,) at the minimum of the cost.
         inflation: (p, p) of the covariance, see `uncertainty.inflation`.
         widening: (p,) of the standard deviations, see `uncertainty.student_factor`.
-        stuck: whether the search ended elsewhere than near a minimum.
     """
 
     unknowns: Array
     inflation: Array
     widening: Array
-    stuck: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,10 +47,10 @@ class RotationFit:
         converged: whether the minimizer was reached.
         coordinates: (N_COORDINATES,) rotor delay (s), motor lag (s), thrust curve, and nuisances of
             the lag, see `estimation.rows.actuator_dynamics`.
-        leak: index of the leak that was taken, see `most_certain`.
-        whiteners: of each axis, where rows were whitened; else empty.
+        whiteners: of each axis; empty of the article's.
+        of_steps: whether rows are of one step, so that much of them is noise; else of the window.
         disturbance: (3,) nats a second by which an unmodeled moment explains an axis better than
-            sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
+            sensor noise alone, see `BankTrial.detected`; NaN where rows are the window's.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone does
             not determine a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
@@ -75,11 +73,11 @@ class RotationFit:
     rows: int
     converged: bool
     coordinates: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
-    leak: int = 0
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     warm_start: RotationStart | None = None
     whiteners: tuple[Whitener, ...] = ()
+    of_steps: bool = False
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     extended_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))

@@ -256,42 +256,6 @@ def _lift(H: Array) -> Array:
     return np.zeros(len(H))
 
 
-def vanish(problem: Minimized[At], point: At, hessian: Array) -> At:
-    """Where the gradient vanishes, of a problem that has no cost to fall.
-
-    Args:
-        problem: K hypotheses.
-        point: where to start.
-        hessian: (K, p, p) curvature that steps go by throughout; where it is too large, they are
-            short.
-    """
-    d = scales(point.hessian)
-    damping = np.full(len(d), _DAMPING)
-
-    def to_go(at: At) -> tuple[Array, Array]:
-        """Step to where the gradient vanishes, in units of d, and (K,) how far that is."""
-        step, downhill, _ = _step(hessian, problem.with_prior(at)[0], d, damping)
-        return step, (step * downhill).sum(axis=1)
-
-    found = problem.evaluate(point.unknowns)
-    step, left = to_go(found)
-    share = np.ones(len(d))
-    # `left` is in squared standard deviations.
-    for _ in range(100):
-        if left.max() < 1e-10:
-            break
-        moved = problem.moved(found.unknowns, share[:, None] * step / d)
-        allowed = problem.are_allowed(moved)
-        tried = problem.evaluate(np.where(allowed[:, None], moved, found.unknowns))
-        further, less = to_go(tried)
-        # A step that leaves more to go was too long.
-        nearer = less <= left
-        found = found.where(nearer, tried)
-        step, left = np.where(nearer[:, None], further, step), np.where(nearer, less, left)
-        share = np.where(nearer, np.minimum(2.0 * share, 1.0), 0.25 * share)
-    return found
-
-
 def scales(hessian: Array) -> Array:
     """(..., p) square roots of the diagonal, 1 where there is no information at all."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)

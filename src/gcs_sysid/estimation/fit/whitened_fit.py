@@ -21,8 +21,8 @@ from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import (
     NOISE_SHARE,
-    AxisProblem,
     Evaluation,
+    Problem,
     axis_power,
     residual_maker,
     times_moments,
@@ -248,7 +248,8 @@ def fit_whitened(
         batches = weighed.of_axes(solved.pick)
     for _ in range(_CHOSEN if choice is not None and others else 0):
         assert choice is not None
-        chosen = bank.choose_deviations(solved, choice, *_of_motion(bank, solved, batches))
+        motion = None if basis.motors else _of_motion(bank, solved, batches)
+        chosen = bank.choose_deviations(solved, choice, motion)
         if chosen.like(bank.deviations):
             break
         # Whiteners too: what the model lacked looked like a disturbance.
@@ -258,7 +259,7 @@ def fit_whitened(
     outcome = Outcome(solved.problem, solved.point)
     p = solved.problem.p
     # With the standard deviations that white innovations of the whole model would have.
-    bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged], [0])[0]
+    bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged])[0]
     fit = bound
     if scatter:
         apart = None if basis.motors else choice
@@ -269,6 +270,7 @@ def fit_whitened(
     fit = replace(
         fit,
         whiteners=tuple(data.whiteners[i] for i in solved.pick),
+        of_steps=data.of_steps,
         disturbance=solved.trial.detected,
         deviating=bank.deviations,
     )
@@ -329,20 +331,21 @@ def _with_scatter(
         # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)
     if doubt:
-        raw = AxisProblem(
+        raw = Problem(
             problem.moments, bank.rows, basis, bank.prior, np.zeros_like(noise)[None],
             bank.deviations,
         )  # fmt: skip
         pull = raw.evaluate(point.unknowns).gradient - point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
     # First from scatter, which also gives the contrasts' standard deviations.
-    fit = outcome.fits(spread, widening, [solved.converged], [0])[0]
+    fit = outcome.fits(spread, widening, [solved.converged])[0]
     fit, ways = replace(fit, deviating=bank.deviations), []
     for error in solved.trial.systematic(fit, hover):
         way = np.zeros(problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         ways.append(way)
-    ways += list(fit.imitated_turns(1.0 if disturbed else 0.0)[:, problem.free] / widening[0])
+    shaken = 1.0 if disturbed or not data.of_steps else 0.0
+    ways += list(fit.imitated_turns(shaken)[:, problem.free] / widening[0])
     if disturbed and basis.motors and only is None:
         ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
     if apart is not None and Unknown.DELAY in problem.free:
@@ -354,11 +357,11 @@ def _with_scatter(
         spread = spread + outcome.spread_of(way[None] @ point.hessian[0])
     if not ways:
         return fit
-    return replace(outcome.fits(spread, widening, [solved.converged], [0])[0], ages=fit.ages)
+    return replace(outcome.fits(spread, widening, [solved.converged])[0], ages=fit.ages)
 
 
 def curve_scatter(
-    problem: AxisProblem, fit: RotationFit, batches: Array, counts: NDArray[np.int64]
+    problem: Problem, fit: RotationFit, batches: Array, counts: NDArray[np.int64]
 ) -> Array:
     """(p,) what all that is fitted errs by with the curve, beyond the fit's own interval.
 
@@ -385,7 +388,7 @@ def curve_scatter(
     ends = np.cumsum(counts)
     stretch = np.minimum((ends - 1) * _STRETCHES // ends[-1], _STRETCHES - 1)
     without = [stretch != i for i in range(_STRETCHES)]
-    others = AxisProblem(
+    others = Problem(
         np.stack([batches[kept].sum(axis=0) for kept in without]),
         np.array([counts[kept].sum() for kept in without]),
         problem.basis,
@@ -401,7 +404,7 @@ def curve_scatter(
 
 
 def unlike_delays(
-    problem: AxisProblem, point: Evaluation, older: Array, excess: float
+    problem: Problem, point: Evaluation, older: Array, excess: float
 ) -> tuple[Array, Array]:
     """(p,) what all that is fitted errs by where some rotors' readings are older than others', and
     (k,) s by which they are, beyond chance.

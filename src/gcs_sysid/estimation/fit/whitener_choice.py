@@ -19,8 +19,8 @@ from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import (
     LEAST_POWER,
     NOISE_SHARE,
-    AxisProblem,
     Evaluation,
+    Problem,
     axis_power,
     residual_maker,
 )
@@ -52,7 +52,7 @@ class AxisFit:
         trial: of all whiteners, there.
     """
 
-    problem: AxisProblem
+    problem: Problem
     point: Evaluation
     converged: bool
     pick: tuple[int, ...]
@@ -96,11 +96,11 @@ class BankProblem:
         counts = self.data.counts
         return int(counts.sum() if self.kept is None else counts[self.kept].sum())
 
-    def axes(self, pick: tuple[int, ...]) -> AxisProblem:
+    def axes(self, pick: tuple[int, ...]) -> Problem:
         """The problem with one whitener for each axis."""
         places = list(pick)
         moments, noise = self.total[places][None], self.data.noise[places][None]
-        return AxisProblem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
+        return Problem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
 
     def solve(self, pick: tuple[int, ...], starts: Array) -> AxisFit:
         """Fit with a whitener for each axis, or with others, should these be better there.
@@ -138,7 +138,7 @@ class BankProblem:
         moments, noise = (
             self.basis.moments_at(m, at)[:, None] for m in (self.total, self.data.noise)
         )
-        problem = AxisProblem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
+        problem = Problem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
         point, _ = minimize(problem, problem.extended(unknowns), limit)
         known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
         alike = self._alike(point, noise, known)
@@ -172,7 +172,7 @@ class BankProblem:
         )
         starts = np.repeat(guess, len(nodes), axis=0)
         starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
-        problem = AxisProblem(moments, rows, PLAIN, self.prior, noise)
+        problem = Problem(moments, rows, PLAIN, self.prior, noise)
         point, _ = minimize(problem, starts, _SCAN)
         axes = self.axes((0, 0, 0))
         known = axes.extended(np.median(point.unknowns, axis=0))
@@ -206,7 +206,10 @@ class BankProblem:
         )
 
     def choose_deviations(
-        self, fit: AxisFit, choice: DeviationChoice, batches: Array, counts: NDArray[np.int64]
+        self,
+        fit: AxisFit,
+        choice: DeviationChoice,
+        motion: tuple[Array, NDArray[np.int64]] | None,
     ) -> Deviations:
         """The deviations for which there is evidence, from one look at all of them.
 
@@ -219,16 +222,16 @@ class BankProblem:
         Args:
             fit: without them, or with some.
             choice: of them.
-            batches: (k, 3, width, width) with its whiteners, without the noise that is known.
-            counts: (k,) rows in each.
+            motion: (k, 3, width, width) batches with its whiteners, without the noise that is
+                known, and (k,) rows in each; None: with commands.
         """
         point = fit.point
         every = choice.every(point.unknowns[0])
         n, m = rb.N_THETA, len(every.std)
         places = list(fit.pick)
 
-        def axes(std: Array) -> AxisProblem:
-            return AxisProblem(
+        def axes(std: Array) -> Problem:
+            return Problem(
                 self.total[places][None],
                 self.rows,
                 self.basis,
@@ -254,11 +257,11 @@ class BankProblem:
         information = hessian[np.ix_(of, of)] - cross.T @ inverse @ cross
         score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
         scatter = 1.0
-        if not self.basis.motors:
+        if motion is not None:
             bounded = axes(choice.largest(point.unknowns[0]))
             outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
             root = outcome.roots[1][0]
-            spread = root @ meat(outcome.scores(0, batches, counts), REACH) @ root
+            spread = root @ meat(outcome.scores(0, *motion), REACH) @ root
             scatter = max(float(np.median(np.diag(spread))), 1.0)
         score += information @ phi
         return choice.choose(every, point.unknowns[0], score / scatter, information / scatter)

@@ -255,7 +255,8 @@ def slower(whiteners: Sequence[Whitener], i: int) -> int:
     Of a disturbance, that of one up to about half its frequency; of a quick one or none a leak, the
     other one where i is a leak itself.
     """
-    short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak") and not w.b)
+    leaks = [k for k, w in enumerate(whiteners) if w.name.startswith("leak") and not w.b] or [i]
+    short, long = leaks[0], leaks[-1]
     if not whiteners[i].disturbed or whiteners[i].quick:
         return long if i == short else short
     most = 0.6 * whiteners[i].below
@@ -371,12 +372,15 @@ class WhitenedMoments:
         whiteners: of the bank.
         time: s, T of a row.
         grouped: rows that a batch should have before its score counts as one.
+        gains: (bank,) variance of a row over that of white noise of the gyro, where rows are the
+            window's, which share samples; None: they are of one step.
         muted: columns that are taken as zero.
         own: places of the likeliest of the whole record, of each axis, which no other axis takes.
             Their innovations are as white as they can be, and rows count by how strong these are in
             their batch. Empty: there is none.
-        judges: of each axis, those of the online estimate, used for how much of the motion is
-            explained and predicted: its bounds were found with them.
+        judges: of each axis, those used for how much of the motion is explained and predicted: of
+            offline estimates the online one's, with which its bounds were found; of rows of the
+            window no leak. Empty: those of the fit.
     """
 
     parts: tuple[Array, ...]
@@ -385,9 +389,15 @@ class WhitenedMoments:
     whiteners: tuple[Whitener, ...]
     time: float
     grouped: int
+    gains: Array | None = None
     muted: tuple[int, ...] = ()
     own: tuple[int, ...] = ()
     judges: tuple[int, ...] = ()
+
+    @property
+    def of_steps(self) -> bool:
+        """Whether rows are of one step."""
+        return self.gains is None
 
     @property
     def edges(self) -> NDArray[np.int64]:

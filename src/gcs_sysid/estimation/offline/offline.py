@@ -66,7 +66,7 @@ def fit_offline(
     if before is None or not tracker.kept:
         return "no online estimate to start from"
     estimator, commands = tracker.estimator, tracker.tuning.rotor_input.motors
-    if commands and not before.whiteners:
+    if commands and not before.of_steps:
         return "commands are too slow, or the motors' lag is given: there is nothing to improve"
     noise = estimator.record.input_noise
     if isinstance(noise, SpeedNoise) and noise.folded_share > 0.0:

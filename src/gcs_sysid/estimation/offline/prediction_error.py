@@ -143,7 +143,7 @@ def estimate(
     Returns:
         The estimate; None where the flight is too short for one, or the search does not end.
     """
-    judges = start.whiteners or (bank_for(rows.time)[1],) * 3
+    judges = start.whiteners if start.of_steps else (bank_for(rows.time)[1],) * 3
     rotation, found, basis = start, None, rows.basis(start.coordinates)
     runs = rows.made(basis)
     if not runs:

@@ -64,12 +64,11 @@ class Instant:
     """The moments at one instant.
 
     Attributes:
-        moments: (width, width) of rows of the window, with the leak that is followed; or
-            (3, width, width) as each axis' whitener has them, shocks left out.
+        moments: (3, width, width) as each axis' whitener has them, shocks left out.
         rows: in them.
         basis: of their elements.
         noise: in the moments of one row.
-        window: (width', width') of rows of the window, with that leak.
+        window: (width', width') of rows of the window, with the first leak.
         window_rows: in them.
         momentum: (3, thrusts + 3, thrusts + 3).
         momentum_rows: in them.
@@ -96,13 +95,9 @@ class Instant:
             record: that these moments are of.
         """
         own, at = record.basis, fit.coordinates
+        without = self.basis.moments_at(self.moments - self.rows * self.noise, at)
         # Leaky sums of rates are no rates.
-        count = self.window_rows if record.memories[fit.leak] == 0.0 else 0
-        if self.moments.ndim == 3:
-            without = self.basis.moments_at(self.moments - self.rows * self.noise, at)
-            # The window has a range of its own.
-            within = np.clip(at, own.low, own.high)
-            return FitMoments(without, own.moments_at(self.window, within), count)
-        window = own.moments_at(self.window, at)
-        without = window - self.rows * own.noise_at(self.noise, at)
-        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window, count)
+        count = self.window_rows if record.memories[0] == 0.0 else 0
+        # The window has a range of its own.
+        within = np.clip(at, own.low, own.high)
+        return FitMoments(without, own.moments_at(self.window, within), count)

@@ -2,9 +2,9 @@
 
 A running flight is followed by quick fits: a step from an earlier fit of the same record, its
 warm start, with the moments of that instant. The warm start is renewed whenever a batch of
-moments has begun, about once a second; now and then a full fit chooses leak and delay again. Quick
-fits of one warm start are independent of one another, so that a block with many of them is one
-call.
+moments has begun, about once a second; now and then a full fit chooses whiteners and delay again.
+Quick fits of one warm start are independent of one another, so that a block with many of them is
+one call.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -277,7 +277,7 @@ class OnlineEstimator:
         return replace(fit, translation=trans, rigid_body_test=rigid_body_test)
 
     def _settle(self, series: str, before: _SeriesStart | None) -> Fit:
-        """A fit that chooses leak and delay, as a warm start for those to come."""
+        """A fit that chooses whiteners and delay, as a warm start for those to come."""
         self._renew_prior(afresh=True, running=True)
         known = before if self.seconds > _WELL_KNOWN else None
         rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
@@ -289,7 +289,7 @@ class OnlineEstimator:
             )
         rigid_body_test = self._latest_rigid_body_test(rot)
         trans = self._thrust.with_slope(trans, rot, self.prior)
-        if self._rotation.whitened is not None and not series:
+        if self.record.article is None and not series:
             self._validation = self._rotation.validate(self.prior)
         return Fit(
             rot,

@@ -133,7 +133,7 @@ class ThrustEstimator:
         """
         if fit is None or (at is None and Coordinate.CURVE not in self._basis.free):
             return fit
-        if self._record.whitened is not None and at is not None:
+        if at is not None:
             fit = self._whitening.judged_thrust(fit, at)
             mean = instant.mean_thrust if instant is not None else self._record.mean_thrust
             if mean is not None:

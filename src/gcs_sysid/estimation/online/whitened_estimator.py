@@ -1,5 +1,7 @@
 """The rotation of a record from its whitened rows; how it is judged from those of the window.
 
+Where there are no whitened rows, or none yet, those of the window take their place.
+
 A single step is mostly noise. How much of the motion a fit explains is therefore computed on the
 rows of the symmetric window, which passes about 5 Hz: the same numbers as of fits to the window, on
 which verdicts are based.
@@ -20,21 +22,23 @@ from gcs_sysid.estimation.checks.model_tests import (
     judge_rigid_body,
 )
 from gcs_sysid.estimation.checks.validation import SHORTEST_VALIDATED, Validation, predict_held_out
+from gcs_sysid.estimation.fit.lag_places import fit_lag_places
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
-from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
+from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.record.window_record import WindowRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
 _BELIEVED = 0.5
 """Share of the motion explained, from which deviations are those of rotors."""
 _THRUST = rb.SIGNALS.index("thrust")
-LEAST_OWN = 0.02
+_LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 
@@ -65,8 +69,7 @@ class WhitenedEstimator:
         self._record = record
 
     @property
-    def _white(self) -> WhitenedRecord:
-        assert self._record.whitened is not None
+    def _white(self) -> WhitenedRecord | WindowRecord:
         return self._record.whitened
 
     @property
@@ -98,11 +101,25 @@ class WhitenedEstimator:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
         doubt = self._record.noise_doubt
         known = prior, doubt, self._choice, 0.0 if calm else self._hover
-        found = fit_whitened(data, self.basis, start, *known)
-        if start is not None and (found is None or _is_doubtful(found.rotation)):
-            fresh = fit_whitened(data, self.basis, None, *known)
-            if found is None or (fresh is not None and fresh.cost < found.cost):
-                found = fresh
+
+        def fitted(start: RotationFit | None) -> WhitenedFit | None:
+            found = fit_whitened(data, self.basis, start, *known)
+            if start is not None and (found is None or _is_doubtful(found.rotation)):
+                fresh = fit_whitened(data, self.basis, None, *known)
+                if found is None or (fresh is not None and fresh.cost < found.cost):
+                    found = fresh
+            return found
+
+        if self.basis.bends:
+            record, place = self._record, None if start is None else start.lag_place
+            found = fit_lag_places(
+                lambda first: fitted(first or start),
+                self.basis,
+                record.places() if place is None else record.places(place.of),
+                record.seconds / record.half_width,
+            )
+        else:
+            found = fitted(start)
         if found is None:
             return None
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
@@ -127,7 +144,11 @@ class WhitenedEstimator:
         """What is wrong with the given layout, if another one explains the motion far better."""
         given = 0.0 if fit is None else float(fit.r_squared[:2].min())
         data = self._data
-        if given >= SUSPECTED or data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
+        if (
+            not data.of_steps
+            or given >= SUSPECTED
+            or data.counts.sum() * self._white.time < SHORTEST_VALIDATED
+        ):
             return None
         if self._rates[:2].min() < LEAST_RATE:
             return None
@@ -166,15 +187,13 @@ class WhitenedEstimator:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.
         """
-        T, pick = self._white.time, self._white.places(fit.whiteners)
+        pick = self._white.places(fit.whiteners)
         own = np.diag(fit.residual_covariance)
         input_noise = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
         rotors = axis_power(TP, input_noise)
-        left = np.maximum(own - rotors, LEAST_OWN * own)
-        # Without a whitener the gyro's part is unknown: half of a change, at most.
-        shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
-        return np.diag(left * shares) * T**3
+        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        return np.diag(left * self._white.gyro_densities(fit.whiteners))
 
     @property
     def _data(self) -> WhitenedMoments:

@@ -26,7 +26,6 @@ from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     SIGNALS,
-    WIDTH,
     ActuatorDynamics,
     motor_filter,
 )
@@ -74,7 +73,6 @@ _RATES = [rigid_body.SIGNALS.index(name) for name in "pq"]
 _ACCELERATIONS = [rigid_body.N_SIGNALS, rigid_body.N_SIGNALS + 1]
 _OF_YAW = [2, rigid_body.MOMENT_RATIO, rigid_body.ROTOR_INERTIA]
 _LENGTHS = np.isin(np.arange(rigid_body.N_THETA), (rigid_body.CG_X, rigid_body.CG_Y))
-_DH = rigid_body.SIGNALS.index("dH")
 
 
 class _Differences:
@@ -146,7 +144,7 @@ class InputNoise(ABC):
 
     @abstractmethod
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """What it adds to the moments of one row, in the form of `ActuatorDynamics.noise_at`.
+        """(width, width) what it adds to the moments of one row of elements.
 
         Args:
             basis: of the rows' elements; always the same.
@@ -254,6 +252,7 @@ class SpeedNoise(InputNoise):
         self._products = np.zeros((rotors, rotors))
         self._readings = [_Differences(rotors, k, round(self.interval / dt)) for k in (1, 4)]
         self._mixer = rigid_body.mixer(geometry)
+        self._overlaps: dict[float, tuple[Array, Array]] = {}
 
     def _add(self, speeds: Array) -> None:
         self._samples += len(speeds)
@@ -308,12 +307,22 @@ class SpeedNoise(InputNoise):
         return covariance + np.diag(least)
 
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """(WIDTH, WIDTH) of rows [x, y], the same at all delays: `InputNoise.row_moments`."""
-        out = np.zeros((WIDTH, WIDTH))
-        average, derivative = smoother.noise_gains(memory)
-        torques, _, H = self.of_signals
+        """See `InputNoise.row_moments`."""
+        out = np.zeros((basis.width, basis.width))
+        averaged, differentiated = np.zeros((2, SIGNALS, SIGNALS))
+        averaged[:4, :4], _, differentiated[4, 4] = self.of_signals
+        if not averaged.any():
+            return out
+        if memory not in self._overlaps:
+            self._overlaps[memory] = (
+                _overlaps(basis, smoother.late_taps, smoother.step, self._dt, memory),
+                _overlaps(basis, smoother.late_slopes, smoother.step, self._dt, memory),
+            )
+        both = self._overlaps[memory]
         # Averages and derivatives of a symmetric window do not hang together.
-        out[:4, :4], out[_DH, _DH] = average * torques, derivative * H
+        out[: basis.late, : basis.late] = np.kron(both[0], averaged) + np.kron(
+            both[1], differentiated
+        )
         return out
 
     @property
@@ -430,14 +439,16 @@ class CommandNoise(InputNoise):
         return self._mixer.T @ self.covariance @ self._mixer
 
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """(width, width) of rows of elements, see `InputNoise.row_moments`."""
+        """See `InputNoise.row_moments`."""
         out = np.zeros((basis.width, basis.width))
         signals = np.zeros((SIGNALS, SIGNALS))
         signals[:4, :4] = self.torques
         if not signals.any():
             return out
         if memory not in self._overlaps:
-            self._overlaps[memory] = _overlaps(basis, smoother, self._dt, memory)
+            self._overlaps[memory] = _overlaps(
+                basis, smoother.late_taps, smoother.step, self._dt, memory
+            )
         # Of w^2 the noise is 2 w times that of w.
         gains = np.array([1.0, 2.0 * self._sum.mean() / self._count])
         out[: basis.late, : basis.late] = np.kron(
@@ -446,9 +457,8 @@ class CommandNoise(InputNoise):
         return out
 
 
-def _overlaps(basis: ActuatorDynamics, smoother: Smoother, dt: float, memory: float) -> Array:
+def _overlaps(basis: ActuatorDynamics, taps: Array, step: int, dt: float, memory: float) -> Array:
     """(elements, elements) covariances of white noise after the basis' filters."""
-    taps = smoother.late_taps
     room = int(np.ceil(_SETTLED * basis.lags[-1] / dt))
     responses = np.zeros((len(basis.elements), taps.shape[1] + room))
     for response, element in zip(responses, basis.elements, strict=True):
@@ -456,5 +466,5 @@ def _overlaps(basis: ActuatorDynamics, smoother: Smoother, dt: float, memory: fl
         driven = np.zeros(responses.shape[1])
         driven[: taps.shape[1]] = taps[element.delay]
         response[:] = lfilter([b0, b1], [1.0, -a], driven)[0]
-    summed = leaky(responses, smoother.step, dt, memory)
+    summed = leaky(responses, step, dt, memory)
     return summed @ summed.T

@@ -2,21 +2,24 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from copy import copy
+from copy import copy, deepcopy
 from itertools import pairwise
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
+from gcs_sysid.estimation.fit.lag_places import fit_lag_places
+from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.fit.whitener_choice import explained_by
-from gcs_sysid.estimation.fit.window_fit import fit_lag_places, fit_rotation
 from gcs_sysid.estimation.noise.whitening import bank_for
 from gcs_sysid.estimation.record import article_estimator as article
 from gcs_sysid.estimation.record.command_record import CommandRecord, FitWindow
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.record.window_record import WindowRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     LAGS_OF,
     ActuatorDynamics,
@@ -159,6 +162,10 @@ class FlightRecord:
         kept = _FEWER_BATCHES if commands else _BATCHES
         bank = (len(self.memories), basis.width, basis.width)
         self.rotation = NormalEquations(bank, per_batch, kept)
+        gains = np.array([smoother.noise_gains(memory)[1] for memory in self.memories])
+        self.window = WindowRecord(
+            basis, self.rotation, self.memories, dt, self.row_time, per_batch, gains
+        )
         self.article = (
             None
             if tuning.method == "forward"
@@ -265,23 +272,20 @@ class FlightRecord:
                 yield
 
     @property
-    def whitened(self) -> WhitenedRecord | None:
-        """Moments of whitened rows, where they are asked for; with commands, as soon as any are."""
-        if self.low_passed:
-            return None
-        return self._of_speeds if self.commands is None else self.commands.white
+    def whitened(self) -> WhitenedRecord | WindowRecord:
+        """Moments of whitened rows; of the window's, where there are none, or none yet."""
+        white = self._of_speeds if self.commands is None else self.commands.white
+        return self.window if self.low_passed or white is None else white
 
     def _judge_gyro(self, white: WhitenedRecord) -> None:
         """Leave rows of one step where only a filtered gyro explains what they leave."""
         if self.low_passed:
             return
         self._judge_at = _JUDGED_AGAIN * self.seconds
-        noise = np.stack([self.noise(i) for i in range(len(self.memories))])
-        window = fit_rotation(
-            self.rotation.batches, self.rotation.counts, self.basis, noise, doubt=self.noise_doubt
-        )
-        if window is None or window.coordinates[Coordinate.DELAY] > -_LATE_GYRO:
+        found = fit_whitened(self.window.moments(self._window_noise()), self.basis, scatter=False)
+        if found is None or found.rotation.coordinates[Coordinate.DELAY] > -_LATE_GYRO:
             return
+        window = found.rotation
         well = window.r_squared >= _BY_WINDOW
         if not well[:2].all():
             return
@@ -323,14 +327,21 @@ class FlightRecord:
 
     def _window(self) -> FitWindow:
         """Fits the symmetric window as it is now, whenever that is asked for."""
-        batches, counts = self.rotation.batches.copy(), self.rotation.counts.copy()
-        basis, places = copy(self.basis), self.places()
-        silence = np.stack([self.noise(i) for i in range(len(self.memories))])
-        independent, doubt = self.seconds / self.half_width, self.noise_doubt
+        data, basis = deepcopy(self.window.moments(self._window_noise())), copy(self.basis)
+        places, doubt = self.places(), self.noise_doubt
+        independent = self.seconds / self.half_width
+
         # A function, which copies of the record share, and not what it holds.
-        return lambda: fit_lag_places(
-            batches, counts, basis, silence, places, independent, doubt=doubt
-        )
+        def fit() -> RotationFit | None:
+            found = fit_lag_places(
+                lambda first: fit_whitened(data, basis, first, doubt=doubt),
+                basis,
+                places,
+                independent,
+            )
+            return None if found is None else found.rotation
+
+        return fit
 
     @property
     def seconds(self) -> float:
@@ -354,15 +365,15 @@ class FlightRecord:
 
     @property
     def noise_doubt(self) -> float:
-        """Relative standard deviation of `noise`."""
+        """Relative standard deviation of `whitened_noise`."""
         return self.input_noise.doubt
 
-    def noise(self, leak: int) -> Array:
-        """What known noise of the inputs adds to the moments of one row.
-
-        (WIDTH, WIDTH) of speeds, (width, width) of commands, see `ActuatorDynamics.noise_at`.
-        """
-        return self.input_noise.row_moments(self.basis, self._smoother, self.memories[leak])
+    def _window_noise(self, some: Sequence[int] | None = None) -> Array:
+        """(leaks, width, width) what known noise of the inputs adds to a row of the window."""
+        memories = self.memories if some is None else [self.memories[i] for i in some]
+        return np.stack(
+            [self.input_noise.row_moments(self.basis, self._smoother, m) for m in memories]
+        )
 
     def whitened_noise(self, some: Sequence[int] | None = None) -> Array:
         """(bank, width, width) what known noise of the inputs adds to a whitened row.
@@ -370,19 +381,21 @@ class FlightRecord:
         Args:
             some: whiteners; None: all of the bank.
         """
-        assert self.whitened is not None
+        white = self.whitened
+        if isinstance(white, WindowRecord):
+            return self._window_noise(some)
         if self.commands is not None:
             # Commands that are whitened are too fast to miss anything.
-            silence = self.whitened.silence
+            silence = white.silence
             return silence if some is None else silence[list(some)]
-        return self.whitened.noise(*self._signals_noise(), some)
+        return white.noise(*self._signals_noise(), some)
 
     def _noted_noise(self) -> Array:
         """(bank, width, width) of a whitened row, as known when it was last noted."""
-        assert self.whitened is not None
+        assert self._of_speeds is not None
         if self._note is None:
             self._note = self._signals_noise()
-        return self.whitened.noise(*self._note)
+        return self._of_speeds.noise(*self._note)
 
     def _signals_noise(self) -> _SignalsNoise:
         noise = self.input_noise
@@ -396,10 +409,6 @@ class FlightRecord:
             return np.zeros((5, 5))
         torques, across, H = self._signals_noise()
         return np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
-
-    def noise_gains(self) -> Array:
-        """(leaks,) variance of a row's derivative over that of white noise of the gyro."""
-        return np.array([self._smoother.noise_gains(m)[1] for m in self.memories])
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record (whole batches)."""

@@ -145,6 +145,11 @@ class WhitenedRecord:
         first = next(i for i, own in enumerate(self.whiteners) if own.name == "leak 0.3 s")
         return [first if i is None else i for i in find_whiteners(whiteners, self.whiteners)]
 
+    def gyro_densities(self, whiteners: Sequence[Whitener]) -> Array:
+        """(3,) density of the gyro's noise over the power of an innovation."""
+        # Without a whitener the gyro's part is unknown: half of a change, at most.
+        return np.array([whitener.gyro_share or 0.5 for whitener in whiteners]) * self.time**3
+
     @property
     def silence(self) -> Array:
         """(bank, width, width) of inputs without noise."""

@@ -489,14 +489,6 @@ class ActuatorDynamics:
         out: Array = P @ moments @ P.T
         return out
 
-    def noise_at(self, noise: Array, at: Array) -> Array:
-        """(..., WIDTH, WIDTH) of noise of the inputs in the moments of rows at (3,) coordinates.
-
-        That of speeds is the same at all of them, and is given so. That of commands, which motors
-        filter, is given as (..., width, width) of rows of elements.
-        """
-        return self.moments_at(noise, at) if self.motors else noise
-
     def body_places(self, columns: Sequence[int]) -> list[int]:
         """Where columns of x that do not come from the rotors lie in a row of elements."""
         return [self.width - BODY + _BODY_COLUMNS.index(column) for column in columns]

@@ -4,7 +4,7 @@ All signals of both sides pass the same linear filter, so its lag cancels: a smo
 (`gcs_sysid.signals.smoothers`), and for the rotation then perhaps a leaky sum. The leak
 integrates both sides again: gyro noise, which differentiation made grow with frequency, becomes
 nearly white, which is what least squares weighs best. Where noise of the rotor speeds
-dominates, no leak is better; the estimator carries both and takes the more certain one.
+dominates, no leak is better; the estimator carries both, as whiteners of these rows.
 
 **The memory** (`NormalEquations`). Every estimate here is the minimizer of a cost that is quadratic
 in the data, so the sum of z z' over all rows z = [inputs, outputs] is a sufficient statistic: the
