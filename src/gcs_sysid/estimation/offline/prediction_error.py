@@ -170,11 +170,14 @@ def estimate(
             choice,
             0.0 if calm else made.thrust,
         )
-        if fit is None or not fit.rotation.converged:
+        if fit is None:
             break
         moved = np.abs(fit.rotation.theta - rotation.theta)
-        rotation, found = fit.rotation, PredictionErrorFit(fit, made)
-        if look and stayed and (moved <= _SETTLED * rotation.std).all():
+        # One that does not converge on these rows may on those about where it went.
+        rotation = fit.rotation
+        is_near = (np.abs(rotation.coordinates - basis.at) <= TRUSTED * basis.moved).all()
+        found = PredictionErrorFit(fit, made) if rotation.converged and is_near else None
+        if look and stayed and found and (moved <= _SETTLED * rotation.std).all():
             break
     if progress is not None:
         progress(1.0)
