@@ -443,6 +443,34 @@ _STOPPED_SPEED, _STOPPED_COMMAND = 5.0, 1e-6
 """rad/s and commands up to which a rotor stands: none turns as slowly, but ESCs are noisy."""
 
 
+@dataclass(frozen=True)
+class _Jump:
+    """A jump of the velocity.
+
+    Attributes:
+        first, last: grid points that it leads to, from the next block's first.
+        before, after: (3,) m/s.
+        felt: m/s^2, the most that the accelerometer measured from its ripples on.
+    """
+
+    first: int
+    last: int
+    before: Array
+    after: Array
+    felt: float
+
+    def added(self, dt: float) -> Array:
+        """(3,) m/s by which the velocity was reset: what the IMU felt too adds none."""
+        change, lasted = self.after - self.before, dt * (self.last - self.first + 1)
+        pace = change / lasted - (0.0, 0.0, GRAVITY)
+        is_set = lasted <= RIPPLES and np.linalg.norm(pace) > self.felt
+        return change if is_set else np.zeros(3)
+
+
+RIPPLES = 0.1
+"""s before and after a jump of the velocity: between slow readings it is a ramp, with ripples."""
+
+
 class VelocityJumps:
     """Finds where a velocity changes by more than the accelerometer measured.
 
@@ -454,16 +482,16 @@ class VelocityJumps:
     _MEMORY = 10.0
     """s over which that scatter is averaged."""
     _LIMIT = normal_limit(FALSE_ALARM_RATE / 1000.0)
-    """Of the scatter: one false jump in a minute or two, which costs a gap of one sample."""
+    """Of the scatter: one false jump in a minute or two, which costs a short gap."""
 
     def __init__(self) -> None:
-        self._last = np.full((1, 6), np.nan)
+        self._past = np.full((1, 6), np.nan)
         self._power = GRAVITY**2
         self._added = np.zeros(3)
-        self._since = np.inf
+        self._jump: _Jump | None = None
 
     def without(self, dt: float, velocity: Array, force: Array, *, fresh: bool) -> Array:
-        """(n, 3) velocity without its jumps, missing at grid points that one leads to.
+        """(n, 3) velocity without its jumps, missing while one and its ripples last.
 
         Args:
             dt: s between grid points.
@@ -471,14 +499,17 @@ class VelocityJumps:
             force: (n, 3) m/s^2, specific.
             fresh: whether nothing before them goes on.
         """
-        if fresh:
-            self._last[:], self._added[:], self._since = np.nan, 0.0, np.inf
-        values = np.vstack([self._last, np.hstack([velocity, force])])
-        self._last = values[-1:].copy()
-        apart = np.diff(values[:, :3], axis=0) / dt - (0.0, 0.0, GRAVITY)
-        felt = np.linalg.norm(values[:, 3:], axis=1)
-        excess = np.linalg.norm(apart, axis=1) - np.maximum(felt[1:], felt[:-1])
-        jumps: Mask = np.zeros(len(excess), bool)
+        n, ripples = len(velocity), round(RIPPLES / dt)
+        if fresh or len(self._past) != ripples + 1:
+            self._past = np.full((ripples + 1, 6), np.nan)
+            self._added, self._jump = np.zeros(3), None
+        values = np.vstack([self._past, np.hstack([velocity, force])])
+        self._past = values[n:]
+        apart = np.diff(values[ripples:, :3], axis=0) / dt - (0.0, 0.0, GRAVITY)
+        norms = np.linalg.norm(values[:, 3:], axis=1)
+        felt = np.maximum(norms[1:], norms[:-1])  # from the ripples before on
+        excess = np.linalg.norm(apart, axis=1) - felt[ripples:]
+        jumps: Mask = np.zeros(n, bool)
         known = np.isfinite(excess)
         if known.any():
             keep = math.exp(-dt / self._MEMORY)
@@ -486,16 +517,25 @@ class VelocityJumps:
             power, _ = lfilter([1.0 - keep], [1.0, -keep], counted, np.array([keep * self._power]))
             self._power = float(power[-1])
             jumps[known] = excess[known] > self._LIMIT * np.sqrt(power)
-        at = np.flatnonzero(jumps)
-        ago = dt * np.diff(at, prepend=-self._since / dt)
-        self._since = dt * (len(jumps) - at[-1]) if len(at) else self._since + dt * len(jumps)
-        # What jumps again and again is not reset: velocity and accelerometer disagree.
-        reset = np.zeros_like(jumps)
-        reset[at[ago > self._MEMORY]] = True
-        added = np.where(reset[:, None], np.diff(values[:, :3], axis=0), 0.0)
-        before, self._added = self._added, self._added + added.sum(axis=0)
-        added = before + np.cumsum(added, axis=0)
-        return np.where(jumps[:, None], np.nan, velocity - added)
+        out = velocity - self._added
+        for at in (*np.flatnonzero(jumps).tolist(), n + ripples):
+            if (jump := self._jump) is not None:
+                over = jump.last + ripples + 1
+                out[max(jump.last, 0) : over] = np.nan
+                around = felt[max(jump.first, 0) : over + ripples]
+                self._jump = jump = replace(jump, felt=float(np.nanmax(around, initial=jump.felt)))
+                if over <= min(at, n):
+                    added = jump.added(dt)
+                    self._added = self._added + added
+                    out[over:] -= added
+                    self._jump = None
+            if at < n:
+                before, after = values[ripples + at : ripples + at + 2, :3]
+                jump = self._jump or _Jump(at, at, before, after, 0.0)
+                self._jump = replace(jump, last=at, after=after)
+        if (jump := self._jump) is not None:
+            self._jump = replace(jump, first=jump.first - n, last=jump.last - n)
+        return out
 
 
 class _Unseen:
