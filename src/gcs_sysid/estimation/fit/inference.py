@@ -213,7 +213,8 @@ class Outcome:
             coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
             inside = (coordinates > basis.low) & (coordinates < basis.high)
             pull[:, problem.linear :] *= inside[:, list(basis.free)]
-            held = (root / widening[:, :, None]) @ np.linalg.inv(spread)
+            # Of a fit astray some directions may scatter beyond all digits: they are the prior's.
+            held = (root / widening[:, :, None]) @ np.linalg.pinv(spread, hermitian=True)
             information = held @ (root / widening[:, None, :]) + 1e-15 * np.eye(p)
             information[:, range(n, problem.linear), range(n, problem.linear)] += added
             covariance = np.linalg.inv(information + problem.prior_information / self._scales)
