@@ -70,7 +70,6 @@ PRODUCERS = (
     Producer("rate", received.slow_imu, Stage.BELIEF),
     Producer("frozen", received.frozen_samples, Stage.BELIEF),
     Producer("order", received.disordered_samples, Stage.BELIEF),
-    Producer("swap", prediction.swapped, Stage.FLIGHT),
     Producer("prediction", prediction.held_out, Stage.FLIGHT),
     Producer("whiteness", prediction.white, Stage.FLIGHT),
     Producer("motion", prediction.flown, Stage.FLIGHT),

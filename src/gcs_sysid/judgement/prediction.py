@@ -51,11 +51,6 @@ class PredictionRules:
     """rad/s rms, below which an axis hardly turns: what it answers is then noise of rotors and
     gyro, or crosstalk. Hovers have 0.003 to 0.06, flights with input on an axis 0.25 and more, in
     yaw 0.08 and more."""
-    crossed: tuple[float, float] = (0.95, 0.5)
-    """Shares of roll and pitch explained, above which, and of yaw, below which, two rotors of six
-    or more must be swapped: neighbors hardly differ in roll and pitch, but turn yaw against itself.
-    Of 30 recorded flights none with roll and pitch so well explained has less than 0.98 on yaw; an
-    octocopter with rotors 1 and 2 swapped has 0.99, 0.99 and 0.24."""
     unexplained: float = 0.1
     """Share of what was flown on an axis, below which rotors may be in another order. Two hexas
     with rotors 1 and 2 swapped have 0.00 and 0.02 on yaw, and one a CG that was off by 34 and
@@ -151,25 +146,6 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
             verdict="partial",
             how="check that every ESC reads true: its pole count first",
             by=READINGS,
-        )
-
-
-def swapped(evidence: Evidence) -> Iterator[Objection]:
-    """Two of six rotors or more in each other's place: yaw turns against itself."""
-    rotation, found = evidence.fit.rotation, evidence.fit.validation
-    if rotation is None or found is None or not evidence.checked:
-        return
-    shares, (high, low) = rotation.r_squared, RULES.crossed
-    many = len(evidence.airframe.rotors) > 4
-    if many and not still_axes(evidence.fit)[2] and shares[:2].min() > high and shares[2] < low:
-        yield Objection(
-            f"the rotors explain roll and pitch but only {_percent(shares[2])} of yaw: two rotors "
-            "of opposite spin look swapped",
-            _on(evidence, np.ones(3, dtype=bool)),
-            cap="weak",
-            verdict="partial",
-            evidence=_by_axis(shares),
-            how="check motor order and spin in the airframe file",
         )
 
 

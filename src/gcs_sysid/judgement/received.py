@@ -81,6 +81,15 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     received, fit = evidence.received, evidence.fit
     if received is None or evidence.no_vehicle:
         return
+    if fit.other_layout is not None:
+        yield Objection(
+            f"{fit.other_layout}: corrected, it would explain the motion far better",
+            frozenset(name for name in evidence.estimates if REGISTRY[name].axes),
+            cap="unobservable",
+            verdict="refused",
+            by=ROTORS,
+        )
+        return
     verdict: Verdict | None = "refused" if fit.rotation is None else None
     cut, still = bool(evidence.saturated), is_hover(evidence)
     for by, flying, reasons in (
@@ -205,8 +214,6 @@ def _misread(evidence: Evidence) -> _Reasons:
 
 def _contradicted(fit: Fit) -> _Reasons:
     """Why the motion cannot be that of the airframe's rotors."""
-    if fit.other_layout is not None:
-        return ((f"{fit.other_layout}: corrected, it would explain the motion far better", ""),)
     if fit.rotation is None and fit.seconds > _ENOUGH_TO_ANSWER:
         check = "check motor order and rotor positions in the airframe file, and fly roll and pitch"
         return (("the motion does not match these rotors", check),)

@@ -333,9 +333,8 @@ class Chain:
     def _fit_now(self) -> None:
         if self.tracker is not None:
             fit = self.tracker.fit()
-            # Only for a result: it costs more than the fit where the layout is wrong.
-            other = self.tracker.estimator.other_layout(fit.rotation)
-            self.fit = replace(fit, other_layout=other)
+            # Only for a result: it costs more than the fit.
+            self.fit = replace(fit, other_layout=self.tracker.estimator.other_layout())
 
     def result(self) -> Result:
         """The latest fit as a result."""

@@ -33,14 +33,15 @@ _NONE = 1e-8
 """Share of an axis' acceleration below which gyroscopic torque is negligible."""
 _ROUNDING = 1e-30
 """Of the largest input, what the square of one must exceed."""
-SUSPECTED = 0.8
-"""Share of roll and pitch that the given layout leaves unexplained where others are tried."""
 LEAST_RATE = 0.1
 """rad/s rms of roll and pitch, below which the layout is not observable: a hover has noise and
 vibration alone."""
-_CONVINCING = 0.15
-"""By how much of the motion another layout must explain more, on the worse of roll and pitch; and
-at most less, on yaw."""
+_CONVINCING = 0.5
+"""Share of the motion left unexplained, over the three axes' product, that another layout leaves of
+it at most."""
+_EQUAL = 0.01
+"""Shares of the motion that differ by less say nothing; by that much, in logarithms of what is left
+of them, another layout may be worse on an axis."""
 _WHITENERS = ("leak 0.3 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz")
 
 
@@ -107,29 +108,16 @@ def _apart(total: Array, combination: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True)
-class OtherLayout:
-    """A layout that explains the motion better than the one given.
-
-    Attributes:
-        says: what is wrong with the given layout, as text.
-        explained: the lesser share of roll and pitch that it explains.
-    """
-
-    says: str
-    explained: float
-
-
 def find_other_layout(
-    data: WhitenedMoments, basis: ActuatorDynamics, geometry: Array, given: float
-) -> OtherLayout | None:
-    """Try the mistakes that are made: two rotors swapped, the frame turned.
+    data: WhitenedMoments, basis: ActuatorDynamics, geometry: Array
+) -> str | None:
+    """What is wrong with the layout, by the mistakes that are made: two rotors swapped, the frame
+    turned.
 
     Args:
         data: moments of rows with the given layout.
         basis: of the elements.
         geometry: (3, rotors) given.
-        given: the lesser share of roll and pitch that it explains.
     """
     few = [i for i, whitener in enumerate(data.whiteners) if whitener.name in _WHITENERS]
     small = replace(
@@ -138,22 +126,27 @@ def find_other_layout(
         noise=data.noise[few],
         whiteners=tuple(data.whiteners[i] for i in few),
     )
-    # Of the same rows: by those that `given` is of, gusts count for less or for more.
-    own = explained_by(small, basis)
-    least_yaw = -np.inf
-    if own is not None:
-        given, least_yaw = max(given, float(min(own[:2]))), float(own[2]) - _CONVINCING
-    best = OtherLayout("", given + _CONVINCING)
+    # Of the same rows: by others, gusts count for less or for more.
+    own, found = _left(small, basis), []
     for says, other in _mistakes(geometry):
         between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
         if np.linalg.cond(between) > 1e6:
             continue
-        explained = explained_by(_seen_as(small, basis, np.linalg.inv(between).T), basis)
-        if explained is None or explained[2] < least_yaw:
-            continue
-        if min(explained[:2]) > best.explained:
-            best = OtherLayout(says, float(min(explained[:2])))
-    return best if best.says else None
+        gain = own - _left(_seen_as(small, basis, np.linalg.inv(between).T), basis)
+        if gain.min() > -_EQUAL and gain.sum() > -np.log(_CONVINCING):
+            found.append((float(gain.sum()), says))
+    best = max((gain for gain, _ in found), default=0.0)
+    # Swapped within an allocation of full rank, two pairs of many rotors may look the same.
+    return ", or ".join(says for gain, says in found if gain > best - _EQUAL) or None
+
+
+def _left(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
+    """(3,) logarithms of the shares of the motion that a fit leaves unexplained."""
+    explained = explained_by(data, basis)
+    if explained is None:
+        return np.zeros(3)
+    left: Array = np.log(np.clip(1.0 - explained, _EQUAL, 1.0))
+    return left
 
 
 def _mistakes(geometry: Array) -> list[tuple[str, Array]]:

@@ -176,9 +176,9 @@ class OnlineEstimator:
             moments=self._rotation.moments(rot),
         )
 
-    def other_layout(self, fit: RotationFit | None) -> str | None:
+    def other_layout(self) -> str | None:
         """What is wrong with the airframe's layout, if another explains the motion far better."""
-        return self._rotation.other_layout(fit)
+        return self._rotation.other_layout()
 
     def fit_translation(
         self, at: RotationFit | None = None

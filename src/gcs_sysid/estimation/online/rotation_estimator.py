@@ -134,9 +134,9 @@ class RotationEstimator:
         """
         return None if self._record.article is not None else self._whitening.validate(prior)
 
-    def other_layout(self, fit: RotationFit | None) -> str | None:
+    def other_layout(self) -> str | None:
         """What is wrong with the airframe's layout, if another explains the motion far better."""
-        return None if self._record.article is not None else self._whitening.other_layout(fit)
+        return None if self._record.article is not None else self._whitening.other_layout()
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """See `OnlineEstimator.gyro_density`."""

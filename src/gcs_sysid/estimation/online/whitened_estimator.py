@@ -16,7 +16,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.checks.model_tests import (
     LEAST_RATE,
     PRODUCTS,
-    SUSPECTED,
     RigidBodyTest,
     find_other_layout,
     judge_rigid_body,
@@ -140,20 +139,14 @@ class WhitenedEstimator:
         """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
         return predict_held_out(self._data, self.basis, self._choice, prior)
 
-    def other_layout(self, fit: RotationFit | None) -> str | None:
+    def other_layout(self) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
-        given = 0.0 if fit is None else float(fit.r_squared[:2].min())
         data = self._data
-        if (
-            not data.of_steps
-            or given >= SUSPECTED
-            or data.counts.sum() * self._white.time < SHORTEST_VALIDATED
-        ):
+        if not data.of_steps or data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
             return None
         if self._rates[:2].min() < LEAST_RATE:
             return None
-        found = find_other_layout(data, self.basis, self._geometry, max(given, 0.0))
-        return None if found is None else found.says
+        return find_other_layout(data, self.basis, self._geometry)
 
     def judged_thrust(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
         """Thrust over mass of the mean rotor, where rotors differ.
