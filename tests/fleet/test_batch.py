@@ -112,7 +112,7 @@ def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
     assert status == 0
     lines = re.split(r"\r *\r", err)
     assert any(line.startswith("1 of 5 logs: 1 ") and line.endswith(" left") for line in lines)
-    assert lines[-1].startswith("gcs-sysid: 5 of 5 logs: 4 partial, 1 failed")
+    assert lines[-1].startswith("gcs-sysid: 5 of 5 logs: 4 identified, 1 failed")
     found = {
         Path(row["path"]).parent.name: (row["vehicle"], row["scale"]["value"])
         for row in read_table(tmp_path / "out" / "fleet.parquet")

@@ -11,7 +11,7 @@ from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.judgement.judge import object_to
-from gcs_sysid.judgement.received import ROTORS
+from gcs_sysid.judgement.status import ROTORS
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer

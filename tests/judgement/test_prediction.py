@@ -52,7 +52,7 @@ def found(validation, *, running=False, rotor_input=RotorInput.SPEED, dt=0.004, 
 
 def reasons(evidence):
     """What is said of the fit itself."""
-    own = ("prediction", "whiteness", "motion", "swap")
+    own = ("prediction", "whiteness", "motion")
     return [o.words for o in judge(evidence).objections if o.by in own]
 
 
@@ -85,19 +85,6 @@ def axes_of(names):
 
 def test_nothing_speaks_against_a_flight_that_is_predicted():
     assert silent(found(GOOD))
-
-
-def test_yaw_against_itself_is_a_swap_where_there_are_six_rotors_or_more():
-    def of(airframe, r_squared):
-        fit = Fit(replace(ROTATION, r_squared=np.array(r_squared)), None, 30.0, GOOD)
-        return evidence_of(fit, airframe=airframe)
-
-    swapped = of(OCTO, [0.99, 0.99, 0.24])
-    assert "24 % of yaw" in reasons(swapped)[0]
-    assert capped(swapped) == set(CLAIMS)
-    assert not reasons(of(QUAD, [0.99, 0.99, 0.24]))  # two of four are seen in roll and pitch
-    assert not reasons(of(OCTO, [0.9, 0.9, 0.24]))  # wind
-    assert silent(of(OCTO, [0.99, 0.99, 0.9]))
 
 
 def test_where_rotors_explain_nothing_of_what_was_flown_the_cg_is_in_doubt():

@@ -32,8 +32,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import misfits
-from gcs_sysid.judgement.received import ROTORS
-from gcs_sysid.judgement.status import READINGS, on_sound_data
+from gcs_sysid.judgement.status import READINGS, ROTORS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput

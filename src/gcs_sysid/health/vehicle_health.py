@@ -8,7 +8,7 @@ from gcs_sysid.health.balance import Center
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.drag import Drag
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
-from gcs_sysid.judgement.received import ROTORS
+from gcs_sysid.judgement.status import ROTORS
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
 from gcs_sysid.model.rotor_input import RotorInput

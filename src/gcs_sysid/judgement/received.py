@@ -13,7 +13,7 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.judgement.evidence import ClockDoubt, Evidence, Received
 from gcs_sysid.judgement.imu_faults import gyro_fault
 from gcs_sysid.judgement.prediction import is_hover
-from gcs_sysid.judgement.status import RULES
+from gcs_sysid.judgement.status import ROTORS, RULES
 from gcs_sysid.model.airframe import ScaleKind
 from gcs_sysid.model.estimate import Objection, Verdict
 from gcs_sysid.model.parameters import REGISTRY
@@ -25,8 +25,6 @@ NAMED_LOSS = 0.1
 """Share of IMU samples missing from which it is reported: five times what PX4 leaves out."""
 TOO_MUCH_LOSS = 0.6
 """The same, from which the verdict is at most `partial`: no study goes beyond a half."""
-ROTORS = "rotors"
-"""Producer of objections that the airframe's rotors contradict the motion."""
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
 TWO_GOOD_CLOCKS = 500.0
@@ -132,14 +130,23 @@ def lost_samples(evidence: Evidence) -> Iterator[Objection]:
 
 
 def slow_imu(evidence: Evidence) -> Iterator[Objection]:
-    """An IMU that comes more slowly than rotor data may: what it turns in between is not seen."""
-    if evidence.interval > 1.0 / MIN_RATE:
-        rate = 1.0 / evidence.interval
+    """An IMU that comes too slowly: what the vehicle, or a motor that lags, does in between is not
+    seen.
+    """
+    motors = evidence.rotor_input.motors
+    too_slow = evidence.interval > 1.0 / MIN_RATE
+    if too_slow or (motors and evidence.interval > 1.1 / NEEDED_RATE):
+        with_motors = "" if too_slow else " by commands"
         yield Objection(
-            f"the IMU comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz",
-            frozenset(n for n in evidence.estimates if REGISTRY[n].fit in ("rotation", "actuator")),
+            f"the IMU comes at {1.0 / evidence.interval:.1f} Hz; identification{with_motors} needs "
+            f"{NEEDED_RATE:.0f} Hz",
+            frozenset(
+                name
+                for name in evidence.estimates
+                if motors or REGISTRY[name].fit in ("rotation", "actuator")
+            ),
             cap="weak",
-            verdict="refused",
+            verdict="refused" if too_slow else "partial",
             how="log or request it faster",
         )
 

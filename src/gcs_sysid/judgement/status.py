@@ -108,6 +108,8 @@ def of_rotors(rotors: list[dict[str, Estimate]]) -> tuple[dict[str, Estimate], .
     )
 
 
+ROTORS = "rotors"
+"""Producer of objections that the airframe's rotors contradict the motion."""
 READINGS = "readings"
 """Producer of objections that rotors differ by more than propellers do."""
 _OF_THE_MOTION = {
@@ -118,7 +120,7 @@ _OF_THE_MOTION = {
     "order": "the record",
     READINGS: "the rotors",
     "ages": "the rotors",
-    "swap": "the motor order",
+    ROTORS: "the motor order",
 }
 OF_THE_DATA = _OF_THE_MOTION | {
     "link": "the record",

@@ -119,7 +119,7 @@ def find_other_layout(
         basis: of the elements.
         geometry: (3, rotors) given.
     """
-    few = [i for i, whitener in enumerate(data.whiteners) if whitener.name in _WHITENERS]
+    few = [i for i, w in enumerate(data.whiteners) if w.name in _WHITENERS or not data.of_steps]
     small = replace(
         data,
         parts=tuple(part[:, few] for part in data.parts),

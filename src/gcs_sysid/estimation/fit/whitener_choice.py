@@ -267,6 +267,25 @@ class BankProblem:
         return choice.choose(every, point.unknowns[0], score / scatter, information / scatter)
 
 
+def with_possible_noise(
+    data: WhitenedMoments, basis: ActuatorDynamics, prior: Prior | None
+) -> WhitenedMoments:
+    """The same with no more known noise than what is left without any.
+
+    Noise that aliases into slow commands is inferred from how they move, as a loop's would be;
+    where what moves them is the pilot, that is many times all that a fit leaves.
+    """
+    bank = BankProblem(replace(data, noise=np.zeros_like(data.noise)), basis, prior)
+    trial = bank.scanned()
+    if trial is None:
+        return data
+    unknowns = trial.unknowns
+    noise = basis.moments_at(data.noise, unknowns[0, COORDINATES])[:, None]
+    added = axis_power(residual_maker(NO_DEVIATIONS.forward(unknowns, unknowns[:, :0])), noise)
+    share = np.min(np.divide(trial.variance, added, out=np.ones_like(added), where=added > 0.0))
+    return replace(data, noise=min(float(share), 1.0) * data.noise)
+
+
 def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
     """(3,) shares of the whitened acceleration that a quick fit explains; None: there is none."""
     problem = BankProblem(data, basis)

@@ -27,6 +27,7 @@ from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.fit.whitener_choice import with_possible_noise
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
@@ -96,6 +97,8 @@ class WhitenedEstimator:
             The fit and the shocks that it left out; None while the data cannot even start one.
         """
         data = self._data
+        if self.basis.motors and not data.of_steps:
+            data = with_possible_noise(data, self.basis, prior)
         if not rigid:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
         doubt = self._record.noise_doubt
@@ -142,7 +145,7 @@ class WhitenedEstimator:
     def other_layout(self) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
         data = self._data
-        if not data.of_steps or data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
+        if data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
             return None
         if self._rates[:2].min() < LEAST_RATE:
             return None
