@@ -209,7 +209,7 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
     swapped = replace(airframe, rotors=(three, two, one, four))
     result = run(paper_records, airframe=swapped)[1]
     assert result.verdict == "refused"
-    assert "check motor order" in result.reasons[0]
+    assert "rotors 1 and 3 look swapped" in result.reasons[0]
     turned = tuple(replace(rotor, spin=-rotor.spin) for rotor in airframe.rotors)
     result = run(paper_records, airframe=replace(airframe, rotors=turned))[1]
     assert result.verdict == "partial"

@@ -86,6 +86,7 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
             cap="unobservable",
             verdict="refused",
             by=ROTORS,
+            how="correct the airframe file",
         )
         return
     verdict: Verdict | None = "refused" if fit.rotation is None else None

@@ -120,7 +120,6 @@ _OF_THE_MOTION = {
     "order": "the record",
     READINGS: "the rotors",
     "ages": "the rotors",
-    ROTORS: "the motor order",
 }
 OF_THE_DATA = _OF_THE_MOTION | {
     "link": "the record",
