@@ -128,6 +128,8 @@ def find_other_layout(
     )
     # Of the same rows: by others, gusts count for less or for more.
     own, found = _left(small, basis), []
+    if own.sum() - own.size * np.log(_EQUAL) <= -np.log(_CONVINCING):
+        return None  # no layout can leave so much less
     for says, other in _mistakes(geometry):
         between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
         if np.linalg.cond(between) > 1e6:
