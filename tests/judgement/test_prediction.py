@@ -24,10 +24,10 @@ ROTATION = RotationFit(
 GOOD = Validation(
     r_squared=np.full(3, 0.95),
     theil=np.full(3, 0.1),
-    fitted_share=0.6,
+    held_out=np.array([[0.6, 1.0]]),
     whiteness=np.ones(3),
     whiteness_p=np.full(3, 0.4),
-    theta=ROTATION.theta,
+    Q=np.zeros((3, rb.N_SIGNALS)),
     coordinates=np.array([0.0, 0.0, 1.0]),
 )
 CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}

@@ -65,7 +65,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, reco
     feed(chain, records[half:])
     found = prediction.acceleration()
     rotation = fit.rotation
-    model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, RotorInput.SPEED)
+    model = Model(rotation.Q, rotation.coordinates, chain.airframe.geometry, RotorInput.SPEED)
     whole = Predictor(blocks[0].dt, model).rows(
         RotationSamples(
             np.concatenate([b.t for b in blocks]),

@@ -52,8 +52,7 @@ def test_agrees_with_the_validation(fly, flight):
     r_squared = agreement(data.prediction)
     for axis, name in enumerate(AXES):
         told = data.result.validation
-        # Of the last 40 % of the flight, and of two of every five seconds.
-        assert r_squared[axis] == pytest.approx(told["r_squared"][name], abs=0.01)
+        assert r_squared[axis] == pytest.approx(told["r_squared"][name], abs=5e-4)
     share = data.prediction.held_out.sum() / np.isfinite(data.prediction.predicted[:, 0]).sum()
     assert share == pytest.approx(1.0 - told["fitted_share"], abs=2e-3)
 
@@ -65,9 +64,9 @@ def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
     told = data.result.validation["r_squared"]
     # The fit leaves out how the flight ended.
     t = data.prediction.t
-    aloft = t < t[data.prediction.held_out].max() - TRACKING.touchdown
+    aloft = t < t[np.isfinite(data.prediction.predicted[:, 0])].max() - TRACKING.touchdown
     found = replace(data.prediction, held_out=data.prediction.held_out & aloft)
-    assert agreement(found) == pytest.approx(list(told.values()), abs=0.02)
+    assert agreement(found) == pytest.approx(list(told.values()), abs=2e-3)
 
 
 @pytest.mark.thorough
@@ -79,7 +78,7 @@ def test_after_a_change_the_segment_in_force_is_predicted(fly):
     there = np.isfinite(data.prediction.predicted[:, 0])
     assert data.prediction.t[there].min() >= segment["end"]
     told = data.result.validation["r_squared"]
-    assert agreement(data.prediction) == pytest.approx(list(told.values()), abs=0.01)
+    assert agreement(data.prediction) == pytest.approx(list(told.values()), abs=2e-3)
 
 
 def still(n, dt, rotors=4, gyro_std=0.01, seed=1):
@@ -94,7 +93,10 @@ def model():
     theta[:3] = 80.0, 85.0, 140.0
     theta[rb.MOMENT_RATIO] = 0.03
     return Model(
-        theta, np.array([0.0, 0.0, 1.0]), load_airframe("paper").geometry, RotorInput.SPEED
+        rb.forward_matrix(theta),
+        np.array([0.0, 0.0, 1.0]),
+        load_airframe("paper").geometry,
+        RotorInput.SPEED,
     )
 
 
@@ -107,7 +109,9 @@ def test_pieces_do_not_matter_and_gaps_are_left_out(model):
         RotationSamples(*(getattr(whole, name)[a:b] for name in ("t", "gyro", "rates", "rotors")))
         for a, b in pairwise(edges)
     ]
-    one, many = (predict(p, dt, model, -np.inf, np.inf, 0.6) for p in ([whole], parts))
+    one, many = (
+        predict(p, dt, model, -np.inf, np.inf, np.array([[0.6, 1.0]])) for p in ([whole], parts)
+    )
     np.testing.assert_allclose(many.measured, one.measured, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(many.held_out, one.held_out)
     missing = np.isnan(one.predicted[:, 0]) & np.isfinite(one.t)
@@ -116,7 +120,7 @@ def test_pieces_do_not_matter_and_gaps_are_left_out(model):
 
 
 def test_without_a_model_the_rates_are_there(model):
-    found = predict([still(2000, 0.004)], 0.004, None, -np.inf, np.inf, 0.0)
+    found = predict([still(2000, 0.004)], 0.004, None, -np.inf, np.inf, np.empty((0, 2)))
     assert np.isfinite(found.rates).all()
     assert not found.held_out.any()
     assert residual_spectrum(found, 0.004, RotorInput.SPEED) is None

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.record.tuning import tuning_for
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics, Coordinate
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
@@ -54,7 +55,7 @@ class Model:
     """What predicts angular acceleration.
 
     Attributes:
-        theta: (N_THETA,) of `rigid_body.THETA`.
+        Q: (3, N_SIGNALS) of w' = Q x.
         coordinates: (3,) rotor delay (s), motor lag (s), thrust curve.
         geometry: (3, rotors) of the airframe.
         rotor_input: what the samples hold of the rotors.
@@ -62,7 +63,7 @@ class Model:
         loop_cutoff: Hz, the same on its way into the commands.
     """
 
-    theta: Array
+    Q: Array
     coordinates: Array
     geometry: Array
     rotor_input: RotorInput
@@ -152,7 +153,7 @@ class Predictor:
             x = np.column_stack(
                 [rows.late_average[0, :, :4], average[:, :inputs], rows.late_derivative[0, :, 4]]
             )
-            predicted = x @ rb.forward_matrix(model.theta).T
+            predicted = x @ model.Q.T
         return PredictionRows(rows.average[:, -1], average[:, _RATES], measured, predicted)
 
 
@@ -171,6 +172,8 @@ class LivePrediction:
         self._samples: deque[SampleBlock] = deque()
         self._waiting: list[SampleBlock] = []
         self._model: Model | None = None
+        self._by: RotationFit | None = None
+        """Whose model it is."""
         self._rows: deque[PredictionRows] = deque()
 
     def add_samples(self, block: SampleBlock) -> None:
@@ -229,17 +232,16 @@ class LivePrediction:
 
     def _is_in_force(self) -> bool:
         """Whether what waits was taken with the fit there is."""
-        fit, model = self._chain.fit.rotation, self._model
-        return fit is None if model is None else fit is not None and fit.theta is model.theta
+        return self._chain.fit.rotation is self._by
 
     def _model_in_force(self) -> Model | None:
         chain = self._chain
-        fit = chain.fit.rotation
+        self._by = fit = chain.fit.rotation
         if fit is None:
             return None
         geometry = chain.airframe.geometry
         cutoff = chain.cutoffs[0]
-        return Model(fit.theta, fit.coordinates, geometry, chain.rotor_input, cutoff)
+        return Model(fit.Q, fit.coordinates, geometry, chain.rotor_input, cutoff)
 
     def _drop(self, block: SampleBlock, seconds: float) -> None:
         """Forget the blocks that ended so long before this one began."""

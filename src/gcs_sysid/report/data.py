@@ -33,7 +33,6 @@ from gcs_sysid.live.acceleration_prediction import (
     RotationSamples,
     half_window,
 )
-from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
@@ -81,7 +80,7 @@ def predict(
     model: Model | None,
     since: float,
     until: float,
-    fitted_share: float,
+    held_out: Array,
     rotor_input: RotorInput = RotorInput.SPEED,
 ) -> Prediction:
     """Predict the angular acceleration of a flight.
@@ -92,7 +91,7 @@ def predict(
         model: None: nothing is predicted.
         since: s, from where on the model is meant to hold.
         until: s, up to where.
-        fitted_share: of the rows that can be predicted, the first, that the model was fitted to.
+        held_out: (n, 2) stretches that it was not fitted to, as of `Validation`.
         rotor_input: what the samples hold, if there is no model.
     """
     predictor = Predictor(dt, model, rotor_input)
@@ -113,16 +112,14 @@ def predict(
     t = t.reshape(-1)
     usable = complete_rows(np.column_stack([measured, predicted])) & (t >= since) & (t <= until)
     predicted = np.where(usable[:, None], predicted, np.nan)
-    place = np.cumsum(usable)
-    held_out: Mask = usable & (place > round(fitted_share * int(usable.sum())))
+    place = np.cumsum(usable) / max(int(usable.sum()), 1)
+    out: Mask = usable & (np.searchsorted(held_out.ravel(), place) % 2 == 1)
     variance = np.zeros(3)
     if model is not None and noise is not None:
-        Q = rb.forward_matrix(model.theta)[:, :4]
+        Q = model.Q[:, :4]
         average, _ = predictor.smoother.noise_gains(0.0)
         variance = np.diag(Q @ (average * noise.torques) @ Q.T)
-    return Prediction(
-        t, rates, measured, predicted, predictor.smoother.step * dt, held_out, variance
-    )
+    return Prediction(t, rates, measured, predicted, predictor.smoother.step * dt, out, variance)
 
 
 def residual_spectrum(
@@ -276,7 +273,7 @@ def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> P
     if validation is not None:
         rotors = result.telemetry["rotor_input"]
         model = Model(
-            validation.theta,
+            validation.Q,
             validation.coordinates,
             airframe.geometry,
             result.rotor_input,
@@ -286,12 +283,12 @@ def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> P
     since = max((segment["end"] for segment in result.segments), default=float("-inf"))
     failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
     until = min((t for t in failures if t > since), default=float("inf"))
-    share = 0.0 if validation is None else validation.fitted_share
+    held_out = np.empty((0, 2)) if validation is None else validation.held_out
     pieces = (
         RotationSamples(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 18:])
         for rows in recorder.rows()
     )
-    return predict(pieces, recorder.dt, model, since, until, share, result.rotor_input)
+    return predict(pieces, recorder.dt, model, since, until, held_out, result.rotor_input)
 
 
 Table = Mapping[str, Array]

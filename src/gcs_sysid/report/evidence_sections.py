@@ -68,8 +68,8 @@ def prediction(data: ReportData, figures: ChartData) -> Markup:
         "prediction",
         "Prediction of held-out data",
         note(
-            f"A model fitted to the first {share} of {_which_flight(data)} predicts the angular "
-            "acceleration of the rest from rotors and rates. Both sides pass the estimator's "
+            f"A model fitted to {share} of {_which_flight(data)} predicts the angular acceleration "
+            "of the stretches in between from rotors and rates. Both sides pass the estimator's "
             "window."
         ),
         legend(("measured", "measured"), ("predicted", "predicted")) if shown else None,

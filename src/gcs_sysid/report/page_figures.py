@@ -253,8 +253,8 @@ def add_timeline(figures: ChartData, data: ReportData) -> bool:
         fitted = predicted & ~found.held_out
         for name, kind, mask in (
             ("usable samples", "usable", usable),
-            ("fitted first", "fitted", fitted),
-            ("then predicted", "held", found.held_out),
+            ("fitted", "fitted", fitted),
+            ("predicted", "held", found.held_out),
         ):
             spans = _spans(found.t, mask, found.step)
             if spans:

@@ -3,7 +3,7 @@
 A result of another flight has seen none of the log: all of it is judged, but for the seconds in
 which the attitude filter settles, and each half of it gives the noise that the other half's errors
 are compared with. Of a result of the same flight nothing is held out; the model is then fitted
-again, to the first part of the flight as in the validation, and judged on the rest.
+again, to the first part of the flight, and judged on the rest.
 """
 
 import filecmp

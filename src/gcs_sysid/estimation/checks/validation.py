@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from gcs_sysid.arrays import Array, Mask, by_parts
+from gcs_sysid.arrays import Array, Mask, by_parts, runs
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
@@ -33,34 +33,39 @@ _HELD_OUT = 1.0
 
 @dataclass(frozen=True)
 class Validation:
-    """How well the first part of a flight predicts the rest, per axis.
+    """How well a part of a flight predicts the rest, per axis.
 
     Attributes:
         r_squared: (3,) share of the angular acceleration's power that is predicted.
         theil: (3,) Theil's inequality coefficient, rms error over the sum of the rms values of
             measured and predicted: 0 is perfect, 1 is worthless.
-        fitted_share: share of the rows that were fitted.
+        held_out: (n, 2) stretches that were not fitted, from and to, as shares of the rows.
         whiteness: (3,) power of the residual's leaky sums over what white sensor noise would
             give them, on the rows that were not fitted. 1: white; above: slow disturbances
             (wind, drifting parameters); below: fast ones (vibration, an oscillation above
             about 3 Hz). NaN where there is no second leak.
         whiteness_p: (3,) two-sided probability of a whiteness so far from 1 if the noise is
             white, from its scatter over the batches: below 0.05 one doubts it.
-        theta: (N_THETA,) fitted on the first part.
+        Q: (3, N_SIGNALS) of w' = Q x, fitted to the others.
         coordinates: (3,) rotor delay (s), motor lag (s) and thrust curve, of the same fit.
     """
 
     r_squared: Array
     theil: Array
-    fitted_share: float
+    held_out: Array
     whiteness: Array
     whiteness_p: Array
-    theta: Array
+    Q: Array
     coordinates: Array
+
+    @property
+    def fitted_share(self) -> float:
+        """Share of the rows that were fitted."""
+        return 1.0 - float(np.diff(self.held_out).sum())
 
 
 def judge_prediction(
-    rest: Array, fit: RotationFit, fitted_share: float, whiteness: Array, whiteness_p: Array
+    rest: Array, fit: RotationFit, held_out: Array, whiteness: Array, whiteness_p: Array
 ) -> Validation:
     """Hold a fit against what it has not seen.
 
@@ -68,7 +73,7 @@ def judge_prediction(
         rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates; or
             (3, WIDTH, WIDTH) where each axis has its own.
         fit: to the others.
-        fitted_share: of the rows.
+        held_out: (n, 2) as of `Validation`.
         whiteness: (3,) of what it leaves.
         whiteness_p: (3,) its p-value.
     """
@@ -83,10 +88,10 @@ def judge_prediction(
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),
         theil=np.sqrt(error) / np.maximum(np.sqrt(measured) + np.sqrt(predicted), tiny),
-        fitted_share=fitted_share,
+        held_out=held_out,
         whiteness=whiteness,
         whiteness_p=whiteness_p,
-        theta=fit.theta,
+        Q=Q,
         coordinates=fit.coordinates,
     )
 
@@ -201,11 +206,12 @@ def _predicted(
         return None
     batches = data.of_axes(data.judges) if data.judges else own
     rest = P @ batches[kept].sum(axis=0) @ P.T
-    share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
+    ends = np.append(0, np.cumsum(data.counts)) / data.counts.sum()
+    spans = np.array([ends[[run.start, run.stop]] for run, out in runs(held_out) if out])
     nothing = np.full(3, np.nan)
     axes = np.arange(3)
     return _Fold(
-        judge_prediction(rest, fit, share, nothing, nothing),
+        judge_prediction(rest, fit, spans, nothing, nothing),
         rest[axes, axes - 3, axes - 3],
         _slow_power(data, basis, kept, fit),
     )

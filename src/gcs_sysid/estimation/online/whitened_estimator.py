@@ -139,7 +139,7 @@ class WhitenedEstimator:
         )
 
     def validate(self, prior: Prior | None) -> Validation | None:
-        """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
+        """Fit a part, predict the rest; whiteness of innovations."""
         return predict_held_out(self._data, self.basis, self._choice, prior)
 
     def other_layout(self) -> str | None:
