@@ -157,7 +157,10 @@ def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
     thrust = 0.4 * 0.4 + 0.6 * 0.16
     assert thrust * (1.0 + 0.01 * linear.quantity.value * (1.0 - thrust) ** 2) == pytest.approx(0.4)
     assert "gains" in linear.reason
-    assert found["motor_poles"].verdict == "cannot tell"
+    for turning, verdict in ((None, "cannot tell"), (14.0 / 12.0, "cannot tell"), (1.0, "leave")):
+        poles = by_name(determined([replace(health, turning=turning)]))["motor_poles"]
+        assert poles.verdict == verdict
+        assert ("12 poles" in poles.reason) == (turning == 14.0 / 12.0)
     text = proposal_file([health], determined([health]), ".txt")
     assert "# Nothing is to be set." in text
     assert all(line.startswith("#") for line in text.splitlines())

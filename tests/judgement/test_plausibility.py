@@ -187,10 +187,13 @@ def test_reinterpreted_units_concern_what_goes_with_the_mass():
     assert statuses["cg_x"].status == "identified"
 
 
-def test_an_assumed_unit_concerns_what_goes_with_it_and_no_inertia():
-    statuses = judged(replace(evidence(), assumed="14 poles assumed"))
+@pytest.mark.parametrize("shown", [{"assumed": "14 poles assumed"}, {"turning": 14.0 / 12.0}])
+def test_a_unit_in_doubt_concerns_what_goes_with_it_and_no_inertia(shown):
+    statuses = judged(replace(evidence(), **shown))
     assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
     assert statuses["Ixx"].status == statuses["moment_ratio"].status == "identified"
+    assert judged(replace(evidence(), anchor="k_T", **shown))["Ixx"].status == "weak"
+    assert judged(replace(evidence(), turning=1.0))["k_T"].status == "identified"
     of_commands = replace(evidence(rotor_input=RotorInput.COMMAND), assumed="pulses assumed")
     (objection,) = assumed_unit(of_commands)
     assert {"Ixx", "T_max", "thrust_curve", "cg_x"} <= objection.parameters

@@ -1,10 +1,11 @@
-"""One rotor's readings against its command, the others and its own age."""
+"""Rotors' readings against their commands, each other, their age and what shakes the IMU."""
 
 import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.rotor_readings import (
+    RotorLines,
     held_rotor,
     late_reading,
     moved_columns,
@@ -139,3 +140,46 @@ def test_readings_that_all_stand_or_round_are_not_held():
     omega = np.round(800.0 + np.random.default_rng(2).normal(size=(len(T), 4)).cumsum(axis=0), -1)
     assert held_rotor(T, omega) is None
     assert held_rotor(T, np.full((len(T), 4), 800.0)) is None
+
+
+def shaken(lines=True, alone=False, seed=2):
+    """(n, 6) IMU at 500 Hz with a resonance, and (n, 4) speeds of rotors at some 310 Hz."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.002)
+    together = 310.0 + 25.0 * np.sin(1.3 * t) + 15.0 * np.sin(3.1 * t + 1.0)
+    speeds = 2.0 * np.pi * together[:, None] * (0.96, 1.0, 1.02, 1.05)
+    turned = np.cumsum(speeds, axis=0) * 0.002
+    imu = random.standard_normal((len(t), 6)) + np.sin(2.0 * np.pi * 180.0 * t)[:, None]
+    count = 1 if alone else 4
+    imu[:, 3:] += 0.5 * lines * np.cos(turned[:, :count]).sum(axis=1)[:, None]
+    return imu, speeds
+
+
+def factor_of(imu, speeds, parts=1):
+    lines = RotorLines()
+    for rows in np.array_split(np.arange(len(imu)), parts):
+        lines.update(0.002, imu[rows], speeds[rows])
+    return lines.factor
+
+
+@pytest.mark.parametrize("factor", [12.0 / 14.0, 14.0 / 12.0, 24.0 / 14.0])
+def test_a_pole_count_that_all_have_wrong_is_seen_by_the_imu(factor):
+    imu, speeds = shaken()
+    assert factor_of(imu, speeds) == 1.0
+    assert factor_of(imu, factor * speeds) == pytest.approx(1.0 / factor, rel=0.02)
+    assert factor_of(imu, factor * speeds) == factor_of(imu, factor * speeds, parts=170)
+
+
+def test_no_line_is_seen_where_none_goes_with_the_speeds():
+    imu, speeds = shaken(lines=False)
+    assert factor_of(imu, speeds) is None
+    imu, speeds = shaken()
+    assert factor_of(imu, speeds[::-1]) is None
+    assert factor_of(imu, 0.5 * speeds) is None  # what two blades may do
+    assert factor_of(imu[::20], speeds[::20]) is None  # at 25 Hz
+    imu[:, 0] = np.nan  # on the ground
+    assert factor_of(imu, speeds) is None
+
+
+def test_one_rotor_that_shakes_alone_contradicts_no_speeds():
+    assert factor_of(*shaken(alone=True)) in (1.0, None)

@@ -25,13 +25,13 @@ from gcs_sysid.health.drive_health import (
     vibration_of,
     with_throttle,
 )
-from gcs_sysid.health.hover import Windows, flight_of, sensors_of, windows_of
+from gcs_sysid.health.hover import Windows, flight_of, sensors_of, turning_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits
+from gcs_sysid.judgement.plausibility import misfits, of_turning
 from gcs_sysid.judgement.status import READINGS, ROTORS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Estimate, Objection
@@ -283,6 +283,7 @@ def health_of(
         by_voltage=power_of_voltage(streams, windows, curve),
         motor_current=motor_current(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         drag=drag_of(streams, windows),
+        turning=turning_of(streams, flight),
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)
@@ -293,9 +294,11 @@ def health_of(
     assumed = assumed_unit(source.source, source.range, parameters)
     if assumed:
         health = replace(health, assumptions=(*health.assumptions, assumed))
-    if unfit or assumed:  # what is in proportion to it is no number
+    otherwise = tuple(of_turning(health.turning))
+    # What is in proportion to it is no number.
+    if unfit or assumed or (otherwise and not rotor_input.motors):
         health = replace(health, scale=None, mass=None)
-    doubts = (*sensors, *unfit)
+    doubts = (*sensors, *unfit, *otherwise)
     return advised(
         replace(health, doubts=doubts, misread=streams.misread, battery_mass=given.battery_mass)
     )

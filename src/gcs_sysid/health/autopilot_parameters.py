@@ -38,6 +38,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.judgement.plausibility import of_turning
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameter_file import SUFFIXES, parameter_lines
 
@@ -526,6 +527,8 @@ def _notch(flight: _HoverFlight, name: str, of_hover: float | None, why: str) ->
     if hertz is None or hertz.value is None or hertz.std is None:
         lacks = "no measured speeds of the rotors"
         return flight.propose(name, None, lacks=lacks, fly=_SPEEDS)
+    for otherwise in of_turning(flight.health.turning):
+        return flight.propose(name, None, lacks=otherwise.reason, fly=otherwise.how)
     keep = ""
     if of_hover is None:
         of_hover, keep = math.sqrt(0.5), "below that" if now < hertz.value else ""
@@ -602,11 +605,16 @@ def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
         yield _by_voltage(flight, "vbat_sag_compensation", 100.0, "%")
     if flight.now("dshot_bidir") and flight.now("rpm_filter_harmonics"):
         yield _notch(flight, "rpm_filter_min_hz", None, _FOLLOWS)
-    if "motor_poles" in flight.health.parameters:
+    if poles := flight.now("motor_poles"):
+        factor, lacks = flight.health.turning, ""
+        if factor is None:
+            lacks = "another number of poles looks like another thrust coefficient"
+        elif factor != 1.0:  # a line need not be that of the first order
+            like = 2 * round(0.5 * poles / factor)
+            lacks = f"what shakes the IMU is that of {like} poles, or a multiple of it"
         yield flight.propose(
-            "motor_poles", None,
-            lacks="another number of poles looks like another thrust coefficient",
-            fly="count the motor's magnets",
+            "motor_poles", None if lacks else Estimate(poles, 0.0, "1"),
+            "the IMU is shaken at the speeds read", lacks=lacks, fly="count the motor's magnets",
         )  # fmt: skip
     c, x = _curve(flight.health), flight.health.hover_command
     if "thrust_linear" not in flight.health.parameters or x is None:

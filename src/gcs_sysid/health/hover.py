@@ -13,6 +13,7 @@ filtered alike whatever their rates, as in `signals.smoothers`, down to a few sa
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from gcs_sysid.signals.imu_checks import RULES as GYRO_CHECK
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, GyroCheck, Saturated, Saturation
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.signals.rotor_readings import RotorLines
 
 
 class _Integrals:
@@ -477,6 +479,21 @@ def sensors_of(
             np.where(near[:, None], reported, np.nan),
         )  # fmt: skip
     return check.result(), saturation.found()
+
+
+def turning_of(streams: Streams, flight: tuple[Array, Mask]) -> float | None:
+    """By what rotors turn faster than read in flight, as `RotorLines.factor`."""
+    grid, flying = flight
+    if streams.speeds is None or not len(grid):
+        return None
+    (t, imu), dt = streams.tracks[Stream.IMU], 1.0 / streams.rate(Stream.IMU)
+    flies = flying[np.clip(np.searchsorted(grid, t, side="right") - 1, 0, None)]
+    felt = np.where(flies[:, None], imu[:, :6], np.nan)
+    speeds = np.column_stack([np.interp(t, *rotor) for rotor in streams.speeds.samples])
+    lines, ends = RotorLines(), np.flatnonzero(np.diff(t) > 2.5 * dt) + 1
+    for first, stop in pairwise([0, *ends.tolist(), len(t)]):
+        lines.update(dt, felt[first:stop], speeds[first:stop], fresh=True)
+    return lines.factor
 
 
 def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:

@@ -163,6 +163,7 @@ class Health:
         hover_thrust: thrust in hover over full thrust; None without commands.
         hover_command: of which that is; None without commands.
         hover_frequency: Hz, of the mean rotor in hover; None without measured speeds.
+        turning: as of `Evidence`.
         by_voltage: power of the battery's voltage that a command is multiplied by: 1 where rotors
             slow down with the battery, 0 where the ESC makes up for it; None: not logged.
         motor_current: None where ESCs do not report it, or hardly any thrust but the weight was
@@ -213,6 +214,7 @@ class Health:
     hover_thrust: Estimate | None = None
     hover_command: HoverCommand | None = None
     hover_frequency: Estimate | None = None
+    turning: float | None = None
     by_voltage: Estimate | None = None
     motor_current: MotorCurrent | None = None
     thrust_to_weight: Estimate | None = None

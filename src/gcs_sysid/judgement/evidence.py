@@ -99,6 +99,7 @@ class Evidence:
             commands show it.
         stale: that the rotor stream in use held old readings in a part of the flight; else empty.
         reread: whether rotor speeds declared as rpm were read as rad/s.
+        turning: by what rotors turn faster than read, as what shakes the IMU shows; None: nothing.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
         saturated: sensors that stood at a limit.
@@ -131,6 +132,7 @@ class Evidence:
     unlike: float | None = None
     stale: str = ""
     reread: bool = False
+    turning: float | None = None
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None
     saturated: tuple[Saturated, ...] = ()

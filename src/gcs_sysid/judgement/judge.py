@@ -60,6 +60,7 @@ PRODUCERS = (
     Producer("scale", plausibility.own_units, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
+    Producer("units", plausibility.unshaken_speeds, Stage.BELIEF),
     Producer("readings", plausibility.differing_rotors, Stage.WIDENING),
     Producer("readings", plausibility.unseen_rotors, Stage.FLIGHT),
     Producer("ages", plausibility.aged_readings, Stage.FLIGHT),

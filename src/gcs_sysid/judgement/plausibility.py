@@ -97,6 +97,25 @@ def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
         )
 
 
+def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
+    """Speeds that are all off by one factor, which leaves the fit as good."""
+    names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
+    for found in of_turning(evidence.turning):
+        yield replace(found, parameters=names, cap="weak", verdict="partial")
+
+
+def of_turning(factor: float | None) -> Iterator[Objection]:
+    """The same, whatever the speeds are for; `factor` as of `Evidence.turning`."""
+    if factor is not None and factor != 1.0:
+        yield Objection(
+            f"the IMU is shaken at {factor:.2f} times the rotor speeds read",
+            verdict="identified",
+            evidence={"factor": factor},
+            how="count the magnets of a motor, and give their number to ESC or autopilot",
+            by="units",
+        )
+
+
 def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
     """A unit that the log does not define: what is in proportion to it is not known.
 

@@ -48,6 +48,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
+from gcs_sysid.signals.rotor_readings import RotorLines
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import MOTOR_POLES, RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
@@ -209,6 +210,8 @@ class Chain:
         """The latest."""
         self.contradicted: dict[str, Estimate] = {}
         """Parameters as the flight alone has them, whose priors it contradicts."""
+        self.rotor_lines = RotorLines()
+        """Of measured speeds."""
         self.renewals = 0
         """How often it was renewed."""
         self.log = ChainEvents()
@@ -421,6 +424,7 @@ class Chain:
             interval=0.0 if self.tracker is None else self.tracker.dt,
             filtered=self.cutoffs[0] is not None,
             gyro=self.sampler.gyro_check.result(),
+            turning=self.rotor_lines.factor,
             saturated=self.sampler.time_base.saturation.found(),
             frozen=self.sampler.time_base.frozen_share,
             disordered=self.sampler.time_base.disordered_share,
@@ -468,6 +472,9 @@ class Chain:
         now = max(block.newest_at, float(block.t[-1]))
         self.log.note_imu(now, self.sampler.time_base)
         stops = self._stops(block.t)
+        if not self.rotor_input.motors:
+            imu = np.hstack([block.samples.gyro, block.samples.force])
+            self.rotor_lines.update(block.dt, imu, block.samples.speeds, fresh=block.fresh)
         points = tracker.update(block.t, block.samples, block.flying, stops)
         self._report_events(tracker, now)
         for stop, point in zip(stops, points, strict=True):
@@ -558,7 +565,7 @@ class Chain:
         return out
 
     def _forget_estimate(self) -> None:
-        self.tracker, self.contradicted = None, {}
+        self.tracker, self.contradicted, self.rotor_lines = None, {}, RotorLines()
         self.fit = Fit(None, None, 0.0)
         self._history.clear()
 

@@ -1,4 +1,4 @@
-"""Each rotor's measured speed against its command, the other rotors and its own age.
+"""Each rotor's measured speed against its command, the others, its age and what shakes the IMU.
 
 Motors of one vehicle turn alike for one command, within what propellers scatter. A rotor that reads
 otherwise either turns otherwise, or its ESC reports another number of poles. Yaw decides: reaction
@@ -12,7 +12,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.significance import FALSE_ALARM_RATE, student_limit
 
 Rotors = Sequence[tuple[Array, Array]]
@@ -52,6 +52,102 @@ class OddReading:
         else:
             reads += " balances the others"
         return f"{reads}: check the pole count of its ESC"
+
+
+class RotorLines:
+    """The IMU's spectra at multiples of the rotors' speeds, of pieces from all of a flight."""
+
+    _ORDERS = np.geomspace(0.3, 3.4, 243)
+    _TURNS, _PIECES, _FEWEST = 64, 256, 16
+    """Of the rotors in a piece, whose lines are that sharp; pieces, at most and at least."""
+    _OFF, _SLOW = 0.04, 0.1
+    """Share by which a line may be off a whole multiple; share of the IMU's rate below which its
+    spectrum is that of flying."""
+
+    def __init__(self) -> None:
+        self.factor: float | None = None
+        """By what rotors turn faster than read: 1 where lines are at whole multiples of what is
+        read; None: there are no lines."""
+        self._dt, self._rest = 0.0, np.empty((0, 0))
+        self._restart(0)
+
+    def _restart(self, length: int) -> None:
+        """Begin with pieces of so many samples; 0: not known yet."""
+        self._length, self._kept, self._every, self._passed = length, list[Array](), 1, 0
+        self._due, self.factor = self._FEWEST, None
+
+    def update(self, dt: float, imu: Array, speeds: Array, *, fresh: bool = False) -> None:
+        """Take samples; how they are grouped does not matter.
+
+        Args:
+            dt: s between them.
+            imu: (n, 6) rates and specific force as measured; rates NaN where it does not fly.
+            speeds: (n, rotors) rad/s.
+            fresh: whether a gap lies before them.
+        """
+        rows = np.hstack([imu, speeds])
+        turns = complete_rows(imu[:, :3]) & (speeds > 0.0).all(axis=1)
+        if dt != self._dt or not self._length:
+            if not turns.any():
+                return
+            first = int(turns.argmax())
+            rows, fresh, self._dt = rows[first:], True, dt
+            self._restart(self._turned(rows[0]))
+        rest = rows if fresh else np.concatenate([self._rest, rows])
+        while self._length <= len(rest):
+            piece, rest = np.split(rest, [self._length])
+            if not (np.isfinite(piece[:, :3]).all() and (piece[:, 6:] > 0.0).all()):
+                continue
+            if 2 * self._turned(piece.mean(axis=0)) < self._length:  # they idled before
+                self._restart(self._turned(piece.mean(axis=0)))
+            elif self._length >= 0.5 * self._TURNS:  # else too slow an IMU even for folded lines
+                self._keep(piece.astype(np.float32))
+        self._rest = rest
+
+    def _turned(self, row: Array) -> int:
+        """Samples in which rotors turn as often as in a piece."""
+        return max(round(2.0 * math.pi * self._TURNS / (float(row[6:].mean()) * self._dt)), 1)
+
+    def _keep(self, piece: Array) -> None:
+        if self._passed % self._every == 0:
+            self._kept.append(piece)
+        self._passed += 1
+        if len(self._kept) > self._PIECES:
+            self._kept, self._every = self._kept[::2], 2 * self._every
+        if self._passed >= self._due:  # a fifth more each time, so that it costs little
+            self._due, self.factor = math.ceil(1.2 * self._passed), self._read(np.array(self._kept))
+
+    def _read(self, pieces: Array) -> float | None:
+        """What (p, n, 6 + rotors) pieces show."""
+        size, orders = 4 * self._length, self._ORDERS
+        above = np.zeros((len(pieces), size // 2 + 1))
+        for shaken in np.nan_to_num(np.diff(pieces[:, :, :6], axis=1)).transpose(2, 0, 1):
+            shaken = (shaken - shaken.mean(axis=1, keepdims=True)) * np.hanning(shaken.shape[1])
+            power = np.abs(np.fft.rfft(shaken, size)) ** 2
+            power /= np.maximum(power.mean(axis=1, keepdims=True), math.ulp(1.0))
+            above += power / np.maximum(power.mean(axis=0), math.ulp(1.0))
+        # (p, orders, rotors) places in the spectra, folded.
+        turns = pieces[:, None, :, 6:].mean(axis=2) * self._dt / (2.0 * math.pi)
+        at = orders[:, None] * turns
+        at = np.abs(at - np.rint(at))
+        place = np.rint(at * size).astype(int).reshape(len(at), -1)
+        # What is more in a piece at all its frequencies is no line.
+        above -= above.mean(axis=1, keepdims=True)
+        seen = np.take_along_axis(above, place, axis=1).reshape(at.shape)
+        seen[at < self._SLOW] = 0.0
+        strength, each = seen.mean(axis=0), seen.mean(axis=2)
+        mean, std = each.mean(axis=0), each.std(axis=0, ddof=1) / math.sqrt(len(each))
+        sure = mean > student_limit(len(each) - 1, FALSE_ALARM_RATE / len(mean)) * std
+        if not sure.any():
+            return None
+        whole = np.abs(orders / np.maximum(np.rint(orders), 1.0) - 1.0) < self._OFF
+        lines = np.where(sure, mean, 0.0)
+        # A line of one rotor alone is at others' multiples too, where speeds go together.
+        if strength[whole].max() > 0.5 * strength[sure & ~whole].max(initial=0.0):
+            own = whole[lines.argmax()] and sure[whole & (orders < 1.5)].any()
+            return 1.0 if own else None
+        lowest = float(orders[sure.argmax()])
+        return float(orders[np.where(orders < 1.5 * lowest, lines, 0.0).argmax()])
 
 
 _PARTS = 8
