@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.cli.program import run
+from gcs_sysid.judgement.plausibility import of_turning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameter_file import read_parameter_file
@@ -113,6 +114,15 @@ def test_an_axis_that_a_step_does_not_mend_is_left_as_it_is(files, capsys):
     assert re.search(r"^MC_PITCHRATE_P +0\.09 +0\.\d+$", out, re.MULTILINE)
     assert "MC_ROLL" not in out
     assert max(map(len, out.splitlines())) < 80
+
+
+def test_speeds_that_the_imu_contradicts_carry_no_gains(files, capsys):
+    (shaken,) = of_turning(1.17)
+    replace(result("speed"), objections=(shaken,)).write(files / "shaken.json")
+    assert run(["tune", "command.json", "now.params", "--with", "shaken.json", *FEW]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "leave it: the IMU is shaken at 1.17 times the rotor speeds read; count" in out
+    assert "proposed" not in out
 
 
 @pytest.mark.slow

@@ -44,6 +44,7 @@ from gcs_sysid.exports.exported_vehicle import (
     drawn_vehicles,
 )
 from gcs_sysid.judgement.prediction import parted
+from gcs_sysid.judgement.status import LINES
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
@@ -394,7 +395,7 @@ class TuningStudy:
         proposed: loops with the proposed gains; None: the gains are to be left as they are.
         studies: name ("now", "proposed") -> roll, pitch, yaw.
         notes: what was assumed.
-        objections: to the model by what was flown; no gains are proposed then.
+        objections: to model and speeds by what was flown; no gains are proposed then.
         measured: axis -> what the flight itself shows; empty where it was not given.
         leave: why the gains are to be left as they are; empty where others are proposed.
     """
@@ -477,7 +478,9 @@ def study(
             "with the model"
         )
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
-    objections = tuple(parted(departures, LIMITS.unmodeled))
+    # Notches that follow the rotors stand where their speeds are read: off the lines of these.
+    misread = (each for each in vehicle.result.objections if each.by == LINES)
+    objections = (*misread, *parted(departures, LIMITS.unmodeled))
     now = replace(loop, besides=()) if loop.gains_known else None
     proposed, said = None, tuple(each.words for each in objections)
     if not objections:
@@ -537,7 +540,8 @@ def joined_vehicle(vehicle: ExportedVehicle, other: ExportedVehicle) -> Exported
     known = {n: q for n, q in other.known.items() if not q.derived}
     known |= {n: q for n, q in vehicle.known.items() if not q.derived}
     complete(known)
-    return replace(vehicle, known=known)
+    objections = (*vehicle.result.objections, *other.result.objections)
+    return replace(vehicle, known=known, result=replace(vehicle.result, objections=objections))
 
 
 def with_delay(vehicle: ExportedVehicle) -> ExportedVehicle:

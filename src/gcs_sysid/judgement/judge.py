@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from gcs_sysid.judgement import imu_faults, outcome, plausibility, prediction, received
 from gcs_sysid.judgement.evidence import Evidence
-from gcs_sysid.judgement.status import by_interval, nothing, on_sound_data, reference_values
+from gcs_sysid.judgement.status import LINES, by_interval, nothing, on_sound_data, reference_values
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 
@@ -60,7 +60,7 @@ PRODUCERS = (
     Producer("scale", plausibility.own_units, Stage.BELIEF),
     Producer("units", plausibility.reread_speeds, Stage.BELIEF),
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
-    Producer("units", plausibility.unshaken_speeds, Stage.BELIEF),
+    Producer(LINES, plausibility.unshaken_speeds, Stage.BELIEF),
     Producer("readings", plausibility.differing_rotors, Stage.WIDENING),
     Producer("readings", plausibility.unseen_rotors, Stage.FLIGHT),
     Producer("ages", plausibility.aged_readings, Stage.FLIGHT),

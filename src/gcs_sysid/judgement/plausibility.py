@@ -15,6 +15,7 @@ import numpy as np
 from gcs_sysid.estimation.parameters.given_errors import unseen_shift
 from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients, unlike_rotors
 from gcs_sysid.judgement.evidence import Evidence
+from gcs_sysid.judgement.status import LINES
 from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
@@ -112,7 +113,7 @@ def of_turning(factor: float | None) -> Iterator[Objection]:
             verdict="identified",
             evidence={"factor": factor},
             how="count the magnets of a motor, and give their number to ESC or autopilot",
-            by="units",
+            by=LINES,
         )
 
 

@@ -112,6 +112,8 @@ ROTORS = "rotors"
 """Producer of objections that the airframe's rotors contradict the motion."""
 READINGS = "readings"
 """Producer of objections that rotors differ by more than propellers do."""
+LINES = "lines"
+"""Producer of objections that the IMU is shaken otherwise than the rotors' speeds are read."""
 _OF_THE_MOTION = {
     "gyro": "the gyro",
     "saturation": "the IMU",
@@ -125,6 +127,7 @@ OF_THE_DATA = _OF_THE_MOTION | {
     "link": "the record",
     "clock": "the clock",
     "units": "the unit of the rotor speeds",
+    LINES: "the unit of the rotor speeds",
     "priors": "what was given",
     "sizes": "what was given",
 }
