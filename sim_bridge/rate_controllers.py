@@ -74,6 +74,7 @@ DEFAULTS = {
             "yaw": (60.0, 80.0, 2e3)}.items()
            for x, v in zip(("wc", "wo", "b0"), row, strict=True)},
     },
+    "indiflight": {"attitude": 5.0, "thrust_curve": 0.0},
 }  # fmt: skip
 """Of each autopilot; an ensemble may have arrays of shape (N,) in their place."""
 
@@ -503,12 +504,85 @@ class AdrcRateController(BetaflightRateController):
         return list(self._sent)
 
 
+class IndiRateController(RateController):
+    """Incremental nonlinear dynamic inversion with Indiflight's parameters.
+
+    What the last commands did is measured, and only the rest is asked for (Smeur et al. 2016,
+    Journal of Guidance, Control, and Dynamics 39, 450-461).
+
+    Its effectiveness is that of the settings, not of the vehicle, which it inverts by least
+    squares; torques are angular accelerations in rad/s^2. What the commands did, with the motors'
+    lag and what rotors do to yaw in spinning up (G2), is behind the acceleration's low-pass.
+    """
+
+    autopilot = "indiflight"
+    curve_name = "thrust_curve"
+    names = ("roll", "pitch", "yaw")
+    _rate, _cutoff = 15.0, 20.0
+    """1/s, from the error of a rate to the acceleration wanted; Hz, of the low-pass."""
+
+    def _begin(self) -> None:
+        self._slope_filter: LowPass2 | None = None
+        self._sent_filter, self._spun_filter = (
+            LowPass2(self._cutoff, self.period) for _ in range(2)
+        )
+        self._turned: list[Value] = [0.0, 0.0, 0.0]
+        self._slope: list[Value] = [0.0, 0.0, 0.0]
+        self._start = tuple(self._integral)
+        effect, reaction, full, hover = (
+            scale * np.array(self._get(f"indi_act_{name}"))
+            for name, scale in (
+                ("g1_yaw", 0.1), ("g2_yaw", 1e-5), ("max_rpm", math.pi / 30.0),
+                ("hover_rpm", math.pi / 30.0),
+            )
+        )  # fmt: skip
+        # rad/s per share of full thrust around hover.
+        reaction = reaction * full**2 / (2.0 * hover)
+        self._reacts = (0.0, 0.0, float(reaction @ effect / (effect @ effect)))
+
+    @property
+    def _attitude_names(self) -> tuple[str, str, str]:
+        return "attitude", "attitude", "attitude"
+
+    def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
+        effect = np.array([0.1 * np.array(self._get(f"indi_act_g1_{a}")) for a in self.names])
+        force = 0.01 * np.array([self._get("indi_act_g1_fz")])
+        return [tuple(row) for row in np.linalg.pinv(np.vstack([effect, force]))[:, :3].tolist()]
+
+    def observe(self, state: State, step: float) -> None:
+        """Filter the angular acceleration, at every step of the physics."""
+        self._time += step
+        if self._slope_filter is None:
+            self._slope_filter = LowPass2(self._cutoff, step)
+            self._gyro = list(state.rates)
+        raw = [(w - before) / step for w, before in zip(state.rates, self._gyro, strict=True)]
+        self._slope, self._gyro = self._slope_filter(raw), list(state.rates)
+
+    def _torques(self, targets: Sequence[Value]) -> list[Value]:
+        lag = 1e-3 * float(np.mean(self._get("indi_act_time_const_ms")))
+        share = 1.0 - math.exp(-self.period / lag)
+        # From the trim on, which the rotors do already.
+        sent = [u - start for u, start in zip(self.sent, self._start, strict=True)]
+        sent = sent if any(np.any(u) for u in self.sent) else [0.0, 0.0, 0.0]
+        rising = [share * (u - y) for y, u in zip(self._turned, sent, strict=True)]
+        self._turned = [y + up for y, up in zip(self._turned, rising, strict=True)]
+        reactions = [up * r / self.period for up, r in zip(rising, self._reacts, strict=True)]
+        done, spun = self._sent_filter(self._turned), self._spun_filter(reactions)
+        out = []
+        for i, reacts in enumerate(self._reacts):
+            wanted = self._rate * (targets[i] - self._gyro[i])
+            lacking = (wanted - self._slope[i] + spun[i]) / (1.0 + reacts / lag)
+            out.append(self._start[i] + done[i] + lacking)
+        return out
+
+
 CONTROLLERS: dict[str, type[RateController]] = {
     "px4": Px4RateController,
     "ardupilot": ArduPilotRateController,
     "betaflight": BetaflightRateController,
     "inav": InavRateController,
     "betaflight-adrc": AdrcRateController,
+    "indiflight": IndiRateController,
 }
 
 

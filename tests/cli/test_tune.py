@@ -123,6 +123,9 @@ def test_speeds_that_the_imu_contradicts_carry_no_gains(files, capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "leave it: the IMU is shaken at 1.17 times the rotor speeds read; count" in out
     assert "proposed" not in out
+    indi = ("--to", "indi", "-o", "g.txt")
+    assert run(["tune", "command.json", "--with", "shaken.json", *indi]) == 1
+    assert "g.txt is not written, leave it: the IMU is shaken" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -186,7 +189,8 @@ def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, cap
     assert roll["instrument"].startswith("rate set-points")
     assert len(roll["omega_rad_s"]) == len(roll["magnitude_low"]) == len(roll["model_phase_high"])
     assert "circle" in (files / "loops.svg").read_text()
-    assert run(["tune", "command.json", log, "--to", "indi", "-o", "g.txt", *FEW]) == 1
+    indi = ("--with", "speed.json", "--to", "indi", "-o", "g.txt")
+    assert run(["tune", "command.json", log, *indi, *FEW]) == 1
     assert "g.txt is not written, leave it: the measured" in capsys.readouterr().err
     assert not (files / "g.txt").exists()
 
@@ -203,13 +207,16 @@ def test_the_measured_response_is_a_table_too(files, shared_log, capsys):
 
 
 def test_indi_matrices(files, capsys):
-    assert run(["tune", "command.json", "--to", "indi", "-o", "g.txt"]) == 0
+    speeds = ("--with", "speed.json")
+    assert run(["tune", "command.json", *speeds, "--to", "indi", "-o", "g.txt"]) == 0
     said = capsys.readouterr().err
     assert re.search(r"the effect is surely roll 0\.7\d to 1\.0\d, pitch .*to 80 % of", said)
     assert "set indi_act_g1_roll = " in (files / "g.txt").read_text()
-    assert run(["tune", "command.json", "--to", "paparazzi", "-o", "g.xml"]) == 0
+    assert run(["tune", "command.json", *speeds, "--to", "paparazzi", "-o", "g.xml"]) == 0
     assert "STABILIZATION_INDI_" in (files / "g.xml").read_text()
     assert "INDI has no place for" in capsys.readouterr().err
+    assert run(["tune", "command.json", "--to", "indi", "-o", "none.txt"]) == 1
+    assert "no INDI without the rotors' inertia" in capsys.readouterr().err
 
 
 def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, refused):

@@ -26,6 +26,7 @@ from gcs_sysid.control.tuning_study import (
     TuningStudy,
     document_of,
     joined_vehicle,
+    misread_speeds,
     parameter_text,
     response_csv,
     study,
@@ -156,6 +157,11 @@ def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int
     if options.json is not None or options.bode is not None:
         raise InputError("--json and --bode apply to gains: leave them out with INDI")
     check_needs(vehicle)
+    if vehicle.get("rotor_inertia") is None or vehicle.get("k_T") is None:
+        raise MissingError(
+            "no INDI without the rotors' inertia, whose reaction in yaw it takes for motion that "
+            "no command made: give the result by rotor speeds too (--with)"
+        )
     target = FORMATS[_EFFECTIVENESS[options.to]]
     text = target.write(vehicle)
     drawn = drawn_vehicles(vehicle, options.draws, options.seed)
@@ -166,8 +172,10 @@ def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int
     low = f"{100.0 * LIMITS.battery:.0f} %"
     why = f"the effect is surely {ranges} times this, down to {low} of the thrust"
     leave = "" if effect.min() > 0.0 and effect.max() < 2.0 else f"{why}: INDI bears 0 to 2"
+    objections = misread_speeds(vehicle)
     if options.parameters is not None and not leave:
-        leave = "; ".join(each.words for each in _tuned(options, vehicle).objections)
+        objections = _tuned(options, vehicle).objections
+    leave = leave or "; ".join(each.words for each in objections)
     if leave:
         say(f"gcs-sysid: {options.output} is not written, leave it: {leave}")
         return 1

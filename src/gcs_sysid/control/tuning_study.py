@@ -478,9 +478,7 @@ def study(
             "with the model"
         )
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
-    # Notches that follow the rotors stand where their speeds are read: off the lines of these.
-    misread = (each for each in vehicle.result.objections if each.by == LINES)
-    objections = (*misread, *parted(departures, LIMITS.unmodeled))
+    objections = (*misread_speeds(vehicle), *parted(departures, LIMITS.unmodeled))
     now = replace(loop, besides=()) if loop.gains_known else None
     proposed, said = None, tuple(each.words for each in objections)
     if not objections:
@@ -500,6 +498,11 @@ def study(
         vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
         measured, "" if proposed is not None else "; ".join(said),
     )  # fmt: skip
+
+
+def misread_speeds(vehicle: ExportedVehicle) -> tuple[Objection, ...]:
+    """Objections to the rotors' speeds: notches that follow these are off the rotors' lines."""
+    return tuple(each for each in vehicle.result.objections if each.by == LINES)
 
 
 def _delay(
