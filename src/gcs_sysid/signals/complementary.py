@@ -7,7 +7,9 @@ rotation e between the estimate and the reference, taken in world axes:
 
 In world axes the rotation of the vehicle does not couple the three components, so each is a
 first-order linear filter and a block of samples is one call. The attitude may be any: there is
-no Euler angle in it. What remains of e on average is the gyro's bias, which an integrator finds.
+no Euler angle in it. What remains of e on average is the gyro's bias, which an integrator finds. It
+settles within some k_p / k_i, and the attitude would be off by bias / k_p until then: at first the
+bias is the mean of what the gyro turns beyond the reference.
 """
 
 import numpy as np
@@ -19,8 +21,8 @@ DEFAULT_K_P = 0.7
 """1/s. Slow noise of the reference wants it lower, noise and drift of the gyro higher; what either
 way costs is measured in benchmarks/filter_claims.py."""
 DEFAULT_K_I = 0.05
-"""1/s^2 for the gyro bias: settles in about 15 s (until then the attitude is off by bias / k_p).
-With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
+"""1/s^2 for the gyro bias, once it is known. With 0.1 the bias's own noise, which goes into the
+rates, already spoils estimates in hover."""
 
 
 class ComplementaryFilter:
@@ -42,6 +44,8 @@ class ComplementaryFilter:
         """(n, 3) the bias that was taken off each sample of the last block."""
         self._error = np.zeros(3)
         self._error_sum = np.zeros(3)
+        self._turned_sum, self._seen = np.zeros(3), 0
+        self._known = self.bias
         # Ten times a second.
         self._bias_samples = max(1, round(0.1 / dt))
         self._until_bias = self._bias_samples
@@ -70,6 +74,8 @@ class ComplementaryFilter:
         self.biases = np.empty_like(rates)
         if len(rates) == 0:
             return np.empty_like(reference)
+        if not self._seen:
+            self._known = self.bias
         turned, per_bias, to_world = self._turns(rates, reference)
         errors = np.empty_like(rates)
         done = 0
@@ -83,14 +89,29 @@ class ComplementaryFilter:
             errors[part] = error
             self._error = error[-1]
             # Back in body axes: a row times a rotation is its inverse on the column.
-            self._error_sum += (error[:, None] @ to_world[part])[:, 0].sum(axis=0)
+            both = np.stack([error, turned[part]], axis=1) @ to_world[part]
+            self._error_sum += both[:, 0].sum(axis=0)
+            self._turned_sum += both[:, 1].sum(axis=0)
+            self._seen += n
             self._until_bias -= n
             done = part.stop
             if self._until_bias == 0:
-                self.bias = self.bias + self.k_i * self.dt * self._error_sum
-                self._error_sum = np.zeros(3)
-                self._until_bias = self._bias_samples
+                self._renew_bias()
         return attitude.multiply(attitude.from_rotation_vector(errors), reference)
+
+    def _renew_bias(self) -> None:
+        """By the integrator; before that settles, by all that the gyro turned too far."""
+        seconds = self.dt * self._seen
+        if seconds * self.k_i >= self.k_p:
+            self.bias = self.bias + self.k_i * self.dt * self._error_sum
+        elif self.k_i:
+            # The reference's noise at both ends counts, over that time, so that the mean's weight
+            # grows with the square of it. After the filter's memory that is as of what was known.
+            before = self.k_p**-2
+            turned = self._turned_sum * seconds + self._known * before
+            self.bias = turned / (seconds**2 + before)
+        self._error_sum = np.zeros(3)
+        self._until_bias = self._bias_samples
 
     def _turns(self, rates: Array, reference: Array) -> tuple[Array, Array, Array]:
         """How far the gyro turned beyond the reference at each sample, in world axes.

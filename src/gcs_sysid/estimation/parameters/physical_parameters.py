@@ -23,7 +23,7 @@ from gcs_sysid.model.airframe import NOT_CANTED, Cant, Known, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
+from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.significance import FALSE_ALARM_RATE
 
 Raw = dict[str, tuple[float, float]]
@@ -67,11 +67,8 @@ class ModelErrors:
     """Of the arm, rotors over the CG: where they are, wind pushes a hovering vehicle, whose CG then
     seems to be elsewhere."""
     still_air: float = 0.1
-    """m/s^2, of wind's push: flights of a minute without wind read 0.001 to 0.08, as tilt by the
-    gyro's bias looks like a push. Of 21 s they read 0.09 to 0.14."""
-    tilted: float = 1.5
-    """Times the push that `gyro_bias` on two axes looks like, which is still air in short
-    flights."""
+    """m/s^2, of wind's push: flights of 12 s to a minute without wind read 0.01 to 0.05, as what is
+    left of the gyro's bias tilts the attitude, which looks like a push."""
 
 
 ERRORS = ModelErrors()
@@ -118,7 +115,7 @@ def physical_parameters(
         floor = _cg_floor(translation, arm, rotor_input)
         raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
         shift = math.hypot(
-            _wind_shift(translation, arm, seconds), _bias_shift(translation, rotation, seconds)
+            _wind_shift(translation, arm), _bias_shift(translation, rotation, seconds)
         )
         for name in (n for n, p in PARAMETERS.items() if p.mean_torque):
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
@@ -232,13 +229,12 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
     return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
 
 
-def _wind_shift(translation: TranslationFit | None, arm: float, seconds: float) -> float:
+def _wind_shift(translation: TranslationFit | None, arm: float) -> float:
     """m, by which a steady wind may shift what rests on the mean torque."""
     if translation is None:
         return 0.0
-    tilt = math.sqrt(2.0) * _unsettled_bias(seconds) / DEFAULT_K_P
-    still = max(ERRORS.still_air, ERRORS.tilted * GRAVITY * tilt)
-    return ERRORS.rotor_height * arm * max(translation.wind - still, 0.0) / GRAVITY
+    push = max(translation.wind - ERRORS.still_air, 0.0)
+    return ERRORS.rotor_height * arm * push / GRAVITY
 
 
 def _bias_shift(translation: TranslationFit | None, rotation: RotationFit, seconds: float) -> float:
@@ -260,11 +256,10 @@ def _bias_shift(translation: TranslationFit | None, rotation: RotationFit, secon
 def _unsettled_bias(seconds: float) -> float:
     """rad/s, mean over a flight of the gyro's bias that the complementary filter has yet to find.
 
-    It finds it with a time constant of k_p / k_i, from the start of the flight at worst.
+    After T it is wrong by some share of 1 / (1 + (k_p T)^2), from the start of the flight at worst.
     """
-    settling = DEFAULT_K_P / DEFAULT_K_I
-    flown = max(seconds, 1e-3) / settling
-    return ERRORS.gyro_bias * -math.expm1(-flown) / flown
+    settled = max(seconds, 1e-3) * DEFAULT_K_P
+    return ERRORS.gyro_bias * math.atan(settled) / settled
 
 
 def _axis_values(rotation: RotationFit, scale: AbsoluteScale, bend: float, doubt: float) -> Raw:
