@@ -78,13 +78,12 @@ class RotationEstimator:
         )
         if place is not None:
             commands = self._record.commands
-            doubts = [
-                start.lag_doubt + (0.0 if commands is None else commands.distance_doubt(fit))
-                for fit in fits
-            ]
+            far = [0.0 if commands is None else commands.distance_doubt(fit) for fit in fits]
+            # Of where it is, not of where it was: the next one has a distance of its own.
+            doubt = start.lag_doubt
             fits = [
-                replace(fit.widened(doubt), lag_place=place, lag_doubt=doubt)
-                for fit, doubt in zip(fits, doubts, strict=True)
+                replace(fit.widened(doubt + off), lag_place=place, lag_doubt=doubt)
+                for fit, off in zip(fits, far, strict=True)
             ]
         return [self._completed(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
 
@@ -157,7 +156,7 @@ class RotationEstimator:
         record, commands = self._record, self._record.commands
         if commands is None or not fit.of_steps:
             return fit
-        off = commands.doubt + curve_doubt(fit) + commands.distance_doubt(fit)
+        off = commands.doubt + curve_doubt(fit)
         mean = commands.mean_thrust
         if mean is not None and fit.disturbance.max() > RULES.detected:
             # Each rotor's mean thrust may be off by what asymmetry adds to it.
@@ -165,7 +164,8 @@ class RotationEstimator:
             for i, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
                 off[i, i] += share**2 * float((arms**2).mean()) / len(arms)
         place = record.places(self._whitening.basis.lag_place.of)[0]
-        return replace(fit.widened(off), lag_place=place, lag_doubt=off)
+        far = commands.distance_doubt(fit)
+        return replace(fit.widened(off + far), lag_place=place, lag_doubt=off)
 
     def _completed(self, fit: RotationFit, instant: Instant | None = None) -> RotationFit:
         """A fit with what speeds miss that happens between readings; at an instant, or now."""
