@@ -14,13 +14,11 @@ import pytest
 import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.model import attitude
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report import evidence_sections
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
-from gcs_sysid.twin.measured_flight import FlightRecorder, _with_later_bias
+from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.prediction_errors import Twin, basic_model
 from gcs_sysid.twin.twin_flight import twin_table
 
@@ -188,35 +186,6 @@ def test_flights_of_px4s_simulator(shared_logs, log, least):
     assert accuracy["rates"].r_squared >= least
     for each in accuracy.values():
         assert 0.85 <= each.inside <= 1.0
-
-
-def test_the_gyros_bias_is_taken_from_later():
-    """The complementary filter needs half a minute to find it; a recorded flight knows the end."""
-    dt, bias = 0.01, np.array([0.01, -0.008, 0.012])
-    t = np.arange(0.0, 120.0, dt)
-    rates = np.column_stack([np.sin(2.1 * t), np.cos(1.7 * t), 0.3 * np.sin(0.4 * t)])
-    truth = np.empty((len(t), 4))
-    truth[0] = 1.0, 0.0, 0.0, 0.0
-    turns = attitude.from_rotation_vector(0.5 * (rates[1:] + rates[:-1]) * dt)
-    for k, turn in enumerate(turns):
-        truth[k + 1] = attitude.multiply(truth[k], turn)
-    noise = np.random.default_rng(1).normal(0.0, 0.002, (len(t), 3))
-    gyro = rates + bias
-    flt = ComplementaryFilter(dt)
-    filtered = flt.update(gyro, attitude.multiply(truth, attitude.from_rotation_vector(noise)))
-    known, turned = _with_later_bias(t, gyro, gyro - flt.biases, filtered, dt)
-
-    def errors(found, part):
-        turn = attitude.multiply(attitude.conjugate(found), truth)
-        return np.sqrt((attitude.to_rotation_vector(turn)[part] ** 2).mean())
-
-    early = (t > 3.0) & (t < 15.0)
-    assert errors(filtered, early) > 5e-3
-    assert errors(turned, early) < 0.2 * errors(filtered, early)
-    assert np.abs(known - rates)[early].max() < 0.15 * np.abs(bias).max()
-    # Where the filter has settled, nothing is spoilt.
-    late = t > 90.0
-    assert errors(turned, late) < 1.1 * errors(filtered, late)
 
 
 def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):

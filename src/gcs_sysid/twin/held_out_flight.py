@@ -28,9 +28,8 @@ from gcs_sysid.twin.twin_flight import TwinFlight
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
 _SETTLING, _SETTLING_SHARE = 5.0, 0.4
-"""s in which the complementary filter finds the attitude, and the share of a part of the flight
-that may be left out for it. With the gyro's bias taken from later, errors on emulated flights with
-a bias of 0.01 rad/s are level from 5 s on."""
+"""s in which the complementary filter finds attitude and gyro bias, and the share of a part of the
+flight that may be left out for it."""
 
 
 def fly_held_out(

@@ -18,15 +18,11 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import History
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock
 
 _NO_HISTORY = History(np.empty(0), {}, {})
-_BIAS_LAG = 60.0
-"""s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that
-while the vehicle turns fast; what is left of an error after this time is a tenth, about."""
 
 
 @dataclass(frozen=True)
@@ -206,8 +202,7 @@ class FlightRecorder:
                 pieces.append(rows.reshape(-1, self._width))
                 room -= len(pieces[-1])
         x = np.concatenate(pieces)
-        t, gyro, rates, attitude = x[:, 0], x[:, 1:4], x[:, 4:7], x[:, 10:14]
-        rates, attitude = _with_later_bias(t, gyro, rates, attitude, self.dt)
+        t = x[:, 0]
         rotors = _acting(t, x[:, 18:], self.dt, self._delay, self._cutoff)
         # A motor's past is forgotten after five time constants, that of the gyro's low-pass after
         # one and a half periods of its cutoff.
@@ -215,44 +210,8 @@ class FlightRecorder:
         if self._cutoff is not None:
             settling += 1.5 / self._cutoff
         return MeasuredFlight(
-            t, rates, attitude, x[:, 14:17], rotors, self.dt, self._rotor_input, settling
+            t, x[:, 4:7], x[:, 10:14], x[:, 14:17], rotors, self.dt, self._rotor_input, settling
         )
-
-
-def _with_later_bias(
-    t: Array, gyro: Array, rates: Array, attitude: Array, dt: float
-) -> tuple[Array, Array]:
-    """Rates and attitude with the gyro's bias as it is known some time later (fixed-lag smoothing).
-
-    The complementary filter estimates the bias b during a flight. With the later one, b*, its
-    attitude is turned, in world axes, by
-
-        c' = -k_p c + R (b - b*)
-
-    Args:
-        t: (n,) s.
-        gyro: (n, 3) as measured, rad/s.
-        rates: (n, 3) without the bias known at that time.
-        attitude: (n, 4) as filtered then.
-        dt: s.
-    """
-    there = complete_rows(np.hstack([gyro, rates, attitude]))
-    if not there.any():
-        return rates, attitude
-    bias = gyro - rates
-    known, then = t[there], bias[there]
-    later = np.stack([np.interp(t + _BIAS_LAG, known, column) for column in then.T], axis=1)
-    turned = attitude.copy()
-    faded = math.exp(-DEFAULT_K_P * dt)
-    for part, complete in runs(there):
-        if complete:
-            off = (bias - later)[part]
-            world = (quaternions.matrices(attitude[part]) @ off[..., None])[..., 0] * dt
-            angle, _ = lfilter([1.0], [1.0, -faded], world)
-            turned[part] = quaternions.multiply(
-                quaternions.from_rotation_vector(angle), attitude[part]
-            )
-    return gyro - later, turned
 
 
 def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | None) -> Array:
