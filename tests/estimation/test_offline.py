@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.fit.problem import residual_maker
+from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.noise.whitening import (
     WhitenedMoments,
     averaged,
@@ -15,6 +16,7 @@ from gcs_sysid.estimation.noise.whitening import (
     gauss_markov,
     torque_noise,
 )
+from gcs_sysid.estimation.offline import prediction_error
 from gcs_sysid.estimation.offline.kept_rows import SpeedRows, at_delay
 from gcs_sysid.estimation.offline.likeliest_noise import innovations, likeliest
 from gcs_sysid.estimation.offline.offline import fit_offline
@@ -46,7 +48,7 @@ def residuals_of(whitener, n, seed):
 )
 def test_the_likeliest_noise_is_that_of_the_record(true):
     runs = [residuals_of(true, 8000, seed) for seed in (1, 2)]
-    best, calm = likeliest(runs, [np.ones(8000, dtype=bool)] * 2, T)
+    best, calm, numbers = likeliest(runs, [np.ones(8000, dtype=bool)] * 2, T)
     powers = [
         np.mean([np.mean(innovations(run, whitener) ** 2) for run in runs])
         for whitener in (true, best)
@@ -55,6 +57,9 @@ def test_the_likeliest_noise_is_that_of_the_record(true):
     assert (1.0 - 1e-3) * powers[0] < powers[1] < (1.0 + 1e-3) * powers[0]
     assert best.disturbed == true.disturbed
     assert not calm.disturbed
+    # A search from where that one ended stays there.
+    again = likeliest(runs, [np.ones(8000, dtype=bool)] * 2, T, numbers).best
+    np.testing.assert_allclose(again.factor, best.factor, atol=3e-3)
 
 
 def test_a_corrected_gyro_is_whitened_exactly():
@@ -173,6 +178,30 @@ def test_noise_that_spares_low_frequencies_is_used_at_20_hz(truth, flight):
     rounded = np.diag([*(1e-4 * signals.std(axis=0) ** 2), 0.0])
     loud = SpeedRows([noisy], truth.geometry, dt, 0.0, 0.0, rounded)
     np.testing.assert_array_equal(*(estimate(r, online).fit.rotation.theta for r in (silent, loud)))
+
+
+def test_a_search_that_does_not_converge_goes_on_where_it_went(truth, flight, monkeypatch):
+    """About the motors that are known at first no fit may converge with what truly lags."""
+    samples, starts = flight.part(slice(None, None, 10)), []
+    noisy = samples.gyro + 0.01 * np.random.default_rng(6).standard_normal(samples.gyro.shape)
+    tracker = Tracker(truth.geometry, 0.05, EstimatorTuning(), keep=True)
+    tracker.update(0.05 * np.arange(len(noisy)), replace(samples, gyro=noisy, rates=noisy))
+    online = tracker.fit().rotation
+    rows = SpeedRows(tracker.kept, truth.geometry, 0.05, online.delay, 0.009, SILENT)
+    whole = estimate(rows, online).fit.rotation
+    # Beside what is far likelier it is enough that rows stayed: nothing is compared any more.
+    assert not estimate(rows, online, rival=-np.inf).whitened.data.judges
+
+    def lost_at_first(*args):
+        fit = fit_whitened(*args)
+        starts.append((args[2], fit.rotation))
+        return replace(fit, rotation=replace(fit.rotation, converged=len(starts) > 2))
+
+    monkeypatch.setattr(prediction_error, "fit_whitened", lost_at_first)
+    found = estimate(rows, online).fit.rotation
+    assert found.converged
+    assert starts[1][0].theta is starts[0][1].theta
+    assert np.abs((found.theta - whole.theta) / whole.std).max() < 0.2
 
 
 def test_why_there_is_no_offline_estimate_is_said(truth, flight):

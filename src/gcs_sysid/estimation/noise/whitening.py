@@ -22,7 +22,7 @@ sigma^2 the power of the innovations: every axis takes the whitener of least inn
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -381,6 +381,7 @@ class WhitenedMoments:
         judges: of each axis, those used for how much of the motion is explained and predicted: of
             offline estimates the online one's, with which its bounds were found; of rows of the
             window no leak. Empty: those of the fit.
+        weights: (k,) of each batch's moments; None: all are alike.
     """
 
     parts: tuple[Array, ...]
@@ -393,6 +394,9 @@ class WhitenedMoments:
     muted: tuple[int, ...] = ()
     own: tuple[int, ...] = ()
     judges: tuple[int, ...] = ()
+    weights: Array | None = None
+    _latest: dict[tuple[int, ...], Array] = field(init=False, default_factory=dict, repr=False)
+    """Of the axes asked for last, which are asked for again and again."""
 
     @property
     def of_steps(self) -> bool:
@@ -415,15 +419,25 @@ class WhitenedMoments:
     def total(self, kept: Mask) -> Array:
         """(bank, width, width) sum over the batches kept."""
         out = np.zeros(self.noise.shape)
+        weights = kept.astype(float) if self.weights is None else kept * self.weights
         for part, start in zip(self.parts, self.edges[:-1], strict=True):
-            weights = kept[start : start + len(part)].astype(float)
-            out += np.tensordot(weights, part, 1)
+            out += np.tensordot(weights[start : start + len(part)], part, 1)
         return self._mute(out)
 
     def of_axes(self, pick: Sequence[int]) -> Array:
-        """(k, 3, width, width) of each axis' whitener."""
+        """(k, 3, width, width) of each axis' whitener; not to be written to."""
+        key = tuple(pick)
+        if key not in self._latest:
+            self._latest.clear()
+            self._latest[key] = self._of_axes(key)
+        return self._latest[key]
+
+    def _of_axes(self, pick: tuple[int, ...]) -> Array:
         some = [part[:, list(pick)] for part in self.parts]
-        return self._mute(some[0] if len(some) == 1 else np.concatenate(some))
+        every = some[0] if len(some) == 1 else np.concatenate(some)
+        if self.weights is not None:
+            every *= self.weights[:, None, None, None]
+        return self._mute(every)
 
     def weighed(self, power: Array) -> "WhitenedMoments":
         """The same, where rows of a batch count by the inverse of its innovations' power.
@@ -441,13 +455,7 @@ class WhitenedMoments:
         weights = 1.0 / np.maximum(power, 1.0 / _MOST_WEIGHT)
         weights *= self.counts.sum() / float(weights @ self.counts)
         counts = np.maximum(np.round(weights * self.counts), 1).astype(np.int64)
-        share = counts / np.maximum(self.counts, 1)
-        starts = self.edges[:-1]
-        parts = tuple(
-            part * share[start : start + len(part), None, None, None]
-            for part, start in zip(self.parts, starts, strict=True)
-        )
-        return replace(self, parts=parts, counts=counts)
+        return replace(self, counts=counts, weights=counts / np.maximum(self.counts, 1))
 
     def _mute(self, moments: Array) -> Array:
         if not self.muted:

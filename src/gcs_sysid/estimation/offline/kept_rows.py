@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.noise.whitening import Whitener
-from gcs_sysid.estimation.offline.likeliest_noise import whitened
+from gcs_sysid.estimation.offline.likeliest_noise import memory, whitened
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     N_COORDINATES,
     SIGNALS,
@@ -51,8 +51,6 @@ _AT_ONCE = 4096
 LEAST = 24
 """Rows; shorter pieces between gaps carry little information and are left out."""
 _H = SIGNALS - 1
-_RUNG_OUT = 6.0
-"""s after which a whitener's response has."""
 _APART = 0.0045
 """s before and after, between which rotors' signals show what a change of the delay does: noise of
 the speeds from sample to sample would pass for it."""
@@ -197,7 +195,8 @@ class SpeedRows:
 
     def noise(self, basis: LocalDynamics, whiteners: Sequence[Whitener]) -> Array:
         """(bank, width, width) what known noise of the rotors' inputs adds to one whitened row."""
-        taps = np.pad(self.taps(basis), ((0, round(_RUNG_OUT / self.time)), (0, 0)))
+        longest = max(memory(whitener) for whitener in whiteners)
+        taps = np.pad(self.taps(basis), ((0, longest), (0, 0)))
         responses = np.stack([whitened(taps, whitener) for whitener in whiteners])
         overlaps = np.swapaxes(responses, 1, 2) @ responses
         # Roll, pitch, thrust and yaw are averages, H' is a change.

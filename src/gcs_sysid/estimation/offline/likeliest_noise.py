@@ -11,6 +11,7 @@ pays for a claim (Schwarz 1978, Annals of Statistics 6).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +30,20 @@ _STEPS, _GAIN = 30, 0.1
 """Most steps of a search, and nats a number by which the last one gains less."""
 _CHANGE = 1e-4
 """Of a number, for derivatives."""
+_DECAYED = 1e-6
+"""Of a whitener's response, below which what it held or was given has no part in what follows."""
 
 
 def whitened(rows: Array, whitener: Whitener) -> Array:
     """(n, ...) rows, filtered from rest."""
     return lfilter([1.0, -whitener.a, 0.0, 0.0], [1.0, *whitener.factor], rows)[0]
+
+
+def memory(whitener: Whitener) -> int:
+    """Rows after which its response to one has decayed."""
+    poles = np.abs(np.roots([1.0, *whitener.factor]))
+    slowest = min(float(poles.max(initial=0.5)), 1.0 - 1e-9)
+    return len(poles) + math.ceil(math.log(_DECAYED) / math.log(slowest))
 
 
 def innovations(run: Array, whitener: Whitener) -> Array:
@@ -46,14 +56,15 @@ def innovations(run: Array, whitener: Whitener) -> Array:
     order = int(np.flatnonzero(factor)[-1])
     if not order:
         return out
-    n = len(run)
+    n = min(len(run), memory(whitener))
     late = np.zeros((n, order))
     late[:, 0] = lfilter([1.0], factor, np.eye(n, 1)[:, 0])[0]
     for i in range(1, min(n, order)):
         late[i:, i] = late[:-i, 0]
     basis = np.linalg.qr(late)[0]
-    flat = out.reshape(n, -1)
-    return (flat - basis @ (basis.T @ flat)).reshape(out.shape)
+    first = out[:n].reshape(n, -1)
+    out[:n] -= (basis @ (basis.T @ first)).reshape(out[:n].shape)
+    return out
 
 
 @dataclass(frozen=True)
@@ -103,47 +114,102 @@ def _families(T: float) -> tuple[_Family, ...]:
     )
 
 
-def likeliest(runs: Sequence[Array], sound: Sequence[Mask], T: float) -> tuple[Whitener, Whitener]:
-    """Of all whiteners, and of those without a disturbance.
+@dataclass(frozen=True)
+class _Record:
+    """Residuals of every run.
+
+    Attributes:
+        runs: (n,) changes of a rate.
+        sound: (n,) which of these rows count.
+    """
+
+    runs: Sequence[Array]
+    sound: Sequence[Mask]
+
+    def white(self, whitener: Whitener) -> Array:
+        """(rows that count,) innovations."""
+        parts = zip(self.runs, self.sound, strict=True)
+        return np.concatenate([innovations(run, whitener)[kept] for run, kept in parts])
+
+    def slopes(self, family: _Family, x: Array) -> Array:
+        """(rows that count, k) what (k,) numbers change of the innovations.
+
+        Of e = (1 - a z^-1) / C r the derivative by a is -z^-1 / C r, by the factor of z^-i in C
+        -z^-i / C e.
+        """
+        whitener, out = family.made(x), []
+        inward = np.where(x + _CHANGE > family.spans[1], -_CHANGE, _CHANGE)
+        changed = [(_factors(family.made(x + h)), h.sum()) for h in np.diag(inward)]
+        by_number = np.stack([(to - _factors(whitener)) / h for to, h in changed], axis=1)
+        for run, kept in zip(self.runs, self.sound, strict=True):
+            both = np.column_stack([run, whitened(run, whitener)])
+            passed = lfilter([1.0], [1.0, *whitener.factor], both)[0]
+            late = np.zeros((len(run), len(by_number)))
+            late[1:, 0] = passed[:-1, 0]
+            for i in range(1, len(by_number)):
+                late[i:, i] = passed[:-i, 1]
+            out.append(late[kept] @ -by_number)
+        return np.concatenate(out)
+
+
+def _factors(whitener: Whitener) -> Array:
+    """(4,) of z^-1 in the numerator, then those of the denominator."""
+    return np.array([whitener.a, *whitener.factor])
+
+
+class Likeliest(NamedTuple):
+    """Whiteners of one axis.
+
+    Attributes:
+        best: of all.
+        calm: of those without a disturbance.
+        numbers: of each family, from which another search may begin.
+    """
+
+    best: Whitener
+    calm: Whitener
+    numbers: Sequence[Array]
+
+
+def likeliest(
+    runs: Sequence[Array], sound: Sequence[Mask], T: float, near: Sequence[Array] = ()
+) -> Likeliest:
+    """The whiteners of least innovation power.
 
     Args:
         runs: (n,) residuals of each run, changes of a rate.
         sound: (n,) which of these rows count.
         T: s of a row.
+        near: numbers found for residuals much like these, where the search begins; none: not known.
     """
-
-    def white(whitener: Whitener) -> Array:
-        parts = zip(runs, sound, strict=True)
-        return np.concatenate([innovations(run, whitener)[kept] for run, kept in parts])
-
-    found = []
-    for family in _families(T):
-        cost, whitener, numbers = _descended(family, white)
+    record, found = _Record(runs, sound), []
+    for i, family in enumerate(_families(T)):
+        starts = near[i][None] if near else family.starts
+        cost, x = _descended(family, record, starts)
+        whitener = family.made(x)
         nats = 0.5 * math.log(sum(len(run) for run in runs)) if whitener.disturbed else 1.0
-        found.append((cost + nats * numbers, whitener))
+        found.append((cost + nats * len(x), whitener, x))
     calm = min(found[:-1], key=_cost)
-    return min(calm, found[-1], key=_cost)[1], calm[1]
+    best = min(calm, found[-1], key=_cost)
+    return Likeliest(best[1], calm[1], [x for _, _, x in found])
 
 
-def _cost(pair: tuple[float, Whitener]) -> float:
-    return pair[0]
+def _cost(found: tuple[float, Whitener, Array]) -> float:
+    return found[0]
 
 
 def _nats(e: Array) -> float:
     return 0.5 * len(e) * math.log(max(float(e @ e), 1e-300))
 
 
-def _descended(family: _Family, white: Callable[[Whitener], Array]) -> tuple[float, Whitener, int]:
-    """Fewest nats by damped Gauss-Newton, the whitener there, and how many numbers it has."""
-    tried = [white(family.made(x)) for x in family.starts]
+def _descended(family: _Family, record: _Record, starts: Array) -> tuple[float, Array]:
+    """Fewest nats by damped Gauss-Newton, and the numbers there."""
+    tried = [record.white(family.made(x)) for x in starts]
     best = int(np.argmin([_nats(e) for e in tried]))
-    x, e = family.starts[best], tried[best]
+    x, e = starts[best], tried[best]
     cost, damping = _nats(e), 1e-2
     for _ in range(_STEPS):
-        inward = np.where(x + _CHANGE > family.spans[1], -_CHANGE, _CHANGE)
-        slopes = np.stack(
-            [(white(family.made(x + h)) - e) / h.sum() for h in np.diag(inward)], axis=1
-        )
+        slopes = record.slopes(family, x)
         power = max(float(e @ e), 1e-300) / len(e)
         gradient, information = -slopes.T @ e / power, slopes.T @ slopes / power
         gain = -1.0
@@ -151,7 +217,7 @@ def _descended(family: _Family, white: Callable[[Whitener], Array]) -> tuple[flo
             H = information + np.diag(damping * np.diag(information) + 1e-9)
             step = np.clip(np.linalg.solve(H, gradient), -1.5, 1.5)
             to = np.clip(x + step, *family.spans)
-            there = white(family.made(to))
+            there = record.white(family.made(to))
             gain = cost - _nats(there)
             damping *= 0.1 if gain >= 0.0 else 10.0
         if gain < 0.0:
@@ -159,4 +225,4 @@ def _descended(family: _Family, white: Callable[[Whitener], Array]) -> tuple[flo
         x, e, cost = to, there, cost - gain
         if gain < _GAIN * len(x):
             break
-    return cost, family.made(x), len(x)
+    return cost, x

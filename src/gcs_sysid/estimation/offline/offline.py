@@ -5,6 +5,7 @@ what the two estimates differ beyond chance the interval is wider. Where it pred
 of the flight far worse than the online one, that is given.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -77,6 +78,8 @@ def fit_offline(
     choice = estimator.record.choice
     found: list[tuple[PredictionErrorFit, LagPlace | None]] = []
     every = _rows(tracker, before)
+    # What lags by the online estimate is the likeliest.
+    every.sort(key=lambda pair: pair[1] != before.lag_place)
     for number, (rows, place) in enumerate(every):
 
         def on_progress(share: float, done: int = number) -> None:
@@ -90,6 +93,7 @@ def fit_offline(
             estimator.prior,
             choice,
             calm=estimator.is_calm,
+            rival=min((other.cost for other, _ in found), default=math.inf),
             progress=on_progress,
         )
         if estimated is not None:

@@ -10,6 +10,7 @@ follows from what a fit leaves, and the fit from the noise, until both stay.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,9 +23,9 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import SHOCK, WhitenedFit, fit_whitened
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, Whitener, bank_for
 from gcs_sysid.estimation.offline.kept_rows import CommandRows, SpeedRows
-from gcs_sysid.estimation.offline.likeliest_noise import innovations, likeliest
+from gcs_sysid.estimation.offline.likeliest_noise import Likeliest, innovations, likeliest
 from gcs_sysid.estimation.online.fit import FitMoments
-from gcs_sysid.estimation.record.command_record import STAYED, TRUSTED
+from gcs_sysid.estimation.record.command_record import RIVAL, STAYED, TRUSTED
 from gcs_sysid.estimation.rows.motor_linearization import LocalDynamics
 from gcs_sysid.model import rigid_body as rb
 
@@ -36,9 +37,8 @@ _SETTLED = 0.1
 """Standard deviations that another look moves theta by at most."""
 _THRUST = rb.SIGNALS.index("thrust")
 _COMPARED = frozenset(
-    ("none", "leak 0.3 s", "leak 1 s", "torque noise to 18 Hz", "moment to 4 Hz",
-     "moment to 11 Hz", "moment to 23 Hz")
-)  # fmt: skip
+    ("leak 0.3 s", "leak 1 s", "moment to 4 Hz", "moment to 11 Hz", "moment to 23 Hz")
+)
 """Of the bank, what the likeliest are compared with."""
 
 
@@ -62,6 +62,13 @@ class Whitened:
         """How well fits to four fifths of the flight predict the last, see `WhitenedEstimator`."""
         return predict_held_out(self.data, self.basis, choice, prior)
 
+    @cached_property
+    def total(self) -> Array:
+        """(bank, width, width) of all rows, shocks included."""
+        (moments,) = self.data.parts
+        every: Array = moments.sum(axis=0)
+        return every
+
     def power(self, fit: RotationFit, moments: Array) -> Array:
         """(3,) that each axis of a fit leaves of (3, width, width) moments."""
         TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
@@ -74,7 +81,7 @@ class Whitened:
         moments of inertia up to 12 standard deviations too small.
         """
         own = list(self.data.own)
-        left = self.power(fit, self.data.of_axes(own).sum(axis=0)) / self.data.counts.sum()
+        left = self.power(fit, self.total[own]) / self.data.counts.sum()
         if (self.power(fit, self.data.noise[own]) <= left).all():
             return self
         return replace(self, data=replace(self.data, noise=np.zeros_like(self.data.noise)))
@@ -104,7 +111,7 @@ class PredictionErrorFit:
         data, fit = self.whitened.data, self.fit.rotation
         places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
         rows = int(data.counts.sum())
-        power = self.whitened.power(fit, data.of_axes(places).sum(axis=0)) / rows
+        power = self.whitened.power(fit, self.whitened.total[places]) / rows
         return 0.5 * rows * float(np.log(power).sum())
 
     def moments(self, online: FitMoments | None) -> FitMoments | None:
@@ -113,7 +120,7 @@ class PredictionErrorFit:
             return None
         data, fit = self.whitened.data, self.fit.rotation
         places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
-        total = data.of_axes(places).sum(axis=0) - self.fit.left_out
+        total = self.whitened.total[places] - self.fit.left_out
         rows = data.counts.sum() - self.fit.rows_left_out
         without = self.whitened.basis.moments_at(total - rows * data.noise[places], fit.coordinates)
         return online._replace(rows=without)
@@ -127,6 +134,7 @@ def estimate(
     choice: DeviationChoice | None = None,
     *,
     calm: bool = True,
+    rival: float = math.inf,
     progress: Callable[[float], None] | None = None,
 ) -> PredictionErrorFit | None:
     """Fit a flight.
@@ -138,6 +146,8 @@ def estimate(
         prior: what else is known.
         choice: of deviations from the model.
         calm: whether it is known that no steady wind blows.
+        rival: nats of rows by which something else lags; from what is far less likely than that
+            the estimate is the first whose motors stayed.
         progress: called with the share that is done.
 
     Returns:
@@ -145,9 +155,15 @@ def estimate(
     """
     judges = start.whiteners if start.of_steps else (bank_for(rows.time)[1],) * 3
     rotation, found, basis = start, None, rows.basis(start.coordinates)
-    runs = rows.made(basis)
+    runs, noise = rows.made(basis), None
     if not runs:
         return None
+
+    def fitted(made: Whitened) -> WhitenedFit | None:
+        before = rotation if rotation.warm_start else None
+        thrust = 0.0 if calm else made.thrust
+        return fit_whitened(made.data, basis, before, prior, doubt, choice, thrust)
+
     for look in range(_LOOKS):
         if progress is not None:
             progress(look / _LOOKS)
@@ -156,20 +172,12 @@ def estimate(
         if look and not stayed:
             far = TRUSTED * basis.moved
             basis = rows.basis(np.clip(rotation.coordinates, basis.at - far, basis.at + far))
-            runs = rows.made(basis)
+            runs, noise = rows.made(basis), None
             if not runs:
                 return None
-        whiteners, own = _likeliest(runs, basis, rotation, rows.time, judges)
-        made = _whitened(rows, runs, basis, whiteners, own, judges).believed(rotation)
-        fit = fit_whitened(
-            made.data,
-            basis,
-            rotation if rotation.warm_start else None,
-            prior,
-            doubt,
-            choice,
-            0.0 if calm else made.thrust,
-        )
+        noise = _likeliest(runs, basis, rotation, rows.time, judges, noise)
+        made = _whitened(rows, runs, basis, noise).believed(rotation)
+        fit = fitted(made)
         if fit is None:
             break
         moved = np.abs(fit.rotation.theta - rotation.theta)
@@ -177,11 +185,18 @@ def estimate(
         rotation = fit.rotation
         is_near = (np.abs(rotation.coordinates - basis.at) <= TRUSTED * basis.moved).all()
         found = PredictionErrorFit(fit, made) if rotation.converged and is_near else None
-        if look and stayed and found and (moved <= _SETTLED * rotation.std).all():
-            break
+        if look and stayed and found:
+            if found.cost > rival + RIVAL:
+                return found
+            if (moved <= _SETTLED * rotation.std).all():
+                break
     if progress is not None:
         progress(1.0)
-    return found
+    if found is None:
+        return None
+    made = _compared(found.whitened, rows, judges)
+    fit = fitted(made)
+    return found if fit is None else PredictionErrorFit(fit, made)
 
 
 def _likeliest(
@@ -190,18 +205,15 @@ def _likeliest(
     fit: RotationFit,
     T: float,
     judges: Sequence[Whitener],
-) -> tuple[tuple[Whitener, ...], tuple[Whitener, ...]]:
-    """Whiteners to fit with, those without a disturbance first, and the likeliest of each axis."""
+    before: Sequence[Likeliest] | None,
+) -> list[Likeliest]:
+    """Of each axis, as it shows in what a fit leaves."""
     residuals = residuals_of(runs, basis, fit)
     sound = sound_rows(residuals, T, fit.whiteners or judges)
-    own, others = [], []
-    for axis, name in enumerate("xyz"):
-        best, calm = likeliest([T * r[:, axis] for r in residuals], sound, T)
-        own.append(replace(best, name=f"likeliest {name}"))
-        others.append(replace(calm, name=f"calm {name}"))
-    known = [w for w in bank_for(T) if w.name in _COMPARED]
-    by_name = {whitener.name: whitener for whitener in (*known, *judges, *others, *own)}
-    return tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed)), tuple(own)
+    return [
+        likeliest([T * r[:, i] for r in residuals], sound, T, before[i].numbers if before else ())
+        for i in range(3)
+    ]
 
 
 def residuals_of(runs: Sequence[Array], basis: LocalDynamics, fit: RotationFit) -> list[Array]:
@@ -230,37 +242,67 @@ def _whitened(
     rows: SpeedRows | CommandRows,
     runs: Sequence[Array],
     basis: LocalDynamics,
-    whiteners: Sequence[Whitener],
-    own: Sequence[Whitener],
-    judges: Sequence[Whitener],
+    noise: Sequence[Likeliest],
 ) -> Whitened:
-    """Moments of all rows under every whitener."""
-    T = rows.time
+    """Moments of all rows under the likeliest whiteners, those without a disturbance first."""
+    calm = [
+        replace(each.calm, name=f"calm {name}") for each, name in zip(noise, "xyz", strict=True)
+    ]
+    own = [
+        replace(each.best, name=f"likeliest {name}") if each.best.disturbed else each_calm
+        for each, each_calm, name in zip(noise, calm, "xyz", strict=True)
+    ]
+    whiteners = (*calm, *(whitener for whitener in own if whitener.disturbed))
     total = sum(len(run) for run in runs)
-    size = max(round(_BATCH / T), -(-total // _MOST_BATCHES), 1)
+    size = max(round(_BATCH / rows.time), -(-total // _MOST_BATCHES), 1)
     counts = np.concatenate([np.diff([*range(0, len(run), size), len(run)]) for run in runs])
-    moments = np.empty((len(counts), len(whiteners), basis.width, basis.width))
+    data = WhitenedMoments(
+        (_moments(runs, whiteners, size),),
+        counts,
+        rows.noise(basis, whiteners),
+        whiteners,
+        rows.time,
+        size,
+        own=tuple(whiteners.index(whitener) for whitener in own),
+    )
+    return Whitened(data, basis, runs, rows.time)
+
+
+def _compared(
+    made: Whitened, rows: SpeedRows | CommandRows, judges: Sequence[Whitener]
+) -> Whitened:
+    """The same beside whiteners of the bank, and those that judged the online estimate."""
+    data, T = made.data, made.time
+    known = [whitener for whitener in bank_for(T) if whitener.name in _COMPARED]
+    others = tuple({whitener.name: whitener for whitener in (*known, *judges)}.values())
+    (part,), names = data.parts, [whitener.name for whitener in others]
+    # None where it has been found that there is none.
+    noise = rows.noise(made.basis, others) * data.noise.any()
+    first = len(data.whiteners)
+    every = replace(
+        data,
+        parts=(np.concatenate([part, _moments(made.runs, others, data.grouped)], axis=1),),
+        noise=np.concatenate([data.noise, noise]),
+        whiteners=(*data.whiteners, *others),
+        judges=tuple(first + names.index(whitener.name) for whitener in judges),
+    )
+    return replace(made, data=every)
+
+
+def _moments(runs: Sequence[Array], whiteners: Sequence[Whitener], size: int) -> Array:
+    """(k, bank, width, width) of every so many rows, whitened."""
+    width = runs[0].shape[1]
+    out = np.empty((sum(-(-len(run) // size) for run in runs), len(whiteners), width, width))
     for place, whitener in enumerate(whiteners):
         first = 0
         for run in runs:
             white = innovations(run, whitener)
             whole = len(white) // size
-            blocks = white[: whole * size].reshape(whole, size, basis.width)
-            moments[first : first + whole, place] = np.swapaxes(blocks, 1, 2) @ blocks
+            blocks = white[: whole * size].reshape(whole, size, width)
+            out[first : first + whole, place] = np.swapaxes(blocks, 1, 2) @ blocks
             first += whole
             rest = white[whole * size :]
             if len(rest):
-                moments[first, place] = rest.T @ rest
+                out[first, place] = rest.T @ rest
                 first += 1
-    names = [whitener.name for whitener in whiteners]
-    data = WhitenedMoments(
-        (moments,),
-        counts,
-        rows.noise(basis, whiteners),
-        tuple(whiteners),
-        T,
-        size,
-        own=tuple(names.index(w.name) for w in own),
-        judges=tuple(names.index(w.name) for w in judges),
-    )
-    return Whitened(data, basis, runs, T)
+    return out

@@ -47,9 +47,7 @@ _NO_RIVAL, _CLOSE = 0.2, 2.0
 """Nats a row by which a place of the lag must be less likely, and steps of the linearization within
 which its motors must be, for its rows not to be made again: on recorded flights that brought at
 most half as much."""
-
-
-_RIVAL = 20.0
+RIVAL = 20.0
 """Nats by which a place of the lag must be less likely to count no more: its weight is 2e-9."""
 
 
@@ -148,7 +146,7 @@ class TunedRows:
         """
         worse = other.cost - self.cost
         if tried:
-            return worse > _RIVAL
+            return worse > RIVAL
         return other.is_within(_CLOSE) and worse > _NO_RIVAL * other.white.rows
 
     @cached_property
