@@ -147,6 +147,18 @@ def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
         assert (health.scale is None) is is_assumed
 
 
+@pytest.mark.parametrize("commands", ["alone", "beside"])
+def test_nothing_is_shown_of_commands_whose_range_is_assumed(airframe, commands):
+    known, pulses = {"PWM_MAIN_FUNC1": 101.0}, {"PWM_MAIN_MIN1": 1000.0, "PWM_MAIN_MAX1": 2000.0}
+    guess = GuessedAirframe(airframe, "given")
+    for parameters, shown in ((known, False), (known | pulses, True)):
+        streams = streams_of(flight(commands=commands), airframe, "px4", parameters)
+        health = health_of(streams, guess, HealthOptions(airframe), parameters)
+        assert (health.hover_throttle is not None) is shown
+        assert health.available is (shown or commands == "beside")
+        assert ("has no range in the log" in str(health.reasons)) is not health.available
+
+
 def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):
     for mass, named in ((20.0, False), (14000.0, True)):
         known = airframe.with_anchor("mass", mass)

@@ -120,3 +120,11 @@ def test_outputs_that_no_rotor_follows_are_those_of_another_driver():
     assert all("PWM_MAIN" in why and "PWM_AUX" in why for why in refused.values())
     del commands["SERVO_OUTPUT_RAW_1"]  # one alone is taken, and the motion may contradict it
     assert not out_of_order(commands, order)
+
+
+def test_that_nothing_names_the_outputs_is_said():
+    lacks = MotorOrder("ardupilot").unknown("SERVO_OUTPUT_RAW")
+    assert lacks.endswith("the record lacks SERVOn_FUNCTION")
+    assert not MotorOrder("ardupilot").unknown("RPM")
+    named = {f"SERVO{n}_FUNCTION": 32.0 + n for n in range(1, 5)}
+    assert not MotorOrder.of("ardupilot", named, 4).unknown("SERVO_OUTPUT_RAW")

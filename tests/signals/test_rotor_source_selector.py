@@ -12,6 +12,7 @@ from gcs_sysid.signals.redundant_commands import mean_of
 from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
 from gcs_sysid.signals.rotor_units import (
     Range,
+    are_digital,
     are_pulses,
     command_range,
     gyro_cutoff,
@@ -320,7 +321,7 @@ BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900
     ],
 )
 def test_range_of_commands(source, given, autopilot, parameters, largest, expected):
-    found = command_range(source, given, autopilot, parameters, largest)
+    found = command_range(source, given, autopilot, parameters, (largest, largest))
     if expected is None:
         assert "unknown unit" in found
     else:
@@ -331,9 +332,23 @@ def test_numbers_of_dshot_are_no_pulses():
     outputs = np.array([150.0, 700.0, 1500.0])
     dshot = {"motorOutput[1]": 2047.0}
     for source, known in (("motor", dshot), ("RCOU", DSHOT), ("SERVO_OUTPUT_RAW", CAN)):
-        assert not are_pulses(source, known, outputs).any()
-    assert are_pulses("motor", {"motorOutput[1]": 2000.0}, outputs).tolist() == [False, True, True]
-    assert are_pulses("RCOU", dshot, outputs).tolist() == [False, True, True]
+        assert are_digital(source, known, outputs[:, None])
+    for source, known in (("motor", {"motorOutput[1]": 2000.0}), ("RCOU", dshot)):
+        assert not are_digital(source, known, outputs[:, None])
+    assert are_pulses(outputs).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "digital"),
+    [
+        ([0.0, 110.0, 110.0, 700.0], True),  # idles
+        ([700.0, 500.0, 650.0], True),
+        ([0.0, 250.0, 500.0, 750.0, 1000.0, 1000.0], False),  # straight to the first pulse
+        ([0.0, 0.0, 900.0, 900.0], False),
+    ],
+)
+def test_what_stays_where_no_pulse_is_shows_a_digital_driver(outputs, digital):
+    assert are_digital("actuator_outputs", {}, np.array(outputs)[:, None]) is digital
 
 
 @pytest.mark.parametrize(("source", "low"), [("eRPM", True), ("ESC_STATUS", False)])
@@ -412,7 +427,7 @@ def test_groups_of_rotors_repeat_on_their_own():
     ],
 )  # fmt: skip
 def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
-    found = command_range("RCOU", CommandRange(), "ardupilot", parameters, 1600.0)
+    found = command_range("RCOU", CommandRange(), "ardupilot", parameters, (1600.0, 1600.0))
     assert not found.assumed
     assert (found.low, found.high) == (pytest.approx(low, abs=0.1), pytest.approx(high, abs=0.1))
 
@@ -424,7 +439,11 @@ def test_a_range_that_the_parameters_leave_open_is_assumed():
         ("ardupilot", pulses),
         ("px4", px4),
     ):
-        found = command_range("RCOU", CommandRange(), key, known, 1600.0)
+        found = command_range("RCOU", CommandRange(), key, known, (1600.0, 1600.0))
         assert found.assumed
         assert "assumed" in found.origin
-    assert not command_range("RCOU", CommandRange(), "px4", px4 | {"SIM_BAT": 1}, 1600.0).assumed
+    simulated = px4 | {"SIM_BAT": 1}
+    assert not command_range("RCOU", CommandRange(), "px4", simulated, (1000.0, 1600.0)).assumed
+    # DShot, of which nothing is in the log.
+    found = command_range("actuator_outputs", CommandRange(), "px4", px4, (110.0, 1600.0))
+    assert "unknown unit" in found

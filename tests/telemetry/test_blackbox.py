@@ -203,7 +203,7 @@ def test_the_header_tells_the_range_of_commands():
         given = False
 
     def range_of(**told):
-        return command_range("motor", Given, "generic", told, 1800.0)
+        return command_range("motor", Given, "generic", told, (1000.0, 1800.0))
 
     dshot = range_of(**{"motorOutput[0]": 158.0, "motorOutput[1]": 2047.0, "minthrottle": 1070.0})
     assert (dshot.low, dshot.high) == (48.0, 2047.0)

@@ -14,7 +14,7 @@ from gcs_sysid.signals.motor_order import MotorOrder, in_any_order, out_of_order
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together, unbalanced_reading
 from gcs_sysid.signals.rotor_source_selector import family, preference
-from gcs_sysid.signals.rotor_units import Range, command_range, normalized
+from gcs_sysid.signals.rotor_units import Range, command_range, normalized, seen_of
 
 _LONGEST = 200_000.0
 """s of a log; what is stamped later is damaged."""
@@ -22,6 +22,12 @@ _CHANGE = 0.05
 """Share of its mean by which a speed changes in a flight; rounding to 100 rpm is half of that."""
 _BOOT_GAP = 1000.0
 """s put between two boots, so that time goes on."""
+
+
+_ASSUMED = (
+    "has no range in the log ({}): give [command] min and max in the airframe file, or record the "
+    "parameters"
+)
 
 
 @dataclass(frozen=True)
@@ -135,16 +141,20 @@ def streams_of(
         if len(samples) < count:
             problem += order.gap_in(name, len(samples))
         if not problem and (wrong := _wrong_reading(stream, samples)):
-            problem = misread[name] = wrong
+            problem = wrong + order.unknown(name)
+            if problem == wrong:
+                misread[name] = wrong
         if problem:
             refused[name] = problem
             continue
         one = RotorStream(name, samples, min(rate_of(t) for t, _ in samples))
         if stream is Stream.ROTOR_COMMAND:
-            largest = max(float(v.max()) for _, v in samples)
-            range_ = command_range(name, airframe.command, autopilot, parameters, largest)
-            if isinstance(range_, str):
-                refused[name] = range_
+            seen = seen_of([v for _, v in samples])
+            range_ = command_range(name, airframe.command, autopilot, parameters, seen)
+            if isinstance(range_, str) or range_.assumed:  # all that commands show follows from it
+                refused[name] = (
+                    range_ if isinstance(range_, str) else _ASSUMED.format(range_.origin)
+                )
                 continue
             raw = samples
             samples = tuple((t, normalized(v, range_).clip(0.0, None)) for t, v in samples)

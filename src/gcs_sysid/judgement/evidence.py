@@ -24,7 +24,7 @@ class Received:
         refused: rotor stream -> why it is not used.
         searched: whether the choice among rotor streams is made.
         has_rotors: whether there is a rotor stream in use.
-        input_lost: why it was given up; empty where it was not.
+        input_lost: why it was given up, or that no rotor ever turned by it; empty: neither.
         doubt: what else than the motors' it may be; empty: nothing else.
         outdated: whether the autopilot's parameters came too late to be heeded.
         flown: s in the air.

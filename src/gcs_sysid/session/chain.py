@@ -677,7 +677,7 @@ class Findings:
                 dict(selector.refused),
                 selector.judged,
                 chain.rotors is not None,
-                chain.input_lost,
+                chain.input_lost or sampler.stands,
                 "" if chain.rotors is None else chain.rotors.doubt,
                 chain.outdated,
                 sampler.time_base.flown,

@@ -211,6 +211,13 @@ class MotorOrder:
             )
         return why
 
+    def unknown(self, source: str) -> str:
+        """That nothing says which of its outputs are motors'; begins with a colon, or empty."""
+        if self.orders or self.split or not self.is_of_outputs(source):
+            return ""
+        names = "SERVOn_FUNCTION" if self.autopilot == "ardupilot" else "PWM_MAIN_FUNCn"
+        return f": its first outputs are taken for the motors', as the record lacks {names}"
+
 
 def _by_motor(track: Track, outputs: Sequence[int]) -> Iterator[Track]:
     """The columns of motors, those of neighboring ones together."""

@@ -47,6 +47,7 @@ from gcs_sysid.signals.rotor_units import (
     assumed_unit,
     command_range,
     normalized,
+    seen_of,
 )
 
 STRETCH = 2.5
@@ -250,8 +251,8 @@ class RotorSourceSelector:
         """The range of commands by the parameters that there are now."""
         if source.range is None:
             return None
-        command, largest = self._airframe.command, source.range.high
-        found = command_range(source.name, command, self.autopilot, self.parameters, largest)
+        command, seen = self._airframe.command, (source.range.low, source.range.high)
+        found = command_range(source.name, command, self.autopilot, self.parameters, seen)
         return source.range if isinstance(found, str) else found
 
     def assumed(self, source: RotorSource) -> str:
@@ -479,9 +480,8 @@ class RotorSourceSelector:
 
     def _range(self, name: str, stretch: Stretch) -> Range | str:
         values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
-        largest = max(float(v.max()) for v in values)
         command = self._airframe.command
-        return command_range(name, command, self.autopilot, self.parameters, largest)
+        return command_range(name, command, self.autopilot, self.parameters, seen_of(values))
 
     def _copies(self, speeds: Stretch, commands: Stretch) -> bool:
         """Whether the speeds are a function of the commands at the same time."""

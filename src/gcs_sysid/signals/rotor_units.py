@@ -5,7 +5,7 @@ airframe file, else from the autopilot's parameters, else from its convention. W
 part of the result.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +28,8 @@ PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "
 
 _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
+_LEAST_PULSE = 600.0
+"""us, a pulse that there may be."""
 _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
 _DSHOT_PROTOCOLS = range(5, 9)
@@ -59,7 +61,11 @@ class Range:
 
 
 def command_range(
-    source: str, given: CommandRange, autopilot: str, parameters: Parameters, largest: float
+    source: str,
+    given: CommandRange,
+    autopilot: str,
+    parameters: Parameters,
+    seen: tuple[float, float],
 ) -> Range | str:
     """The range of a source of commands, or why it has none.
 
@@ -68,8 +74,9 @@ def command_range(
         given: by the airframe file.
         autopilot: "px4" or "ardupilot".
         parameters: known so far.
-        largest: output seen in flight.
+        seen: least output above zero, and the largest.
     """
+    least, largest = seen
     if source == "actuator_motors":  # PX4's own commands, before any unit
         return Range(0.0, 1.0, "actuator_motors is 0..1")
     # What stays below 1 is normalized already, as by the mapping of a table.
@@ -81,12 +88,10 @@ def command_range(
         return "is of 3D mode, in which outputs turn motors either way"
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
-    if source == "motor":
-        return _of_blackbox(parameters)
-    found = _of_px4(parameters)
-    if found is not None and largest <= 1.05 * found.high:
+    found = _of_blackbox(parameters) if source == "motor" else _of_px4(parameters)
+    if found is not None and (source == "motor" or largest <= 1.05 * found.high):
         return found
-    if _USUAL[0] <= largest <= _USUAL[1]:
+    if _USUAL[0] <= least <= largest <= _USUAL[1]:
         simulated = is_simulated(parameters) or parameters.get("SYS_HITL", 0.0) > 0.0
         if autopilot == "px4" and simulated:  # which have no parameters of a range
             return replace(_CONVENTION, origin="pulses of PX4's simulators", assumed=False)
@@ -95,6 +100,13 @@ def command_range(
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
     )
+
+
+def seen_of(outputs: Sequence[Array]) -> tuple[float, float]:
+    """Least output above zero, and the largest, of (n,) of each rotor: at 0 no driver works."""
+    largest = max(float(values.max()) for values in outputs)
+    least = min(float(values.min(initial=largest, where=values > 0.0)) for values in outputs)
+    return least, largest
 
 
 def is_simulated(parameters: Parameters) -> bool:
@@ -159,8 +171,8 @@ def _pulses_of_ardupilot(parameters: Parameters) -> Range:
     return _CONVENTION
 
 
-def _of_blackbox(parameters: Parameters) -> Range:
-    """Of Betaflight and its kin, by the header of their log."""
+def _of_blackbox(parameters: Parameters) -> Range | None:
+    """Of Betaflight and its kin, where the header of their log gives one."""
     high = parameters.get("motorOutput[1]")
     digital = (
         parameters.get("dshot_bidir") == 1.0
@@ -175,15 +187,27 @@ def _of_blackbox(parameters: Parameters) -> Range:
     if 0.0 < low < high:
         origin = "minthrottle and maxthrottle" + lost * " assumed: the log has no motorOutput"
         return Range(low, high, origin, lost)
-    return _CONVENTION
+    return None
 
 
-def are_pulses(source: str, parameters: Parameters, values: Array) -> Mask:
-    """Which outputs are pulses in us, of which 1000 stop a motor: those of DShot or CAN are not."""
+def are_digital(source: str, parameters: Parameters, values: Array) -> bool:
+    """Whether outputs are those of DShot or CAN, and not pulses, of which 1000 us stop a motor.
+
+    By parameters, or where (n, rotors) on the grid stay or turn back at what no pulse is: others
+    only pass there from nothing to the first pulse.
+    """
     known = _of_blackbox(parameters) if source == "motor" else _of_px4(parameters)
-    if known is not None and known.low < 600.0:
-        return np.zeros(values.shape, bool)
-    return (values >= 600.0) & (values <= 2400.0)
+    if known is not None:
+        return known.low < _LEAST_PULSE
+    steps, there = np.diff(values, axis=0), values[1:-1]
+    with np.errstate(invalid="ignore"):
+        turns = (steps[1:] * steps[:-1] <= 0.0) & (there > _DSHOT[0]) & (there < _LEAST_PULSE)
+    return bool(turns.any())
+
+
+def are_pulses(values: Array) -> Mask:
+    """Which outputs may be pulses in us."""
+    return (values >= _LEAST_PULSE) & (values <= 2400.0)
 
 
 def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> str:

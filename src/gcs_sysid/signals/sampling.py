@@ -17,7 +17,7 @@ from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
-from gcs_sysid.signals.rotor_units import RotorSource, are_pulses
+from gcs_sysid.signals.rotor_units import RotorSource, are_digital, are_pulses
 from gcs_sysid.signals.time_base import Block, TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 
@@ -141,6 +141,9 @@ class Sampler:
         self._held: list[_Held] = []
         self._start, self._end = start, end
         self.flight_detector = FlightDetector()
+        self._digital: set[str] = set()
+        self._turned: dict[str, bool] = {}
+        """Whether any rotor turned, by each rotor stream."""
         self.gyro_check = GyroCheck()
         """The gyro against the reported attitude, in flight."""
         self._filter: ComplementaryFilter | None = None
@@ -152,6 +155,15 @@ class Sampler:
     def recorded(self) -> float | None:
         """Seconds of vehicle clock from the first record to the newest; None without any."""
         return None if self._first is None else self._newest - self._began
+
+    @property
+    def stands(self) -> str:
+        """That no rotor ever turned, in words; empty where one did, or no stream shows any."""
+        if not self._turned or any(self._turned.values()):
+            return ""
+        order = self.rotor_selector.order
+        names = ", ".join(name + order.unknown(name) for name in sorted(self._turned))
+        return f"never seen in the air: no rotor turns by {names}"
 
     def feed_tracks(self, tracks: Sequence[Track]) -> Iterator[SampleBlock]:
         """Take samples that follow each other, with their orders; the next blocks, one by one.
@@ -410,10 +422,18 @@ class Sampler:
                 least = _STOPPED_COMMAND
                 # Pulses of stopped motors are at most 1000 us; other units start from zero.
                 # The half is for what interpolation adds.
-                pulses = are_pulses(name, self.rotor_selector.parameters, values)
+                pulses = self._pulses(name, values)
                 values = np.where(pulses & (values <= 1000.5), 0.0, values)
-            np.fmax(turning, np.where(values <= least, 0.0, values), out=turning)
+            values = np.where(values <= least, 0.0, values)
+            self._turned[name] = self._turned.get(name, False) or bool((values > 0.0).any())
+            np.fmax(turning, values, out=turning)
         return turning
+
+    def _pulses(self, name: str, values: Array) -> Mask:
+        """Which of a source's commands are pulses in us."""
+        if name not in self._digital and are_digital(name, self.rotor_selector.parameters, values):
+            self._digital.add(name)
+        return are_pulses(values) & (name not in self._digital)
 
     def _thrust(self, rotors: dict[str, Array], commands: set[str], n: int) -> Array:
         """(n, 2) mean over rotors of squared speeds, and of commands: what thrust grows with."""
@@ -421,7 +441,7 @@ class Sampler:
         for name, values in rotors.items():
             if name in commands:
                 # Pulses start from 1000 us.
-                pulses = are_pulses(name, self.rotor_selector.parameters, values)
+                pulses = self._pulses(name, values)
                 values = np.where(pulses, np.maximum(values - 1000.0, 0.0), values)
             else:
                 values = values**2
