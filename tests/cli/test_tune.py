@@ -230,6 +230,8 @@ def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, 
     bad.write(files / "no.json")
     assert refused(["tune", "no.json"], 1).endswith(f"is refused: {reasons[0]}\n")
     given = ["--set", "motor_lag=0.03+-0.003", "--set", "rotor_speed_max=220"]
+    result("speed", weak=("k_T",)).write(files / "unit.json")  # full thrust is by k_T
+    assert "k_T (weak) not identified" in refused(["tune", "unit.json", *given], 1)
     assert run(["tune", "speed.json", *given, *FEW]) == 0
 
 

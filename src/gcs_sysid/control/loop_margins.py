@@ -196,14 +196,21 @@ def check_needs(vehicle: ExportedVehicle) -> None:
     ):
         if vehicle.get(name) is None:
             missing.setdefault(group, name)
-        elif vehicle.known[name].origin == "weak" and name not in _WEAK_ENOUGH:
-            missing.setdefault(group, f"{name} (weak)")
+        elif name not in _WEAK_ENOUGH and (weak := _weak_in(vehicle, name)):
+            missing.setdefault(group, f"{weak} (weak)")
     if missing:
         names = ", ".join(missing.values())
         advice = "; ".join(FLIGHT_FOR[group] for group in missing)
         raise MissingError(f"no gains from this result: {names} not identified: {advice}")
     if all(n in vehicle.known for n in INERTIA):
         vehicle.check_inertia()
+
+
+def _weak_in(vehicle: ExportedVehicle, name: str) -> str:
+    """The parameter, or one that it follows from, if that is weak; else empty."""
+    own = vehicle.known[name]
+    of = own.origin.removeprefix("from ").split(" and ") if own.derived else [name]
+    return next((n for n in of if n in vehicle.known and vehicle.known[n].origin == "weak"), "")
 
 
 def _one(
