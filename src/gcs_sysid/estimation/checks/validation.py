@@ -138,7 +138,7 @@ def predict_held_out(
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
         return None
     # Held out now and then: maneuvers come one after the other, and a part must have its own.
-    folds = [(i,) for i in range(5)] if data.own else [(1, 3)]
+    folds = [(i,) for i in range(5)] if data.is_whole else [(1, 3)]
     found: list[_Fold] = []
     # By how much it has moved: a flight may turn for a second and hover for the rest. By time,
     # where nearly all of that was a crash; by commands that spoils the thrust curve unseen.
@@ -228,7 +228,12 @@ def _slow_power(
 
     with W_b one for which what is slow counts more. NaN where there is none.
     """
-    own_places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
+    # How white is what a fit leaves; of the window's rows not by how it weighed them.
+    own_places = (
+        [data.whiteners.index(whitener) for whitener in fit.whiteners]
+        if data.of_steps
+        else list(data.judges)
+    )
     references = [slower(data.whiteners, i) for i in own_places]
     TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
     omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES

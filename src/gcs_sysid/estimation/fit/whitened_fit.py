@@ -8,7 +8,9 @@ second whose innovations are far stronger than the median, and more than the rot
 motion, are left out (`shocks_in`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +58,8 @@ _JUDGED = 3
 """Rounds of judging batches, each by the fit without those found before."""
 _CHOSEN = 3
 """Times that deviations from the model are chosen again."""
+_AS_CERTAIN = 0.1
+"""Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _STRETCHES, _STEPS = 3, 10
 """A minute has about as many kinds of maneuver; iterations without one of them."""
 
@@ -207,25 +211,64 @@ def fit_whitened(
     Returns:
         The fit, or None while the data cannot even start one.
     """
-    wanted = kept = np.ones(len(data.counts), dtype=bool) if only is None else only
     given = choice.given if choice is not None and choice.has_given else NO_DEVIATIONS
     deviations = given if start is None else start.deviating
-    bank = BankProblem(data, basis, prior, kept, deviations)
+    wanted = np.ones(len(data.counts), dtype=bool) if only is None else only
+    bank = BankProblem(data, basis, prior, wanted, deviations)
     if bank.rows < 3 * rb.N_THETA:
         return None
+    solved = []
     if start is None:
         trial = bank.scanned()
         if trial is None:
             return None
-        solved = bank.solve_from(trial)
+        if data.of_steps:
+            solved.append((bank, bank.solve_from(trial)))
+        else:
+            # Rows of the window share samples: what a leak leaves of them is not which is best.
+            for i in range(len(data.whiteners)):
+                own = (i,) * len(_AXES)
+                alone = replace(bank, data=replace(data, own=own))
+                solved.append((alone, alone.solve(own, trial.unknowns[[i]])))
     else:
         assert start.warm_start is not None
         unknowns = start.warm_start.unknowns
         pick = tuple(i for i in find_whiteners(start.whiteners, data.whiteners) if i is not None)
         if len(pick) == len(_AXES):
-            solved = bank.solve(pick, unknowns[None])
+            if not data.of_steps:
+                bank = replace(bank, data=replace(data, own=pick))
+            solved.append((bank, bank.solve(pick, unknowns[None])))
         else:
-            solved = bank.solve_from(bank.tried(unknowns))
+            solved.append((bank, bank.solve_from(bank.tried(unknowns))))
+    finish = partial(_finished, wanted=wanted, choice=choice, others=others, doubt=doubt,
+                     hover=hover, only=only, scatter=scatter)  # fmt: skip
+    return most_certain([finish(*one) for one in solved])
+
+
+def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
+    """The first that is nearly as certain as any, so the one with the shortest memory.
+
+    How certain each is, is itself estimated from scatter, with error. The least of several such
+    numbers is too small, and long memories, which sum up slow errors, gain most by chance.
+    """
+    uncertain = [float(np.mean(np.log(fit.rotation.std[: rb.DAMPING]))) for fit in fits]
+    return fits[int(np.argmax(uncertain <= np.min(uncertain) + _AS_CERTAIN))]
+
+
+def _finished(
+    bank: BankProblem,
+    solved: AxisFit,
+    *,
+    wanted: Mask,
+    choice: DeviationChoice | None,
+    others: bool,
+    doubt: float,
+    hover: float,
+    only: Mask | None,
+    scatter: bool,
+) -> WhitenedFit:
+    """The fit from where the search ended: without shocks, with deviations and intervals."""
+    data, basis, kept = bank.data, bank.basis, wanted
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         TP, variance = _innovation_maker(solved), solved.point.variance[0]
@@ -238,7 +281,7 @@ def fit_whitened(
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = data.of_axes(solved.pick)
     weighed = data
-    if data.own:
+    if data.is_whole:
         power = axis_power(_innovation_maker(solved), batches) / data.counts[:, None]
         # Over the median: geometric mean of the axes.
         relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
@@ -327,7 +370,7 @@ def _with_scatter(
         spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
     spread = spread[None]
     widening = student_factor(outcome.shares(0, batches), REACH, by_scatter)[None]
-    if data.own:
+    if data.is_whole:
         # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)
     if doubt:

@@ -142,9 +142,10 @@ class BankProblem:
         point, _ = minimize(problem, problem.extended(unknowns), limit)
         known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
         alike = self._alike(point, noise, known)
+        # An axis' noise is its own; of the window's rows power does not choose.
+        others = self.data.own if self.data.of_steps else range(len(alike))
         for axis, own in enumerate(self.data.own):
-            # An axis' noise is its own.
-            alike[[i for i in self.data.own if i != own], axis] = np.inf
+            alike[[i for i in others if i != own], axis] = np.inf
         found = point.unknowns.copy()
         if self.basis.motors:
             found[:, COORDINATES] = at  # plain rows have none

@@ -375,9 +375,9 @@ class WhitenedMoments:
         gains: (bank,) variance of a row over that of white noise of the gyro, where rows are the
             window's, which share samples; None: they are of one step.
         muted: columns that are taken as zero.
-        own: places of the likeliest of the whole record, of each axis, which no other axis takes.
-            Their innovations are as white as they can be, and rows count by how strong these are in
-            their batch. Empty: there is none.
+        own: places of those that each axis takes, and no other axis. Of rows of one step these are
+            the likeliest of the whole record: their innovations are as white as they can be, and
+            rows count by how strong these are in their batch. Empty: any.
         judges: of each axis, those used for how much of the motion is explained and predicted: of
             offline estimates the online one's, with which its bounds were found; of rows of the
             window no leak. Empty: those of the fit.
@@ -402,6 +402,11 @@ class WhitenedMoments:
     def of_steps(self) -> bool:
         """Whether rows are of one step."""
         return self.gains is None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the flight is over, and its likeliest whiteners are known."""
+        return bool(self.own) and self.of_steps
 
     @property
     def edges(self) -> NDArray[np.int64]:
