@@ -266,11 +266,11 @@ def test_parameters_of_later_blocks_are_known_before_the_samples():
 
 
 @pytest.mark.slow
-def test_two_of_many_rotors_that_are_swapped_are_named(fly):
-    """The fit explains 96 % of each axis even so."""
-    octo = fly(
-        "--mission", "doublets", "--seed", "3", "--duration", "40", "--airframe", "px4-octo-x"
-    )
+@pytest.mark.parametrize(("mission", "rate"), [("doublets", "250"), ("all-axes", "100")])
+def test_two_of_many_rotors_that_are_swapped_are_named(fly, mission, rate):
+    """The fit explains 96 % of each axis even so; of all axes at once 98.4 to 99.9 %."""
+    flight = "--mission", mission, "--rate", rate, "--seed", "3", "--duration", "40"
+    octo = fly(*flight, "--airframe", "px4-octo-x")
     airframe = load_airframe("px4-octo-x").with_anchor("mass", octo.truth["mass"])
     assert "swapped" not in str(analyze_log(octo.tlog, airframe).reasons)
     one, two, *others, eight = airframe.rotors

@@ -30,7 +30,7 @@ _OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
 _OFF, _SURE = 0.3, 4.0
 """By how much, and how many standard deviations, a share must be off to count."""
 _NONE = 1e-8
-"""Share of an axis' acceleration below which gyroscopic torque is negligible."""
+"""Share of an axis' acceleration that is negligible, of gyroscopic torque or unexplained."""
 _ROUNDING = 1e-30
 """Of the largest input, what the square of one must exceed."""
 LEAST_RATE = 0.1
@@ -40,8 +40,9 @@ _CONVINCING = 0.5
 """Share of the motion left unexplained, over the three axes' product, that another layout leaves of
 it at most."""
 _EQUAL = 0.01
-"""Shares of the motion that differ by less say nothing; by that much, in logarithms of what is left
-of them, another layout may be worse on an axis."""
+"""By which logarithms of what is left differ where they say the same: another layout may be worse
+by that much on an axis. How little is left says nothing: with rotors 2 and 8 of an octocopter
+exchanged it was .2, .07 and 1.6 %, and a five hundredth of that, over the axes, without."""
 _WHITENERS = ("leak 0.3 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz")
 
 
@@ -128,8 +129,6 @@ def find_other_layout(
     )
     # Of the same rows: by others, gusts count for less or for more.
     own, found = _left(small, basis), []
-    if own.sum() - own.size * np.log(_EQUAL) <= -np.log(_CONVINCING):
-        return None  # no layout can leave so much less
     for says, other in _mistakes(geometry):
         between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
         if np.linalg.cond(between) > 1e6:
@@ -147,7 +146,7 @@ def _left(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
     explained = explained_by(data, basis)
     if explained is None:
         return np.zeros(3)
-    left: Array = np.log(np.clip(1.0 - explained, _EQUAL, 1.0))
+    left: Array = np.log(np.clip(1.0 - explained, _NONE, 1.0))
     return left
 
 

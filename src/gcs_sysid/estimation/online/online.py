@@ -83,6 +83,8 @@ class OnlineEstimator:
         self._rigid_body_test: RigidBodyTest | None = None
         self._validation: Validation | None = None
         """The latest of a running flight."""
+        self._other_layout: str | None = None
+        """Likewise."""
         self._rigid_body_test_at = 0.0
 
     @property
@@ -255,6 +257,7 @@ class OnlineEstimator:
                 i.seconds,
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
+                other_layout=self._other_layout,
                 running=True,
                 moments=i.at(rot, self.record),
             )
@@ -291,12 +294,14 @@ class OnlineEstimator:
         trans = self._thrust.with_slope(trans, rot, self.prior)
         if self.record.article is None and not series:
             self._validation = self._rotation.validate(self.prior)
+            self._other_layout = self._rotation.other_layout()
         return Fit(
             rot,
             trans,
             self.seconds,
             self._validation,
             rigid_body_test=rigid_body_test,
+            other_layout=self._other_layout,
             running=True,
             moments=self._rotation.moments(rot),
         )
