@@ -363,8 +363,8 @@ def tables(outcomes: Sequence[Outcome]) -> list[str]:
         *markdown(["% less variance", *map(str, CASES)], attitudes),
         "",
         "The article's noise has no gyro bias. MEMS sensors do (0.01 rad/s), and the article's "
-        "filter passes it on as bias / k_p. The tool's filter finds it within seconds: what its "
-        "two last lines differ by is what it costs to find it from scratch.",
+        "filter passes it on as bias / k_p. The tool's filter finds it within seconds; what "
+        "that costs is the difference of its two lines.",
         "",
         "### Tracking differentiator",
         "",
