@@ -57,6 +57,8 @@ def test_the_commands_to_begin_with_are_understood(capsys):
         (["flight.bin"], "check"),
         (["--mass", "1.5", "b.ulg"], "check"),
         ([str(GOLDEN)], "check"),
+        (["flight.tlgo"], "check"),
+        (["udpin:0.0.0.0:14550"], "udpin:0.0.0.0:14550"),
         (["analyse", "a.ulg"], "analyze"),
         (["foo"], "foo"),
     ],

@@ -16,8 +16,7 @@ from gcs_sysid import __version__
 from gcs_sysid.cli.commands import COMMANDS, PROGRAM, build_parser
 from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
 from gcs_sysid.errors import GcsSysidError, InputError, one_line
-from gcs_sysid.files import TABLE_SUFFIXES, log_file, never_fail_to_print, with_mapping
-from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
+from gcs_sysid.files import log_file, never_fail_to_print, with_mapping
 
 
 def failure_line(error: Exception, log: str = "") -> str:
@@ -168,9 +167,9 @@ def with_command(argv: Sequence[str]) -> list[str]:
 
 
 def _is_log(word: str) -> bool:
-    """Whether a word is a file or folder, or was meant to be a log."""
+    """Whether a word is a file or folder, or was meant for one: no command has an ending."""
     path = log_file(Path(word))
-    return path.exists() or path.suffix.lower() in ANY_SUFFIX | TABLE_SUFFIXES
+    return path.exists() or path.suffix[1:].isalnum()
 
 
 def _name_mappings(options: argparse.Namespace) -> None:

@@ -52,6 +52,8 @@ def _result(options: argparse.Namespace, airframe: Airframe | None) -> Result:
     if path.suffix.lower() == ".json":
         return read_result(path)
     if airframe is None:
+        if Path(options.log).suffix.lower() == ".json":
+            raise InputError(f"the result comes first: gcs-sysid twin {options.log} {path}")
         raise InputError(
             f"{path}: a log as RESULT needs --airframe, or write its result first: "
             f"gcs-sysid analyze {path} --json result.json"

@@ -115,7 +115,7 @@ def _families(T: float) -> tuple[_Family, ...]:
 
 
 @dataclass(frozen=True)
-class _Record:
+class _Residuals:
     """Residuals of every run.
 
     Attributes:
@@ -182,10 +182,10 @@ def likeliest(
         T: s of a row.
         near: numbers found for residuals much like these, where the search begins; none: not known.
     """
-    record, found = _Record(runs, sound), []
+    residuals, found = _Residuals(runs, sound), []
     for i, family in enumerate(_families(T)):
         starts = near[i][None] if near else family.starts
-        cost, x = _descended(family, record, starts)
+        cost, x = _descended(family, residuals, starts)
         whitener = family.made(x)
         nats = 0.5 * math.log(sum(len(run) for run in runs)) if whitener.disturbed else 1.0
         found.append((cost + nats * len(x), whitener, x))
@@ -202,14 +202,14 @@ def _nats(e: Array) -> float:
     return 0.5 * len(e) * math.log(max(float(e @ e), 1e-300))
 
 
-def _descended(family: _Family, record: _Record, starts: Array) -> tuple[float, Array]:
+def _descended(family: _Family, residuals: _Residuals, starts: Array) -> tuple[float, Array]:
     """Fewest nats by damped Gauss-Newton, and the numbers there."""
-    tried = [record.white(family.made(x)) for x in starts]
+    tried = [residuals.white(family.made(x)) for x in starts]
     best = int(np.argmin([_nats(e) for e in tried]))
     x, e = starts[best], tried[best]
     cost, damping = _nats(e), 1e-2
     for _ in range(_STEPS):
-        slopes = record.slopes(family, x)
+        slopes = residuals.slopes(family, x)
         power = max(float(e @ e), 1e-300) / len(e)
         gradient, information = -slopes.T @ e / power, slopes.T @ slopes / power
         gain = -1.0
@@ -217,7 +217,7 @@ def _descended(family: _Family, record: _Record, starts: Array) -> tuple[float, 
             H = information + np.diag(damping * np.diag(information) + 1e-9)
             step = np.clip(np.linalg.solve(H, gradient), -1.5, 1.5)
             to = np.clip(x + step, *family.spans)
-            there = record.white(family.made(to))
+            there = residuals.white(family.made(to))
             gain = cost - _nats(there)
             damping *= 0.1 if gain >= 0.0 else 10.0
         if gain < 0.0:
