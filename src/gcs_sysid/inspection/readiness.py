@@ -259,10 +259,13 @@ def _turned_by_rotors(found: Inspection) -> Iterator[Objection]:
     if not _is_flown(found) or found.explained is None:
         return
     if found.explained < LIMITS.explained:
+        causes, order = "vibration, gusts or slow data", ""
+        if found.layout is None or not found.layout.shown:
+            causes = "vibration, gusts, slow data or another motor order"
+            order = "give --airframe with the motors in the autopilot's order; "
         yield _blocks(
-            f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: vibration, "
-            "gusts, slow data or another motor order",
-            f"give --airframe with the motors in the autopilot's order; {_faster(found)}",
+            f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: {causes}",
+            f"{order}{_faster(found)}",
         )
     elif _is_rough(found):
         yield _limits(
