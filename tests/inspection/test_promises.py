@@ -48,7 +48,7 @@ def airframe_for(log: Path) -> Airframe:
 @pytest.mark.skipif(not LOGS.is_dir(), reason="no ../shared/logs beside the project")
 @pytest.mark.parametrize(
     "log",
-    [log for log in sorted(LOGS.rglob("*")) if log.suffix in _SUFFIXES],
+    [p for p in sorted(LOGS.rglob("*")) if p.suffix in _SUFFIXES and "field" not in p.parts],
     ids=lambda log: log.name,
 )
 def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
