@@ -317,10 +317,11 @@ class Twin:
         if overlap == 1:
             without = _difference(self._fly(self._basic, t, starts, rows, start), measured)
             basic = {name: e[:, -1] for name, e in without.items()}
-            each = self._fly(self._ensemble, t, starts, rows, start, carried)
-            for name, turned in _difference(each, measured).items():
-                end = turned[..., -1, :] - error[name][:, -1]
-                spread[name] = np.sqrt((end**2).mean(axis=0))
+            with np.errstate(over="ignore", invalid="ignore"):  # some that are drawn tumble
+                each = self._fly(self._ensemble, t, starts, rows, start, carried)
+                for name, turned in _difference(each, measured).items():
+                    end = turned[..., -1, :] - error[name][:, -1]
+                    spread[name] = np.sqrt((end**2).mean(axis=0))
         return _Errors(
             {name: e[:, 1:] for name, e in error.items()},
             {name: e[:, 1:] for name, e in _difference(_held(t, start), measured).items()},
