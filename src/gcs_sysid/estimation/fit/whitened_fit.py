@@ -251,8 +251,9 @@ def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
     How certain each is, is itself estimated from scatter, with error. The least of several such
     numbers is too small, and long memories, which sum up slow errors, gain most by chance.
     """
-    uncertain = [float(np.mean(np.log(fit.rotation.std[: rb.DAMPING]))) for fit in fits]
-    return fits[int(np.argmax(uncertain <= np.min(uncertain) + _AS_CERTAIN))]
+    stds = np.stack([fit.rotation.std[: rb.DAMPING] for fit in fits])
+    uncertain = np.log(np.maximum(stds, 1e-300)).mean(axis=1)  # what is muted has none
+    return fits[int(np.argmax(uncertain <= uncertain.min() + _AS_CERTAIN))]
 
 
 def _finished(
