@@ -16,7 +16,8 @@ from gcs_sysid import __version__
 from gcs_sysid.cli.commands import COMMANDS, PROGRAM, build_parser
 from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
 from gcs_sysid.errors import GcsSysidError, InputError, one_line
-from gcs_sysid.files import log_file, never_fail_to_print, with_mapping
+from gcs_sysid.files import TABLE_SUFFIXES, log_file, never_fail_to_print, with_mapping
+from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
 
 
 def failure_line(error: Exception, log: str = "") -> str:
@@ -161,15 +162,17 @@ def with_command(argv: Sequence[str]) -> list[str]:
     first = _BRITISH.get(argv[0], argv[0])
     if first in {command.name for command in COMMANDS}:
         return [first, *argv[1:]]
-    # What is no log at the front is a misspelt command.
-    alone = any(map(_is_log, argv)) if argv[0].startswith("-") else _is_log(argv[0])
+    if argv[0].startswith("-"):
+        return ["check", *argv] if any(map(_is_log, argv)) else [first, *argv[1:]]
+    # What is no log at the front is a misspelt command, which has no ending.
+    alone = _is_log(argv[0]) or Path(argv[0]).suffix[1:].isalnum()
     return ["check", *argv] if alone else [first, *argv[1:]]
 
 
 def _is_log(word: str) -> bool:
-    """Whether a word is a file or folder, or was meant for one: no command has an ending."""
+    """Whether a word is a file or folder, or was meant to be a log."""
     path = log_file(Path(word))
-    return path.exists() or path.suffix[1:].isalnum()
+    return path.exists() or path.suffix.lower() in ANY_SUFFIX | TABLE_SUFFIXES
 
 
 def _name_mappings(options: argparse.Namespace) -> None:
