@@ -23,14 +23,15 @@ from gcs_sysid.errors import LinkError
 from gcs_sysid.live.reception import Item, Reception, RecordingReport
 from gcs_sysid.processes import apart
 from gcs_sysid.telemetry.frames import join_frames, split_frames
-from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Requests
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames
 from gcs_sysid.telemetry.urls import LinkUrl
 
 REQUESTS = (
     "heartbeat", "set_message_interval", "get_message_interval", "request_message_interval",
     "request_group", "read_parameter",
 )  # fmt: skip
-"""What a session may have the receiver's gate ask: the methods of `Requests`."""
+"""What a session may have the receiver's gate ask: methods of `Gate`."""
 _HEAD = struct.Struct("<QI")
 """When frames arrived, us since 1970, 0 for anything else; bytes that follow."""
 
@@ -176,7 +177,7 @@ class ReceiverProcess:
         self.url = self._opened(url)
         settings = {"listen_only": listen_only, "signing": signing_key is not None}
         relayed = RelayedRequests(lambda *what: self._order("ask", *what), **settings)
-        self._gate = cast(Requests, relayed)
+        self._gate = cast(Gate, relayed)
         self._reader = threading.Thread(target=self._read, name="receiver", daemon=True)
         self._reader.start()
 
@@ -192,7 +193,7 @@ class ReceiverProcess:
         raise opened
 
     @property
-    def gate(self) -> Requests:
+    def gate(self) -> Gate:
         """Passes requests to the receiver; its gate decides."""
         return self._gate
 

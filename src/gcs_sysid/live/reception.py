@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
-from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Requests, Transceiver
+from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
 POLL = 0.05
@@ -189,7 +190,7 @@ class Reception:
         return self._transceiver.url
 
     @property
-    def gate(self) -> Requests:
+    def gate(self) -> Gate:
         """Decides what is sent."""
         return self._transceiver.gate
 

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 
 from gcs_sysid.signals.motor_order import MotorOrder, is_function, motor_outputs
-from gcs_sysid.telemetry.transceiver import Requests
+from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 _PX4_LAYOUT = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "SYS_AUTOSTART")
@@ -125,7 +125,7 @@ class ParameterRequests:
     ROUND_EVERY = 3.0
     """s at least between two requests for the same one."""
 
-    def __init__(self, gate: Requests, rotors: int = 4) -> None:
+    def __init__(self, gate: Gate, rotors: int = 4) -> None:
         self.missing: list[str] = []
         self._gate = gate
         self._rotors = rotors

@@ -10,8 +10,7 @@ from types import MappingProxyType
 
 from gcs_sysid.signals.records import NEEDED_RATE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
-from gcs_sysid.telemetry.transceiver import Requests
+from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP, Gate
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import (
     ARDUPILOT_LOOP_RATE,
@@ -55,9 +54,7 @@ class GroupRequests:
     _SILENT_BELOW = 0.3
     """Hz. What came slower than this was not on."""
 
-    def __init__(
-        self, gate: Requests, vehicle: MavlinkSystem, arriving: Mapping[str, float]
-    ) -> None:
+    def __init__(self, gate: Gate, vehicle: MavlinkSystem, arriving: Mapping[str, float]) -> None:
         self.asked: dict[str, float] = {}
         self.short: dict[str, float] = {}
         self._gate = gate
@@ -141,7 +138,7 @@ class StreamRequests:
 
     def __init__(
         self,
-        gate: Requests,
+        gate: Gate,
         rate: float,
         rotors: int = 4,
         baud: int | None = None,

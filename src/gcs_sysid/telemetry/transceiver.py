@@ -314,40 +314,6 @@ class LinkReport:
     signing_problem: str = ""
 
 
-class Requests(Protocol):
-    """What may be asked of a vehicle: see `outgoing.Gate`, which decides it."""
-
-    version: int
-
-    @property
-    def listen_only(self) -> bool:
-        """Whether nothing is sent at all."""
-
-    @property
-    def signing(self) -> bool:
-        """Whether frames are signed."""
-
-    def heartbeat(self) -> bool:
-        """As of `Gate`."""
-
-    def set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
-    ) -> bool:
-        """As of `Gate`."""
-
-    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
-        """As of `Gate`."""
-
-    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
-        """As of `Gate`."""
-
-    def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
-        """As of `Gate`."""
-
-    def read_parameter(self, target: tuple[int, int], name: str) -> bool:
-        """As of `Gate`."""
-
-
 class Port(Protocol):
     """The port of a ground station, here or in another process."""
 
@@ -356,7 +322,7 @@ class Port(Protocol):
         """Of the link."""
 
     @property
-    def gate(self) -> Requests:
+    def gate(self) -> Gate:
         """What is to be sent goes here."""
 
     @property

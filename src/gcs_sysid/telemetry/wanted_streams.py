@@ -23,8 +23,12 @@ from gcs_sysid.signals.records import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import CHECKSUM, HEADER_2, LONGEST_1, SIGNATURE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, MOST_OF_GROUP, SHORTEST_INTERVAL
-from gcs_sysid.telemetry.transceiver import Requests
+from gcs_sysid.telemetry.outgoing import (
+    LONGEST_INTERVAL,
+    MOST_OF_GROUP,
+    SHORTEST_INTERVAL,
+    Gate,
+)
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 USABLE = 0.92
@@ -250,9 +254,7 @@ class StreamRestoration:
     SETTLED = 1.0
     """s after a request in which it has taken effect; s that an answer is waited for."""
 
-    def __init__(
-        self, gate: Requests, rotors: int, folder: Path | None = None, link: str = ""
-    ) -> None:
+    def __init__(self, gate: Gate, rotors: int, folder: Path | None = None, link: str = "") -> None:
         self._gate = gate
         self._rotors = rotors
         self._folder = folder
