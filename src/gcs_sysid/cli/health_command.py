@@ -161,8 +161,7 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     if health.curve is not None:
         curve = health.curve
         origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"
-        if curve.c.value is not None:
-            yield _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half or 0.0, origin))
+        yield _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half, origin))
     yield from _fact(document, "drift_per_minute")
     if health.motor_lag:
         yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
@@ -199,7 +198,6 @@ def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:
     yield f"Autopilot parameters that fit{of} (nothing is sent; --params FILE writes them)"
     for one in found:
         assert one.quantity is not None
-        assert one.quantity.value is not None
         half = one.quantity.half or 0.0
         now = "" if one.now is None else f"  now {one.now:.4g}"
         interval = f" ± {half:.3f}" if half else ""

@@ -21,7 +21,7 @@ from gcs_sysid import __version__
 from gcs_sysid.fleet.batch import Row
 from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.health_trend import Series, slopes
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Quantity
 from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING, Parameter
 from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, chart_of, line
 from gcs_sysid.report.parts import (
@@ -118,7 +118,7 @@ class FleetVehicle:
         ]  # fmt: skip
 
     @property
-    def proposed(self) -> dict[str, tuple[Estimate, float | None, int]]:
+    def proposed(self) -> dict[str, tuple[Quantity, float | None, int]]:
         """Autopilot parameter -> its value by all flights, as it was last, and their number."""
         found: dict[str, list[dict[str, Any]]] = {}
         for flight in self.flights:
@@ -128,7 +128,7 @@ class FleetVehicle:
             name: (
                 pooled(
                     [
-                        Estimate(one["value"], one["std"], std_given=one["std_given"] or 0.0)
+                        Quantity(one["value"], one["std"], std_given=one["std_given"] or 0.0)
                         for one in some
                     ]
                 ),
@@ -208,18 +208,18 @@ def scatter_of(results: Sequence[Result], level: float) -> Scatter:
     """
     names = dict.fromkeys(name for result in results for name in result.estimates)
     series = {
-        name: [e for r in results if (e := r.estimates.get(name)) is not None and is_sound(e)]
+        name: [e for r in results if (e := sound(r.estimates.get(name))) is not None]
         for name in names
     }
     tested = max(sum(len(known) > 1 for known in series.values()), 1)
     return {name: _variance(known, level / tested) for name, known in series.items()}
 
 
-def _variance(known: Sequence[Estimate], level: float) -> float:
+def _variance(known: Sequence[Quantity], level: float) -> float:
     if len(known) < FEWEST:
         return 0.0
-    found = [(_value(a) - _value(b)) ** 2 for a, b in pairwise(known)]
-    own = [_std(a) ** 2 + _std(b) ** 2 for a, b in pairwise(known)]
+    found = [(a.value - b.value) ** 2 for a, b in pairwise(known)]
+    own = [_variance_of(a) + _variance_of(b) for a, b in pairwise(known)]
     freedom = max(_FREEDOM * len(found), 1.0)
     caution = (student_limit(freedom, level) / normal_limit(level)) ** 2
     middle = normal_limit(0.5) ** 2  # the median of chi squared with one degree of freedom
@@ -284,12 +284,12 @@ def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
     expected = {}
     for name in names:
         known = [flight.estimates[name] for flight in flights if name in flight.estimates]
-        sound = [estimate for estimate in known if is_sound(estimate)]
+        well = [each for estimate in known if (each := sound(estimate)) is not None]
         expected[name] = known[-1]
-        if sound:
-            value, variance = mean(sound, scatter[name])
+        if well:
+            value, variance = mean(well, scatter[name])
             std = math.sqrt(variance + scatter[name])
-            expected[name] = replace(sound[-1], value=value, std=std, std_given=0.0)
+            expected[name] = replace(well[-1], value=value, std=std, std_given=0.0)
     return replace(
         last,
         source=source,
@@ -298,36 +298,29 @@ def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
     )
 
 
-def is_sound(estimate: Estimate) -> bool:
-    """Whether a flight alone determines the parameter well."""
-    return (
-        estimate.status in ("identified", "zero")
-        and estimate.value is not None
-        and bool(estimate.std_data)
-        and estimate.rests_on is None
-    )
+def sound(estimate: Estimate | None) -> Quantity | None:
+    """The estimate, where a flight alone determines the parameter well; else None."""
+    if estimate is None or estimate.status not in ("identified", "zero"):
+        return None
+    return estimate.known if estimate.std_data and estimate.rests_on is None else None
 
 
-def mean(sound: Sequence[Estimate], between: float) -> tuple[float, float]:
+def mean(known: Sequence[Quantity], between: float) -> tuple[float, float]:
     """Weighted mean of sound estimates and its variance.
 
     Args:
-        sound: at least one.
+        known: at least one.
         between: variance between flights.
     """
-    weights = [1.0 / (_std(estimate) ** 2 + between) for estimate in sound]
+    weights = [1.0 / (_variance_of(estimate) + between) for estimate in known]
     total = sum(weights)
-    value = sum(w * _value(e) for w, e in zip(weights, sound, strict=True)) / total
+    value = sum(w * e.value for w, e in zip(weights, known, strict=True)) / total
     return value, 1.0 / total
 
 
-def _value(estimate: Estimate) -> float:
-    return math.nan if estimate.value is None else estimate.value
-
-
-def _std(estimate: Estimate) -> float:
+def _variance_of(estimate: Quantity) -> float:
     # What was given is wrong by as much in every flight.
-    return math.nan if estimate.std_data is None else estimate.std_data
+    return (estimate.std_data or 0.0) ** 2
 
 
 _LEGEND = (
@@ -455,7 +448,7 @@ def _section(place: int, vehicle: FleetVehicle) -> Markup:
         for flight in vehicle.changed
         if flight.change is not None
         for text in flight.change.comparison.notes
-        if "changed at the masses given" in text
+        if "the mass of B" in text
     ]
     return section(
         f"vehicle-{place}",
@@ -487,7 +480,7 @@ def _hover(vehicle: FleetVehicle) -> Iterator[Markup]:
         [
             name,
             PAGE.number(now, 4),
-            PAGE.measure(estimate.value or 0.0, estimate.half, ""),
+            PAGE.measure(estimate.value, estimate.half, ""),
             str(flights),
         ]
         for name, (estimate, now, flights) in vehicle.proposed.items()
@@ -522,10 +515,10 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
     assert change is not None
     out: list[list[Child]] = []
     for found in change.differences:
-        assert found.value is not None
-        assert found.std is not None
         expected = None if found.before is None else found.before.value
-        share = f" ({PAGE.fixed(100.0 * found.value / abs(expected), 1)} %)" if expected else ""
+        by, share = Estimate(found.value, found.std, found.unit), ""
+        if expected and found.value is not None:
+            share = f" ({PAGE.fixed(100.0 * found.value / abs(expected), 1)} %)"
         out.append(
             [
                 str(flight.number),
@@ -533,7 +526,7 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
                 found.name,
                 value_text(found.name, found.before),
                 value_text(found.name, found.after),
-                value_text(found.name, Estimate(found.value, found.std, found.unit)) + share,
+                value_text(found.name, by) + share,
             ]
         )
     return out
@@ -547,11 +540,11 @@ def _span(change: FlightChange) -> str:
 
 def value_text(name: str, estimate: Estimate | None) -> str:
     """An estimate with its interval, in the unit that people read it in."""
-    if estimate is None or estimate.value is None or estimate.std is None:
+    known = None if estimate is None else estimate.known
+    if known is None:
         return PAGE.nothing
-    exponent = REGISTRY[name].exponent
-    half = Z95 * estimate.std
-    return number_figures(estimate.value, half, estimate.unit, PAGE, exponent=exponent).measure
+    exponent, half = REGISTRY[name].exponent, Z95 * known.std
+    return number_figures(known.value, half, known.unit, PAGE, exponent=exponent).measure
 
 
 def _flights(vehicle: FleetVehicle) -> Markup:
@@ -645,11 +638,10 @@ def trend_figure(vehicle: FleetVehicle, name: str) -> Markup:
 def _mean_line(
     era: Sequence[Flight], name: str, scatter: float, chart: FlightsChart
 ) -> Markup | None:
-    estimates = [f.result.parameters[name] for f in era if name in f.result.parameters]
-    sound = [estimate for estimate in estimates if is_sound(estimate)]
-    if len(sound) < 2:
+    known = [e for f in era if (e := sound(f.result.parameters.get(name))) is not None]
+    if len(known) < 2:
         return None
-    at = chart.y(mean(sound, scatter)[0])
+    at = chart.y(mean(known, scatter)[0])
     return line(chart.x(era[0].number - 0.35), at, chart.x(era[-1].number + 0.35), at, "mean")
 
 

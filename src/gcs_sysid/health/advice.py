@@ -138,8 +138,6 @@ def _cg(health: Health) -> Iterator[Finding]:
     scale = 1.0 if battery is None or mass is None else mass / battery
     arm = health.airframe.arm
     for place, ways in zip(health.cg, WAYS.values(), strict=True):
-        assert place.value is not None
-        assert place.std is not None
         value, half, unit = cg_length(place.value, place.std, arm, health.arm_std)
         worth, _, _ = cg_length(TUNING.worth_moving * arm, 0.0, arm, health.arm_std)
         if abs(value) < max(half, worth):
@@ -167,7 +165,7 @@ def _cg(health: Health) -> Iterator[Finding]:
 def _yaw(health: Health) -> Iterator[Finding]:
     """What holds the heading in hover, where that is a lot."""
     share = health.yaw_imbalance
-    if share is None or share.value is None or share.std is None:
+    if share is None:
         return
     if abs(share.value) - TUNING.sure * share.std < TUNING.much_yaw:
         return
@@ -193,7 +191,7 @@ def _unlike_motors(health: Health) -> list[Finding]:
     off = []
     for i, rotor in enumerate(health.rotors, 1):
         gain = rotor.motor_gain
-        if gain is None or gain.value is None or gain.std is None:
+        if gain is None:
             continue
         if abs(gain.value - 1.0) - TUNING.sure * gain.std > TUNING.motor_scatter:
             percent = 100.0 * abs(1.0 - gain.value)
@@ -235,11 +233,7 @@ def _unlike_loads(health: Health) -> Iterator[Finding]:
 
 def _margins(health: Health) -> Iterator[Finding]:
     ratio = health.thrust_to_weight
-    if (
-        ratio is not None
-        and ratio.value is not None
-        and ratio.value < TUNING.least_thrust_to_weight
-    ):
+    if ratio is not None and ratio.value < TUNING.least_thrust_to_weight:
         full = f"full thrust is {ratio.value:.1f} times the weight"
         least = f"less than {TUNING.least_thrust_to_weight:g} leaves little to control with"
         yield Finding("the weight", full, f"{full}: {least}; lighten it")

@@ -34,7 +34,7 @@ from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import misfits, of_turning
 from gcs_sysid.judgement.status import READINGS, ROTORS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate, Objection
+from gcs_sysid.model.estimate import Objection, Quantity
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.health_view import HOVER
 from gcs_sysid.results.result import Result
@@ -287,7 +287,7 @@ def health_of(
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)
-    places = [0.0 if place.value is None else place.value for place in health.cg or ()]
+    places = [place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     unfit = tuple(_misfits(health, guess))
@@ -307,7 +307,7 @@ def health_of(
 def _misfits(health: Health, guess: GuessedAirframe) -> Iterator[Objection]:
     """What was given against the flight."""
     assert health.rotor_input is not None
-    known = {} if health.scale is None else {health.scale[0]: health.scale[1].value or 0.0}
+    known = {} if health.scale is None else {health.scale[0]: health.scale[1].value}
     if health.known_mass is not None:
         known["mass"] = health.known_mass
     yield from misfits(known, guess.airframe, health.rotor_input, guess.arm_std)
@@ -354,17 +354,15 @@ def _as_identified(health: Health, result: Result) -> Health:
     return advised(replace(health, doubts=(*health.doubts, *unlike)))
 
 
-def _better(result: Result, name: str, of_hover: Estimate) -> Estimate | None:
+def _better(result: Result, name: str, of_hover: Quantity) -> Quantity | None:
     """A parameter as identified, if its interval is the narrower one; else None."""
     found = result.parameters.get(name)
     if found is None or found.status not in ("identified", "zero"):
         return None
-    if found.value is None or found.std is None or of_hover.std is None:
+    known = found.known
+    if known is None or known.unit != of_hover.unit or known.std >= of_hover.std:
         return None
-    if found.unit != of_hover.unit:
-        return None
-    known = found.status not in ("given", "unobservable") and found.std < of_hover.std
-    return found if known else None
+    return known
 
 
 def _rotor_stream(streams: Streams, airframe: Airframe) -> tuple[RotorInput, RotorStream]:
@@ -449,7 +447,7 @@ def _balances(
     yaw_value = float(yaw.value[0])
     # A curve that is off by dc moves all of it: by central differences.
     slope = np.zeros(len(shares) + 4)
-    if curve is not None and curve.c.std and curve.c.value is not None:
+    if curve is not None and curve.c.std:
         step = min(curve.c.std, 0.1)
         low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
         ends = []
@@ -471,11 +469,11 @@ def _balances(
     assumed = np.hypot(assumed, center.level_std)
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
     places = tuple(
-        Estimate(float(v), float(math.hypot(f, a)), "m", std_given=float(a))
+        Quantity(float(v), float(math.hypot(f, a)), "m", std_given=float(a))
         for v, f, a in zip(cg, flown, assumed, strict=True)
     )
     share_flown = np.array(
-        [balance.mean_of(share, hover.half).std or 0.0 for share in (thrust / total[:, None]).T]
+        [balance.mean_of(share, hover.half).std for share in (thrust / total[:, None]).T]
     )
     by_wind = balance.shares_by_wind(airframe, center)
     share_flown = np.sqrt(share_flown**2 + by_curve[2:-2] ** 2 + by_wind**2)
@@ -484,8 +482,8 @@ def _balances(
     shaking = vibration_of(streams, hover)
     rotors = tuple(
         RotorHealth(
-            Estimate(float(s), math.hypot(f, a), "1", std_given=float(a)),
-            Estimate(1.0, TUNING.rotor_scatter, "1", std_given=TUNING.rotor_scatter),
+            Quantity(float(s), math.hypot(f, a), "1", std_given=float(a)),
+            Quantity(1.0, TUNING.rotor_scatter, "1", std_given=TUNING.rotor_scatter),
             gains[i],
             None,
             None,
@@ -498,7 +496,7 @@ def _balances(
     given = abs(float(by_given[-1])) * per_thrust
     scale, mass = _scale(
         airframe,
-        Estimate(
+        Quantity(
             per_thrust,
             math.hypot(per_std, float(by_curve[-1]) * per_thrust, given),
             "1",
@@ -513,7 +511,7 @@ def _balances(
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
         center=center,
         rotors=rotors,
-        yaw_imbalance=Estimate(yaw_value, yaw_std, "1", std_given=yaw_given),
+        yaw_imbalance=Quantity(yaw_value, yaw_std, "1", std_given=yaw_given),
         scale=scale,
         mass=mass,
         assumptions=_assumptions(guess, curve),
@@ -521,21 +519,19 @@ def _balances(
 
 
 def _scale(
-    airframe: Airframe, per_thrust: Estimate, *, by_command: bool
-) -> tuple[tuple[str, Estimate] | None, Estimate | None]:
+    airframe: Airframe, per_thrust: Quantity, *, by_command: bool
+) -> tuple[tuple[str, Quantity] | None, Quantity | None]:
     """k_T or T_max of a given mass, or the mass of a given coefficient.
 
     per_thrust is lift over the sum of thrust in the rotors' unit: k_T / m or T_max / m.
     """
     name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
     given = airframe.T_max if by_command else airframe.k_T
-    assert per_thrust.value is not None
-    assert per_thrust.std is not None
     own, assumed = (each / per_thrust.value for each in (per_thrust.std, per_thrust.std_given))
 
-    def of(value: float, scaled: str, known_to: float) -> Estimate:
+    def of(value: float, scaled: str, known_to: float) -> Quantity:
         std, both = math.hypot(own, known_to), math.hypot(assumed, known_to)
-        return Estimate(value, value * std, scaled, std_given=value * both)
+        return Quantity(value, value * std, scaled, std_given=value * both)
 
     if airframe.mass is not None:
         known_to = airframe.uncertainty.scale_share("mass", airframe.mass)
@@ -543,7 +539,7 @@ def _scale(
     if given is None:
         return None, None
     mass = of(given / per_thrust.value, "kg", airframe.uncertainty.scale_share(name, given))
-    return (name, Estimate(given, 0.0, unit)), mass
+    return (name, Quantity(given, 0.0, unit)), mass
 
 
 def _compared(

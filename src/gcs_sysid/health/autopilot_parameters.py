@@ -39,7 +39,7 @@ from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
 from gcs_sysid.judgement.plausibility import of_turning
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameter_file import SUFFIXES, parameter_lines
 
 _FULL, _EMPTY = 4.2, 3.3
@@ -67,7 +67,7 @@ class Proposal:
     """
 
     name: str
-    quantity: Estimate | None
+    quantity: Quantity | None
     now: float | None
     note: str = ""
     use: float = math.inf
@@ -97,9 +97,9 @@ class Proposal:
     @property
     def _chosen(self) -> float | None:
         """The value that the truth is surely nearer to than to the old one; None: there is none."""
-        if not self.known or self.quantity is None or self._value is None or self.now is None:
+        if not self.known or self.quantity is None or self.now is None:
             return None
-        value, sure = self._value, TUNING.sure * (self.quantity.std or 0.0)
+        value, sure = self.quantity.value, TUNING.sure * self.quantity.std
         # What a file holds is rounded to single precision.
         sure = max(sure, 1e-6 * abs(value))
         others = [self.now] if self.then is None else [self.now, self.then]
@@ -217,16 +217,14 @@ def proposed(flights: Sequence[Health]) -> tuple[Proposal, ...]:
     return tuple(one for one in determined(flights) if one.known and not one.keep)
 
 
-def _together(some: Sequence[Estimate]) -> Estimate | None:
+def _together(some: Sequence[Quantity]) -> Quantity | None:
     return pooled(some) if some else None
 
 
-def _curve(health: Health) -> Estimate | None:
+def _curve(health: Health) -> Quantity | None:
     """C of a flight, where it is of use."""
     curve = health.curve
-    if curve is None or curve.c.std is None or not 0.0 < curve.c.std < TUNING.usable_curve:
-        return None
-    return curve.c
+    return None if curve is None or not 0.0 < curve.c.std < TUNING.usable_curve else curve.c
 
 
 def _merged(some: Sequence[Proposal]) -> Proposal:
@@ -250,22 +248,18 @@ class _HoverFlight:
     """
 
     health: Health
-    curve: Estimate | None
-    voltage: Estimate | None
-    current: Estimate | None
+    curve: Quantity | None
+    voltage: Quantity | None
+    current: Quantity | None
 
     def now(self, name: str) -> float | None:
         return self.health.parameters.get(name)
 
     def propose(
-        self, name: str, quantity: Estimate | None, note: str = "", **more: Any
+        self, name: str, quantity: Quantity | None, note: str = "", **more: Any
     ) -> Proposal:
         sound = (
-            quantity is not None
-            and quantity.value is not None
-            and quantity.std is not None
-            and math.isfinite(quantity.value)
-            and math.isfinite(quantity.std)
+            quantity is not None and math.isfinite(quantity.value) and math.isfinite(quantity.std)
         )
         return Proposal(name, quantity if sound else None, self.now(name), note, **more)
 
@@ -290,7 +284,7 @@ class _HoverFlight:
         Powers far from both are of a voltage that is none of the pack's.
         """
         power = self.voltage
-        if power is None or power.value is None or power.std is None:
+        if power is None:
             return None
         off, sure = power.value - 0.5, TUNING.sure * power.std
         return off > 0.0 if sure < abs(off) < 1.0 + sure else None
@@ -301,7 +295,6 @@ class _HoverFlight:
         note = "thrust curve"
         x = self.health.hover_command
         if c is not None and self.curve is not None and now is not None and x is not None:
-            assert self.curve.value is not None
             gain = (1.0 - now + 2.0 * now * x.mean) / (
                 1.0 - self.curve.value + 2.0 * self.curve.value * x.mean
             )
@@ -310,16 +303,16 @@ class _HoverFlight:
         lacks = "" if c is not None else "no climbs or speeds that show the thrust curve"
         return self.propose(name, c, note, use=TUNING.usable_curve, lacks=lacks, fly=_CLIMB)
 
-    def curve_after(self, name: str) -> Estimate:
+    def curve_after(self, name: str) -> Quantity:
         """C that the autopilot has once what is to be set is set: exact where it is the old one."""
-        old = Estimate(self.now(name) or 0.0, 0.0, "1")
+        old = Quantity(self.now(name) or 0.0, 0.0, "1")
         if self.curve is None or self.now(name) is None:
             return self.curve or old
         proposal = self.propose(name, self.curve, use=TUNING.usable_curve)
         return self.curve if proposal.verdict == "set" else old
 
 
-def _hover(flight: _HoverFlight, c: Estimate, before: float, after: float) -> Estimate | None:
+def _hover(flight: _HoverFlight, c: Quantity, before: float, after: float) -> Quantity | None:
     """Throttle of a hover, by the curve and the share of the voltage made up for after all is set.
 
     It is that of flights to come: loads and charges differ from one to the next.
@@ -331,7 +324,7 @@ def _hover(flight: _HoverFlight, c: Estimate, before: float, after: float) -> Es
         after: the same, once all is set.
     """
     x = flight.health.hover_command
-    if x is None or c.value is None or c.std is None:
+    if x is None:
         return None
     air, by_air = (1.0, 0.0) if flight.health.autopilot == "px4" else flight.air
     value = air * x.thrust(c.value, after)
@@ -339,15 +332,15 @@ def _hover(flight: _HoverFlight, c: Estimate, before: float, after: float) -> Es
     by_curve = air * abs(after**2 * x.square - after * x.mean) * c.std
     given = math.hypot(by_air * value, by_curve)
     own = math.hypot(x.share, TUNING.common_command) * value
-    return Estimate(value, math.hypot(own, given), "1", std_given=given)
+    return Quantity(value, math.hypot(own, given), "1", std_given=given)
 
 
 def _then(
-    flight: _HoverFlight, name: str, of_curve: str, c: Estimate, voltage: tuple[float, float]
+    flight: _HoverFlight, name: str, of_curve: str, c: Quantity, voltage: tuple[float, float]
 ) -> float | None:
     """What a hover's throttle of now amounts to by another curve and voltage; None: the same."""
     x, now = flight.health.hover_command, flight.now(name)
-    if x is None or now is None or c.value is None:
+    if x is None or now is None:
         return None
     old = x.thrust(flight.now(of_curve) or 0.0, voltage[0])
     then = now * x.thrust(c.value, voltage[1]) / old if old > 0.0 else now
@@ -361,7 +354,7 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
     yield flight.propose(
         "MPC_THR_HOVER",
         hover := _hover(flight, c, 1.0, 1.0),
-        f"hover with THR_MDL_FAC {c.value or 0.0:.3g}",
+        f"hover with THR_MDL_FAC {c.value:.3g}",
         use=_of_hover(hover),
         lacks="" if hover is not None else "no commands of the motors",
         fly=_STEADY if hover is not None else "log actuator_motors or actuator_outputs",
@@ -387,7 +380,7 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
                     "m from the CG as flown", use=use, lacks=lacks, fly="give --arm",
                 )  # fmt: skip
             if ratio is not None and not lacks:
-                turn = Estimate(rotor.spin * ratio[0], ratio[1], "m", std_given=ratio[1])
+                turn = Quantity(rotor.spin * ratio[0], ratio[1], "m", std_given=ratio[1])
                 yield flight.propose(f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
     yield from _imu(flight, "EKF2_IMU_POS_")
     yield from _drag(flight, "EKF2_")
@@ -404,14 +397,12 @@ def _current(flight: _HoverFlight) -> Iterator[Proposal]:
             lacks = "no currents of the ESCs over a range of thrust"
             yield flight.propose(name, None, lacks=lacks, fly=_CURRENTS)
         return
-    assert pooled_slope.value is not None
-    assert line.mean.value is not None
     use = 2.0 * TUNING.worth_knowing * pooled_slope.value
     note = "current over thrust commanded, of all motors"
     after = flight.propose("MOTFAIL_C2T", pooled_slope, note, use=use, fly=_CURRENTS)
     yield replace(after, quantity=line.slope)
     used = pooled_slope.value if after.verdict == "set" else slope
-    level = Estimate(max(line.mean.value - used * line.thrust, 0.0), line.mean.std, "A")
+    level = Quantity(max(line.mean.value - used * line.thrust, 0.0), line.mean.std, "A")
     # The same line in hover as before, where only C2T is surely another.
     then = max(idle + (slope - used) * line.thrust, 0.0) if used != slope else None
     note = f"{line.mean.value:.3g} A in hover with MOTFAIL_C2T {used:.3g}"
@@ -419,9 +410,9 @@ def _current(flight: _HoverFlight) -> Iterator[Proposal]:
     yield flight.propose("MOTFAIL_IDLE", level, note, lacks=lacks, then=then, fly=_CURRENTS)
 
 
-def _of_hover(hover: Estimate | None) -> float:
+def _of_hover(hover: Quantity | None) -> float:
     """Half of an interval of a hover's throttle that is of use."""
-    return math.inf if hover is None else 2.5 * TUNING.worth_knowing * (hover.value or 0.0)
+    return math.inf if hover is None else 2.5 * TUNING.worth_knowing * hover.value
 
 
 def _ardupilot(flight: _HoverFlight) -> Iterator[Proposal]:
@@ -458,25 +449,21 @@ def _drag(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
         return
     # Both by the density of the air (drag_fusion.cpp): M as its root, B as itself.
     linear = drag.linear
-    assert linear.value is not None
-    assert linear.std is not None
     note = f"legs of up to {drag.fastest:.0f} m/s through the air, wind taken off"
     given = 0.5 * by_air * abs(linear.value)
     value = max(linear.value, 0.0) / math.sqrt(air)
-    found = Estimate(value, math.hypot(linear.std / math.sqrt(air), given), "1/s", std_given=given)
+    found = Quantity(value, math.hypot(linear.std / math.sqrt(air), given), "1/s", std_given=given)
     use = max(2.0 * TUNING.worth_knowing * value, TUNING.worth_drag)
     yield flight.propose(names[0], found, note, use=use, keep=keep, fly=_LEGS)
     square = drag.square
-    assert square.value is not None
-    assert square.std is not None
     ballistic = None
     if square.value > TUNING.sure * square.std:
         size = 0.5 * TUNING.sea_level * air / square.value
         given = by_air * size
         std = math.hypot(square.std / square.value * size, given)
-        ballistic = Estimate(size, std, "kg/m^2", std_given=given)
+        ballistic = Quantity(size, std, "kg/m^2", std_given=given)
     lacks = "" if ballistic is not None else "no legs fast enough for drag of the speed squared"
-    use = math.inf if ballistic is None else 4.0 * TUNING.worth_knowing * (ballistic.value or 0.0)
+    use = math.inf if ballistic is None else 4.0 * TUNING.worth_knowing * ballistic.value
     for name in names[1:]:
         yield flight.propose(name, ballistic, note, use=use, lacks=lacks, keep=keep, fly=_LEGS)
 
@@ -484,7 +471,7 @@ def _drag(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
 def _thrust_hover(flight: _HoverFlight) -> Proposal:
     health, x = flight.health, flight.health.hover_command
     c = flight.curve_after("MOT_THST_EXPO")
-    note = f"hover with MOT_THST_EXPO {c.value or 0.0:.3g}"
+    note = f"hover with MOT_THST_EXPO {c.value:.3g}"
     before = after = 1.0
     lacks = "" if x is not None else "no outputs of the motors"
     if flight.now("MOT_BAT_VOLT_MAX"):
@@ -501,9 +488,9 @@ def _thrust_hover(flight: _HoverFlight) -> Proposal:
     hover = None if lacks else _hover(flight, c, before, after)
     if hover is not None and after < 1.0 and flight.falls is None:
         # Of another battery's charge, unless thrust falls with the voltage: then made up for.
-        charge = (1.0 - after) * (hover.value or 0.0)
+        charge = (1.0 - after) * hover.value
         given = math.hypot(hover.std_given, charge)
-        hover = replace(hover, std=math.hypot(hover.std or 0.0, charge), std_given=given)
+        hover = replace(hover, std=math.hypot(hover.std, charge), std_given=given)
     logged = x is not None and x.throttle is not None and not lacks
     fly = _STEADY if logged else "take the autopilot's own log (.bin), with CTUN, MOTB and BAT"
     return flight.propose(
@@ -524,7 +511,7 @@ def _notch(flight: _HoverFlight, name: str, of_hover: float | None, why: str) ->
         why: behind the rotors' frequency.
     """
     hertz, now = flight.health.hover_frequency, flight.now(name) or 0.0
-    if hertz is None or hertz.value is None or hertz.std is None:
+    if hertz is None:
         lacks = "no measured speeds of the rotors"
         return flight.propose(name, None, lacks=lacks, fly=_SPEEDS)
     for otherwise in of_turning(flight.health.turning):
@@ -536,12 +523,12 @@ def _notch(flight: _HoverFlight, name: str, of_hover: float | None, why: str) ->
     given = 0.5 * TUNING.common_command * of_hover * hertz.value
     std = math.hypot(of_hover * hertz.std, given)
     note = f"rotors turn with {hertz.value:.0f} Hz in hover{why}"
-    found = Estimate(of_hover * hertz.value, std, "Hz", std_given=given)
+    found = Quantity(of_hover * hertz.value, std, "Hz", std_given=given)
     return flight.propose(name, found, note, keep=keep and f"{note}; it is {keep}")
 
 
 def _harmonic_notch(
-    flight: _HoverFlight, name: str, throttle: Estimate | None
+    flight: _HoverFlight, name: str, throttle: Quantity | None
 ) -> Iterator[Proposal]:
     """ArduPilot's, by the throttle of a hover once all is set; as wide for its frequency as now."""
     reference, mode = flight.now(f"{name}_REF"), flight.now(f"{name}_MODE") or 0.0
@@ -557,7 +544,7 @@ def _harmonic_notch(
     yield found
     width = flight.now(f"{name}_BW")
     if found.verdict == "set" and width and found.now and found.new:
-        size = Estimate(width * found.new / found.now, 0.0, "Hz")
+        size = Quantity(width * found.new / found.now, 0.0, "Hz")
         yield flight.propose(f"{name}_BW", size, "as wide for its frequency as now")
 
 
@@ -567,11 +554,11 @@ def _by_voltage(flight: _HoverFlight, name: str, full: float, unit: str) -> Prop
     if falls is None:
         lacks = "whether thrust falls with the voltage: the battery hardly fell, or is not logged"
         return flight.propose(name, None, lacks=lacks, fly=_DISCHARGE)
-    value = Estimate(full if falls else 0.0, 0.0, unit)
+    value = Quantity(full if falls else 0.0, 0.0, unit)
     return flight.propose(name, value, _power_words(power))
 
 
-def _power_words(power: Estimate | None) -> str:
+def _power_words(power: Quantity | None) -> str:
     assert power is not None
     share = f"{power.value:.2f} ± {power.half:.2f}"
     return f"thrust goes with the voltage to the power {share} of that of commands"
@@ -582,7 +569,7 @@ def _battery(flight: _HoverFlight) -> Iterator[Proposal]:
     names = [f"MOT_BAT_VOLT_{end}" for end in ("MAX", "MIN")]
     battery, falls = flight.health.battery, flight.falls
     if falls is False:
-        yield flight.propose(names[0], Estimate(0.0, 0.0, "V"), _power_words(flight.voltage))
+        yield flight.propose(names[0], Quantity(0.0, 0.0, "V"), _power_words(flight.voltage))
         return
     high, low, _ = battery or (0.0, 0.0, 0.0)
     cells = round(high / (_FULL - 0.05))
@@ -591,9 +578,9 @@ def _battery(flight: _HoverFlight) -> Iterator[Proposal]:
     for name, volt in zip(names, (_FULL, _EMPTY), strict=True):
         value = None
         if not flight.now(name) and whole:
-            value = Estimate(cells * volt, 0.0, "V")
-        elif falls and flight.now(name):
-            value = Estimate(flight.now(name), 0.0, "V")
+            value = Quantity(cells * volt, 0.0, "V")
+        elif falls and (now := flight.now(name)):
+            value = Quantity(now, 0.0, "V")
         note = f"{cells} LiPo cells by {high:.1f} V, the highest seen ({low:.1f} V the lowest)"
         why = lacks or ("" if value is not None else "no voltage of a pack of LiPo cells")
         yield flight.propose(name, value, note, lacks=why, fly=_DISCHARGE)
@@ -613,7 +600,7 @@ def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
             like = 2 * round(0.5 * poles / factor)
             lacks = f"what shakes the IMU is that of {like} poles, or a multiple of it"
         yield flight.propose(
-            "motor_poles", None if lacks else Estimate(poles, 0.0, "1"),
+            "motor_poles", None if lacks else Quantity(poles, 0.0, "1"),
             "the IMU is shaken at the speeds read", lacks=lacks, fly="count the motor's magnets",
         )  # fmt: skip
     c, x = _curve(flight.health), flight.health.hover_command
@@ -623,8 +610,6 @@ def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
         lacks = "no climbs or speeds that show the thrust curve"
         yield flight.propose("thrust_linear", None, lacks=lacks, fly=_CLIMB)
         return
-    assert c.value is not None
-    assert c.std is not None
 
     def percent(c: float) -> float:
         thrust = x.thrust(c)
@@ -634,14 +619,14 @@ def _betaflight(flight: _HoverFlight) -> Iterator[Proposal]:
     std = abs(percent(c.value + step) - value) / 0.05 * c.std
     gain = 1.0 + 0.01 * value * (1.0 - x.thrust(c.value)) ** 2
     yield flight.propose(
-        "thrust_linear", Estimate(value, std, "%", std_given=c.std_given / c.std * std),
+        "thrust_linear", Quantity(value, std, "%", std_given=c.std_given / c.std * std),
         "thrust curve at hover",
         keep=f"{value:.0f} makes thrust linear, but multiplies the gains in hover by {gain:.1f}: "
         "change it only with them",
     )  # fmt: skip
 
 
-def _spin_min(health: Health) -> Estimate | None:
+def _spin_min(health: Health) -> Quantity | None:
     """A little above the least output at which all rotors turned, over the range of outputs."""
     low, high = (health.parameters.get(f"MOT_PWM_{end}", 0.0) for end in ("MIN", "MAX"))
     if not 0.0 < low < high:
@@ -653,7 +638,7 @@ def _spin_min(health: Health) -> Estimate | None:
     # In flight no output is below MOT_SPIN_MIN: only an idle on the ground shows it.
     if not 0.0 < share < now - TUNING.idle_std:
         return None
-    return Estimate(share + TUNING.above_idle, TUNING.idle_std, "1", std_given=TUNING.idle_std)
+    return Quantity(share + TUNING.above_idle, TUNING.idle_std, "1", std_given=TUNING.idle_std)
 
 
 def _imu(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
@@ -670,12 +655,10 @@ def _imu(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
         )  # fmt: skip
 
 
-def _less(place: float, offset: Estimate, variance: float = 0.0) -> Estimate:
+def _less(place: float, offset: Quantity, variance: float = 0.0) -> Quantity:
     """A place from the CG, m; `variance` is that of what is given of it, beyond the CG's, m^2."""
-    assert offset.value is not None
-    assert offset.std is not None
     std, given = (math.sqrt(x**2 + variance) for x in (offset.std, offset.std_given))
-    return Estimate(place - offset.value, std, "m", std_given=given)
+    return Quantity(place - offset.value, std, "m", std_given=given)
 
 
 def check_suffix(path: Path, *, cli: bool = False) -> None:
@@ -756,7 +739,6 @@ def _lines(found: Sequence[Proposal], health: Health, suffix: str) -> list[str]:
     for one in found:
         assert one.quantity is not None
         value, half = one.quantity.value, one.quantity.half or 0.0
-        assert value is not None
         written = value if one.verdict != "set" or one.new is None else one.new
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"

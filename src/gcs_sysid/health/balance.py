@@ -22,7 +22,7 @@ from gcs_sysid.arrays import Array, nonnegative
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.significance import FALSE_ALARM_RATE, Z95
 
@@ -98,10 +98,10 @@ def robust_fit(
     return BalanceFit(value, covariance, scale)
 
 
-def mean_of(values: Array, half: float) -> Estimate:
+def mean_of(values: Array, half: float) -> Quantity:
     """The mean of (n,) ratios over windows half s apart, for other flights too."""
     fit = robust_fit(np.ones((len(values), 1)), values, between=half)
-    return Estimate(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+    return Quantity(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
 
 
 def usual_of(values: Array) -> float:
@@ -110,7 +110,7 @@ def usual_of(values: Array) -> float:
     return float(fit[0, 0])
 
 
-def pooled(flights: Sequence[Estimate]) -> Estimate:
+def pooled(flights: Sequence[Quantity]) -> Quantity:
     """One value of several flights', each with a value: their weighted mean.
 
     Where they scatter by more than each has by itself, by a ratio (Birge's), the interval is wider

@@ -9,7 +9,7 @@ from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.health.balance import BalanceFit, robust_fit
 from gcs_sysid.health.hover import Windows, variations_of_lift
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Curve:
         origin: in words.
     """
 
-    c: Estimate
+    c: Quantity
     origin: str
 
     def parts(self, by_curve: Array) -> tuple[Array, Array]:
@@ -51,7 +51,7 @@ def curve_of(
         autopilot_name: of that setting.
     """
     if given is not None:
-        return Curve(Estimate(given, 0.0, "1"), "given")
+        return Curve(Quantity(given, 0.0, "1"), "given")
     guess, sigma, origin = 0.5, TUNING.curve_std, "assumed"
     if own is not None and 0.0 < own <= 1.0:
         # Half of the fleet never touched it: it says little more than the usual.
@@ -60,7 +60,7 @@ def curve_of(
     found = _by_speeds(windows) if by_speeds else _by_lift(windows)
     if found is None or not -TUNING.sure * found[1] < found[0] < 1.0 + TUNING.sure * found[1]:
         # None, or none of a propeller: something else moves thrust and commands.
-        return Curve(Estimate(guess, sigma, "1", std_given=sigma), origin)
+        return Curve(Quantity(guess, sigma, "1", std_given=sigma), origin)
     c, std, by = found
     gain = sigma**2 / (sigma**2 + std**2)
     merged = guess + gain * (c - guess)
@@ -69,7 +69,7 @@ def curve_of(
     whole = math.hypot(min(widened, sigma), merged - clipped)
     # What was assumed is the same in every flight.
     assumed = min((1.0 - gain) * sigma, whole)
-    return Curve(Estimate(clipped, whole, "1", std_given=assumed), by if gain > 0.5 else origin)
+    return Curve(Quantity(clipped, whole, "1", std_given=assumed), by if gain > 0.5 else origin)
 
 
 def _ratio(fit: BalanceFit) -> tuple[float, float]:

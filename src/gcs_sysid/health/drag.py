@@ -21,7 +21,7 @@ from gcs_sysid.health.command_curve import gentle_of
 from gcs_sysid.health.hover import Windows, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.significance import Z95
@@ -37,8 +37,8 @@ class Drag:
         fastest: m/s through the air, of the legs.
     """
 
-    linear: Estimate
-    square: Estimate
+    linear: Quantity
+    square: Quantity
     fastest: float
 
 
@@ -95,7 +95,7 @@ def _fitted(axes: Array, flown: Array, force: Array) -> Drag | None:
     gusts = TUNING.gust_bias * (residual / motion) ** 2
     std = np.hypot(spread * float(stdtrit(free, 0.975)) / Z95, gusts * np.abs(value[:2]))
     linear, square = (
-        Estimate(float(v), float(s), unit)
+        Quantity(float(v), float(s), unit)
         for v, s, unit in zip(value[:2], std, ("1/s", "1/m"), strict=True)
     )
     return Drag(linear, square, float(np.percentile(through, 95.0)))

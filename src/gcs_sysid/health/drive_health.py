@@ -20,14 +20,14 @@ from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.vehicle_health import Health, HoverCommand, MotorCurrent
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Estimate, Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 
 
 def motor_gains(
     streams: Streams, hover: Windows, curve: Curve | None
-) -> tuple[Estimate | None, ...]:
+) -> tuple[Quantity | None, ...]:
     """Speed squared for the command over that of the mean rotor."""
     n = hover.speeds.shape[1]
     # A rotor that turns without a command is no motor at work.
@@ -38,22 +38,20 @@ def motor_gains(
     if len(hover.t) < TUNING.fewest_windows:
         return tuple([None] * n)
     # All rotors by the same curve; it matters by the difference of their commands alone.
-    c = 0.5 if curve is None or curve.c.value is None else curve.c.value
-    curve_found = curve_of(hover, None, None, "") if curve is None else curve
-    c = c if curve_found.c.value is None else curve_found.c.value
-    ratio = hover.speeds / thrust_of(hover, c)
+    c = (curve_of(hover, None, None, "") if curve is None else curve).c
+    ratio = hover.speeds / thrust_of(hover, c.value)
     ratio = ratio / ratio.mean(axis=1, keepdims=True)
     by_curve = np.zeros(n)
-    if curve_found.c.std:
-        step = _step(c)
-        other = hover.speeds / thrust_of(hover, c + step)
+    if c.std:
+        step = _step(c.value)
+        other = hover.speeds / thrust_of(hover, c.value + step)
         other = other / other.mean(axis=1, keepdims=True)
-        by_curve = (other - ratio).mean(axis=0) / step * curve_found.c.std
+        by_curve = (other - ratio).mean(axis=0) / step * c.std
     out = []
     for column, extra in zip(ratio.T, by_curve, strict=True):
         fit = balance.robust_fit(np.ones((len(column), 1)), column)
         std = math.sqrt(float(fit.covariance[0, 0]))
-        out.append(Estimate(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
+        out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
     return tuple(out)
 
 
@@ -85,7 +83,7 @@ def with_throttle(
         hertz = balance.mean_of(np.sqrt(squares) / (2.0 * math.pi), hover.half)
         health = replace(health, hover_frequency=replace(hertz, unit="Hz"))
     u = hover.commands
-    if streams.commands is None or curve is None or curve.c.value is None:
+    if streams.commands is None or curve is None:
         return health
     u = u[complete_rows(u)]
     if not len(u):
@@ -96,8 +94,6 @@ def with_throttle(
     throttle = balance.mean_of(u.mean(axis=1), hover.half)
     share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
     hover_thrust = balance.mean_of(share, hover.half)
-    assert hover_thrust.value is not None
-    assert hover_thrust.std is not None
     command = HoverCommand(
         balance.usual_of(u.mean(axis=1) * unit),
         balance.usual_of(hover.squares[rows].mean(axis=1) * unit),
@@ -112,10 +108,8 @@ def with_throttle(
         own, given = (float(part) for part in curve.parts(np.array(by_curve)))
         std = math.hypot(hover_thrust.std, own, given)
         hover_thrust = replace(hover_thrust, std=std, std_given=abs(given))
-    assert hover_thrust.value is not None
-    assert hover_thrust.std is not None
     squared = hover_thrust.value**2
-    to_weight = Estimate(
+    to_weight = Quantity(
         1.0 / hover_thrust.value,
         hover_thrust.std / squared,
         "1",
@@ -124,12 +118,11 @@ def with_throttle(
     rotors = []
     for i, rotor in enumerate(health.rotors):
         used = balance.mean_of(u[:, i], hover.half)
-        assert used.value is not None
         _, samples = streams.commands.samples[i]
         turning = samples[samples > 0.0]
         full = float(np.mean(turning >= TUNING.full_command)) if len(turning) else None
         rotors.append(
-            replace(rotor, headroom=Estimate(1.0 - used.value, used.std, "1"), saturated=full)
+            replace(rotor, headroom=Quantity(1.0 - used.value, used.std, "1"), saturated=full)
         )
     return replace(
         health,
@@ -152,7 +145,7 @@ def _logged(streams: Streams, name: str, hover: Windows, unit: Array | float = 1
     return balance.usual_of(found) if len(found) > 1 else None
 
 
-def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) -> Estimate | None:
+def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) -> Quantity | None:
     """Power a of the voltage in thrust that is f(u (V / V_0)^a), f the curve over commands.
 
     It is that of the speeds where they are measured, else of what lifts the vehicle, by which the
@@ -163,7 +156,7 @@ def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) ->
         windows: all those in flight.
         curve: of thrust over commands.
     """
-    if Stream.VOLTAGE not in streams.tracks or curve is None or curve.c.value is None:
+    if Stream.VOLTAGE not in streams.tracks or curve is None:
         return None
     volts = windowed_means(*streams.tracks[Stream.VOLTAGE], windows.t, windows.half)[:, 0]
     u, squares = windows.commands.mean(axis=1), windows.squares.mean(axis=1)
@@ -183,7 +176,7 @@ def power_of_voltage(streams: Streams, windows: Windows, curve: Curve | None) ->
     fit = balance.robust_fit(np.column_stack(columns), thrust[there], between=windows.half)
     full = float(fit.value[:2].sum())
     std = math.sqrt(max(float(fit.covariance[2, 2]), 0.0)) / abs(full) if full else 0.0
-    return Estimate(float(fit.value[2]) / full, std, "1") if std > 0.0 else None
+    return Quantity(float(fit.value[2]) / full, std, "1") if std > 0.0 else None
 
 
 def motor_current(streams: Streams, windows: Windows, c: float) -> MotorCurrent | None:
@@ -208,7 +201,7 @@ def motor_current(streams: Streams, windows: Windows, c: float) -> MotorCurrent 
     fit = balance.robust_fit(columns, amperes, between=windows.half)
     # The battery's charge differs from flight to flight.
     slope, level = (
-        Estimate(float(v), math.hypot(std, TUNING.common_command * abs(float(v))), "A")
+        Quantity(float(v), math.hypot(std, TUNING.common_command * abs(float(v))), "A")
         for v, std in zip(fit.value, np.sqrt(np.diag(fit.covariance)), strict=True)
     )
     return MotorCurrent(slope, level, mean)
@@ -255,7 +248,7 @@ def battery_of(streams: Streams) -> tuple[float, float, float] | None:
     return float(volts.max()), float(volts.min()), float(np.median(volts))
 
 
-def vibration_of(streams: Streams, windows: Windows) -> tuple[Estimate | None, ...]:
+def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, ...]:
     """Amplitude of specific force at each rotor's frequency in hover, m/s^2, rms over the axes.
 
     None for rotors whose frequency the IMU's rate does not show, or without measured speeds.
@@ -268,7 +261,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Estimate | None, .
         return tuple([None] * windows.speeds.shape[1])
     t, imu = streams.tracks[Stream.IMU]
     rate = streams.rate(Stream.IMU)
-    found: list[Estimate | None] = []
+    found: list[Quantity | None] = []
     for times, speeds in streams.speeds.samples:
         phase = np.interp(
             t,
@@ -282,7 +275,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Estimate | None, .
         mean = float(np.mean(squares))
         std = float(np.std(squares)) / math.sqrt(len(squares))
         amplitude = math.sqrt(max(mean, 0.0))
-        found.append(Estimate(amplitude, std / (2.0 * max(amplitude, math.sqrt(std))), "m/s^2"))
+        found.append(Quantity(amplitude, std / (2.0 * max(amplitude, math.sqrt(std))), "m/s^2"))
     return tuple(found)
 
 

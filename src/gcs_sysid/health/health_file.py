@@ -107,7 +107,6 @@ def condition_text(condition: Condition) -> str:
     if condition.verdict == "unchanged":
         return "rotors and CG as in the flight before"
     if condition.verdict == "rotor" and condition.rotor is not None and condition.loss is not None:
-        assert condition.loss.value is not None
         loss = PLAIN.measure(
             100.0 * condition.loss.value, 100.0 * (condition.loss.half or 0.0), "%"
         )

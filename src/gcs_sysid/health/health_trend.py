@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.results.words import PLAIN, power_of_ten, times_power
 from gcs_sysid.significance import FALSE_ALARM_RATE, Z95, holm, student_chance, student_limit
 
@@ -108,7 +108,7 @@ def series_of(flights: Sequence[Health]) -> list[Series]:
     return [one for one in (*places, throttle, yaw, *scales, *shares) if one.known]
 
 
-def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Estimate, ...]]:
+def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Quantity, ...]]:
     """The CG of each flight in the mean wind of all.
 
     Drag moves the center of thrust by the same lever in every flight of a vehicle, and what the
@@ -117,7 +117,7 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Estimate, ...]]:
     flown (`benchmarks.health_logs --part repeated`).
     """
     centers = [h.center for h in flights]
-    places: list[tuple[Estimate, ...]] = [h.cg or () for h in flights]
+    places: list[tuple[Quantity, ...]] = [h.cg or () for h in flights]
     known = [center for center in centers if center is not None]
     if len(known) < max(len(flights), 2):
         return places
@@ -133,14 +133,14 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Estimate, ...]]:
     for center, shift, std in zip(known, lever * away, moved, strict=True):
         values = center.at_force - shift
         both = zip(values.tolist(), np.hypot(center.scatter, std).tolist(), strict=True)
-        out.append(tuple(Estimate(value, whole, "m") for value, whole in both))
+        out.append(tuple(Quantity(value, whole, "m") for value, whole in both))
     return out
 
 
-def _series(name: str, unit: str, factor: float, usable: Sequence[Estimate | None]) -> Series:
+def _series(name: str, unit: str, factor: float, usable: Sequence[Quantity | None]) -> Series:
     values, stds = [], []
     for quantity in usable:
-        if quantity is None or quantity.value is None or quantity.std is None:
+        if quantity is None:
             values.append(math.nan)
             stds.append(math.nan)
             continue

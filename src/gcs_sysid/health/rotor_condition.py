@@ -28,7 +28,7 @@ from gcs_sysid.health.balance import lift_of, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
 
@@ -152,11 +152,11 @@ class Condition:
 
     verdict: str
     rotor: int | None
-    loss: Estimate | None
+    loss: Quantity | None
     margin: float
     moved: tuple[float, float]
     changes: Array
-    efficiency: tuple[Estimate, ...]
+    efficiency: tuple[Quantity, ...]
     suspect: int | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -266,7 +266,7 @@ def compare_loads(
         margin = min(others - left, second - left)
         if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
             # What is answered how rests on rotors that are alike.
-            loss = Estimate(lost, math.hypot(std, TUNING.rotor_scatter * lost), "1")
+            loss = Quantity(lost, math.hypot(std, TUNING.rotor_scatter * lost), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     # Where no rotor is weaker, the best weak rotor has lost nothing.
     left_best = min((entry[0] for entry in best), default=left_unchanged)
@@ -366,7 +366,7 @@ def watch_rotors(
     return None, judged
 
 
-def _shrunk(r: Array, noise: Array, n: int) -> tuple[Estimate, ...]:
+def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:
     """Thrust per load against the baseline, each rotor shrunk to no change.
 
     The mean of normal e_i of standard deviation s given r = -e + noise: -s^2 (s^2 I + noise)^-1 r.
@@ -375,6 +375,6 @@ def _shrunk(r: Array, noise: Array, n: int) -> tuple[Estimate, ...]:
     gain = prior @ np.linalg.inv(prior + noise)
     value, covariance = -gain @ r, prior - gain @ prior
     return tuple(
-        Estimate(float(1.0 + e), math.sqrt(float(v)), "1")
+        Quantity(float(1.0 + e), math.sqrt(float(v)), "1")
         for e, v in zip(value, np.diag(covariance), strict=True)
     )

@@ -10,7 +10,7 @@ from gcs_sysid.health.drag import Drag
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.judgement.status import ROTORS
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.estimate import Estimate, Objection
+from gcs_sysid.model.estimate import Estimate, Objection, Quantity
 from gcs_sysid.model.rotor_input import RotorInput
 
 if TYPE_CHECKING:  # reports, which know no logs, read health too
@@ -105,8 +105,8 @@ class MotorCurrent:
         thrust: that mean, over full thrust.
     """
 
-    slope: Estimate
-    mean: Estimate
+    slope: Quantity
+    mean: Quantity
     thrust: float
 
 
@@ -124,17 +124,17 @@ class RotorHealth:
         vibration: amplitude of specific force at its frequency; None where not seen.
     """
 
-    thrust_share: Estimate
-    efficiency: Estimate
-    motor_gain: Estimate | None
-    headroom: Estimate | None
+    thrust_share: Quantity
+    efficiency: Quantity
+    motor_gain: Quantity | None
+    headroom: Quantity | None
     saturated: float | None
-    vibration: Estimate | None
+    vibration: Quantity | None
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it."""
         entries = vars(self).items()
-        return {n: v.as_json() if isinstance(v, Estimate) else v for n, v in entries}
+        return {n: v.as_json() if isinstance(v, Quantity) else v for n, v in entries}
 
 
 @dataclass(frozen=True)
@@ -202,24 +202,24 @@ class Health:
     rotor_input: RotorInput | None = None
     rotor_source: str = ""
     seconds: float = 0.0
-    cg: tuple[Estimate, Estimate] | None = None
-    cg_of_hover: tuple[Estimate, Estimate] | None = None
+    cg: tuple[Quantity, Quantity] | None = None
+    cg_of_hover: tuple[Quantity, Quantity] | None = None
     misread: Mapping[str, str] = field(default_factory=dict)
     doubts: tuple[Objection, ...] = ()
     by_wind: tuple[float, float] | None = None
     center: Center | None = None
     rotors: tuple[RotorHealth, ...] = ()
-    yaw_imbalance: Estimate | None = None
-    hover_throttle: Estimate | None = None
-    hover_thrust: Estimate | None = None
+    yaw_imbalance: Quantity | None = None
+    hover_throttle: Quantity | None = None
+    hover_thrust: Quantity | None = None
     hover_command: HoverCommand | None = None
-    hover_frequency: Estimate | None = None
+    hover_frequency: Quantity | None = None
     turning: float | None = None
-    by_voltage: Estimate | None = None
+    by_voltage: Quantity | None = None
     motor_current: MotorCurrent | None = None
-    thrust_to_weight: Estimate | None = None
-    scale: tuple[str, Estimate] | None = None
-    mass: Estimate | None = None
+    thrust_to_weight: Quantity | None = None
+    scale: tuple[str, Quantity] | None = None
+    mass: Quantity | None = None
     curve: Curve | None = None
     drift: Estimate | None = None
     motor_lag: float | None = None

@@ -99,6 +99,11 @@ class Estimate:
     """To its status or interval."""
 
     @property
+    def known(self) -> "Quantity | None":
+        """The same with its numbers; None where it has none."""
+        return None if self.value is None or self.std is None else Quantity(**vars(self))
+
+    @property
     def std_data(self) -> float | None:
         """The part of `std` that comes from this flight's data."""
         if self.std is None or not self.std_given:
@@ -177,8 +182,8 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class IdentifiedEstimate(Estimate):
-    """An estimate with value and interval, as `Result.identified` returns it."""
+class Quantity(Estimate):
+    """An estimate that has a value and a standard deviation."""
 
     value: float
     std: float
@@ -187,6 +192,10 @@ class IdentifiedEstimate(Estimate):
     def ci95(self) -> tuple[float, float]:
         """The 95 % interval, as of `Estimate`."""
         return interval95(self.value, self.std, not_negative=self.not_negative)
+
+
+class IdentifiedEstimate(Quantity):
+    """As `Result.identified` returns it."""
 
 
 def _finite(value: float | None) -> float | None:

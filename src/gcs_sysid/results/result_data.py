@@ -137,22 +137,9 @@ class ResultData:
         if estimate is None:
             known = ", ".join([*self.parameters, *self.timing])
             raise InputError(f"the result has no {name!r}; it has {known}")
-        if (
-            estimate.value is None
-            or estimate.std is None
-            or estimate.status in ("weak", "unobservable")
-        ):
+        if estimate.known is None or estimate.status in ("weak", "unobservable"):
             raise InputError(f"{name} is {estimate.status} in this result, not identified")
-        return IdentifiedEstimate(
-            estimate.value,
-            estimate.std,
-            estimate.unit,
-            estimate.status,
-            estimate.bound,
-            estimate.rests_on,
-            estimate.std_given,
-            estimate.not_negative,
-        )
+        return IdentifiedEstimate(**vars(estimate))
 
     def as_json(self) -> dict[str, Any]:
         """The result as the dictionary that `--json` writes, the caller's own to change."""
