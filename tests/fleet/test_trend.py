@@ -100,7 +100,8 @@ def test_flights_that_show_no_more_than_their_hover_have_a_trend_and_one_proposa
 
 
 def test_a_step_is_found_at_its_flight_and_once():
-    vehicle = only(flights([1.0, 1.01, 0.99, 1.0, 1.2, 1.21, 1.19, 1.2]))
+    values = [1.0, 1.01, 0.99, 1.0, 1.2, 1.21, 1.19, 1.2]
+    vehicle = only(flights(values))
     (changed,) = vehicle.changed
     assert changed.number == 5
     assert (changed.change.first, changed.change.last) == (1, 4)
@@ -108,6 +109,8 @@ def test_a_step_is_found_at_its_flight_and_once():
     assert difference.name == "Ixx"
     assert difference.value == pytest.approx(0.2)
     assert [len(era) for era in vehicle.eras] == [4, 4]
+    page = render("fleet", [only(flights(values, "k_T"))], [])
+    assert "the mass at flight 5 is not 1.5 kg but about" in page
 
 
 def test_the_usual_scatter_between_flights_is_no_change():

@@ -9,11 +9,9 @@ from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.setup_help.airframe_file import (
     airframe_text,
     check_airframe,
-    check_new,
     checked,
     layout_rotors,
     reversed_spins,
-    write_new,
 )
 from gcs_sysid.setup_help.checks import Sign
 
@@ -41,12 +39,6 @@ def test_rotors_that_cannot_control_a_vehicle_are_refused():
     same = tuple(Rotor(r.x, r.y, 1) for r in QUAD)
     with pytest.raises(InputError, match="roll, pitch, yaw and thrust independently"):
         checked(airframe_text(Airframe("x", same)), "these")
-
-
-def test_a_folder_that_is_not_there(tmp_path):
-    for write in (check_new, lambda p: write_new(p, "new")):
-        with pytest.raises(InputError, match=r"no folder|cannot write"):
-            write(tmp_path / "none" / "mine.toml")
 
 
 def findings_of(rotors, scale=("mass", 1.5), rotor_input="auto"):

@@ -132,8 +132,8 @@ def test_a_new_file_is_one_that_is_not_there(tmp_path):
     path = Wizard(dialogue.ask, dialogue.say, ASCII).new_file("x.toml")
     assert path == tmp_path / "b.toml"
     seen = " ".join(dialogue.seen.split())
-    assert "not overwritten; another name?" in seen
-    assert "there is no folder" in seen
+    assert "overwrites it; another name?" in seen
+    assert "no such folder as" in seen
 
 
 @pytest.mark.parametrize("typed", [(), ("1",), ("own", "0.2 0.2 cw"), ("1", "0.2", "", "1")])

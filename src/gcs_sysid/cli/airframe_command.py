@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gcs_sysid.cli.output import print_file, show, terminal_width
+from gcs_sysid.cli.output import check_outputs, show, terminal_width, write_text
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
 from gcs_sysid.setup_help.airframe_file import (
@@ -15,12 +15,10 @@ from gcs_sysid.setup_help.airframe_file import (
     Pen,
     airframe_text,
     check_airframe,
-    check_new,
     checked,
     draw,
     legend,
     rotor_table,
-    write_new,
 )
 from gcs_sysid.setup_help.checks import SetupFinding, Sign, as_text, can_show, quoted, worst
 from gcs_sysid.setup_help.wizard import (
@@ -66,8 +64,7 @@ def _picture(airframe: Airframe, findings: Sequence[SetupFinding]) -> str:
 
 def _new(options: argparse.Namespace) -> int:
     given = _given(options)
-    if given.output is not None and str(given.output) != "-":
-        check_new(given.output)
+    check_outputs(options.output, force=options.force)
     asking = not given.complete
     if not asking:
         answers, path = given_answers(given), given.output
@@ -83,10 +80,7 @@ def _new(options: argparse.Namespace) -> int:
         return 0
     text = airframe_text(*answers)
     airframe = checked(text, str(path))
-    if str(path) == "-":
-        print_file(text)
-    else:
-        write_new(path, text)
+    write_text(str(path), text, force=options.force)
     if not asking:  # else it has been seen already
         _warn(airframe)
     _say_next(path, airframe)

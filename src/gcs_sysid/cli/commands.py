@@ -842,7 +842,8 @@ COMMANDS = (
                     ),
                     PRIOR.but("prior; may be repeated"),
                     NAME.but("name of the vehicle (default: the file's name)", metavar=None),
-                    OUTPUT.but("output file, must not exist; - is stdout", metavar="FILE.toml"),
+                    OUTPUT.but(metavar="FILE.toml"),
+                    FORCE,
                 ),
             ),
             Command(

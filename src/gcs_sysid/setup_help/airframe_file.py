@@ -6,12 +6,10 @@ Usual layouts are in autopilots' motor orders; their picture is of characters.
 import json
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from gcs_sysid.errors import InputError
-from gcs_sysid.files import cannot_write, parse_toml
+from gcs_sysid.files import parse_toml
 from gcs_sysid.model.airframe import (
     ANCHORS,
     Airframe,
@@ -254,37 +252,6 @@ def checked(text: str, where: str) -> Airframe:
         InputError: it makes none.
     """
     return parse_airframe(parse_toml(text, where, "an airframe file"), where)
-
-
-def check_new(path: Path) -> None:
-    """See beforehand whether a file can be written.
-
-    Raises:
-        InputError: there is one of that name already, or no folder for it.
-    """
-    try:
-        there, folder = path.exists(), path.parent.is_dir()
-    except (OSError, ValueError) as error:
-        raise cannot_write(path, error) from error
-    if there:
-        raise InputError(f"{path} exists already and is not overwritten")
-    if not folder:
-        raise InputError(f"{path}: there is no folder {path.parent}")
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write a file that is not there yet.
-
-    Raises:
-        InputError: there is one of that name already, or it cannot be written.
-    """
-    try:
-        with path.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise InputError(f"{path} exists already and is not overwritten") from error
-    except (OSError, ValueError) as error:
-        raise cannot_write(path, error) from error
 
 
 _USUAL = {"arm": (0.03, 2.0), "mass": (0.02, 100.0), "k_T": (1e-9, 1e-2), "T_max": (0.05, 1000.0)}

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from gcs_sysid import argument_types
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import check_target
 from gcs_sysid.model.airframe import ANCHORS, MOST_ARM, Airframe, AnchorName, Rotor
 from gcs_sysid.results.words import wrapped
 from gcs_sysid.setup_help.airframe_file import (
@@ -19,7 +20,6 @@ from gcs_sysid.setup_help.airframe_file import (
     Pen,
     airframe_text,
     arm_doubt,
-    check_new,
     checked,
     draw,
     layout_rotors,
@@ -284,7 +284,7 @@ class Wizard:
             word = self._ask(f"File to write [{suggested}]: ").strip() or suggested
             path = Path(word if word.endswith(".toml") else f"{word}.toml")
             try:
-                check_new(path)
+                check_target(path, replace=False)
             except InputError as error:
                 self._refuse(f"{error}; another name?")
             else:
