@@ -198,7 +198,7 @@ def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "flight.tlog"
         write(flight, log, number, 250.0)
-        result = analyze_log(log, airframe, options=ChainOptions(history_interval=None))
+        result = analyze_log(log, airframe, options=ChainOptions())
     truth = flight.vehicle.truth()
     names, matrix = covariance_of(result)
     at = [names.index(name) for name in JUDGED]

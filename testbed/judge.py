@@ -17,7 +17,7 @@ from testbed.emulated import Truth
 
 BY_OFFLINE = "GCS_SYSID_BY_OFFLINE"
 """Environment variable, set where the offline estimate is judged, wherever there is one."""
-OPTIONS = ChainOptions(history_interval=None, offline=BY_OFFLINE in os.environ)
+OPTIONS = ChainOptions(offline=BY_OFFLINE in os.environ)
 MOMENTS = ("Ixx", "Iyy", "Izz")
 NO_CHANGE = ("disturbance", "rotor_input", "landing")
 """Kinds of events that claim nothing of the vehicle."""

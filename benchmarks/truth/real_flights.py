@@ -30,7 +30,7 @@ def table(folder: Path, *, offline: bool) -> Iterator[str]:
     """Lines to print."""
     yield "flight     used s   Ixx 1e-4          Iyy 1e-4          status"
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}
-    options = ChainOptions(history_interval=None, offline=offline)
+    options = ChainOptions(offline=offline)
     for log in filter(Path.exists, (folder / name for name in FLIGHTS)):
         result = analyze_log(log, airframe_for(log), options=options)
         cells = []

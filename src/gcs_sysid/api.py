@@ -28,7 +28,7 @@ from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, WINDOW, Chain, ChainOptions
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.track_collector import in_order
@@ -261,7 +261,7 @@ def analyze(
     """
     from gcs_sysid.session.analysis import analyze_log
 
-    interval = ChainOptions().history_interval if history else None
+    interval = HISTORY_INTERVAL if history else None
     options = ChainOptions(history_interval=interval, start=start, end=end, offline=offline)
     whole = _as_known(airframe, known)
     if not history:
@@ -360,7 +360,7 @@ def identify(
         ('refused', 'weak', 'unobservable')
     """
     whole = load_airframe(airframe, **known)
-    chain = Chain(whole, ChainOptions(history_interval=None, offline=offline))
+    chain = Chain(whole, ChainOptions(offline=offline))
     tracks = [track for track in signals.tracks(len(whole.rotors)) if len(track.t)]
     if not tracks:
         raise InputError("all values are NaN")

@@ -187,7 +187,7 @@ def test_intervals_hold_where_the_vehicle_deviates(fly, physics, seed, kinds):
         "--mission", "doublets", "--noise", "mems", "--rate", "250", "--duration", "32",
         "--turbulence", "0", "--seed", str(seed), "--physics", physics,
     )  # fmt: skip
-    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    chain = Chain(load_airframe("paper"), ChainOptions())
     feed(chain, flight.records())
     result = chain.finish()
     assert len(chain.fit.rotation.deviations) == kinds

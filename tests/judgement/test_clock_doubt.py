@@ -78,7 +78,7 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, paper_result)
 
 @pytest.mark.thorough
 def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
-    chain, link = linked(airframe, ChainOptions(history_interval=None))
+    chain, link = linked(airframe, ChainOptions())
     for time_us, frame in read_tlog(received(8000.0)):
         chain.take(link.gather([frame], time_us * 1e-6))
     chain.take(link.rest())

@@ -28,7 +28,7 @@ def chain_of(records, anchor=None, **options):
     airframe = load_airframe("paper")
     if anchor:
         airframe = airframe.with_anchor(*anchor)
-    chain = Chain(airframe, ChainOptions(history_interval=None, **options))
+    chain = Chain(airframe, ChainOptions(**options))
     feed(chain, records)
     return chain
 
@@ -153,7 +153,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
         stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"
     )
-    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    chain = Chain(load_airframe("paper"), ChainOptions())
     chain.rotor_selector.autopilot = "ardupilot"
     feed(chain, (parameter, *records))
     result = chain.finish()
@@ -162,7 +162,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     for name in ("Ixx", "Iyy"):
         assert result.parameters[name].value == pytest.approx(flown.truth[name], rel=0.02)
     # The same parameter after the flight is too late, and is told so.
-    late = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    late = Chain(load_airframe("paper"), ChainOptions())
     late.rotor_selector.autopilot = "ardupilot"
     feed(late, (*records[: len(records) // 2], parameter))
     late.finish()

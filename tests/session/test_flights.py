@@ -115,7 +115,7 @@ def after_a_landing(records, stay=5.0, second=None):
 
 
 def follow(records, tick=0.1):
-    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None, tick=tick))
+    chain = Chain(load_airframe("paper"), ChainOptions(tick=tick))
     feed(chain, records)
     return chain, chain.finish()
 

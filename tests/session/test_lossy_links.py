@@ -16,7 +16,7 @@ SECONDS = 15
 
 
 def run(records):
-    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    chain = Chain(load_airframe("paper"), ChainOptions())
     feed(chain, records)
     return chain, chain.finish()
 

@@ -13,7 +13,7 @@ from gcs_sysid.signals.inertial_stream import at_cg
 from gcs_sysid.signals.records import Stream
 from tests.feeding import feed
 
-END_ONLY = ChainOptions(history_interval=None)
+END_ONLY = ChainOptions()
 
 
 def run(records, options=END_ONLY):

@@ -13,10 +13,10 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.web import log_worker, workbench
-from gcs_sysid.web.log_analysis import HISTORY_INTERVAL, airframe_of
+from gcs_sysid.web.log_analysis import airframe_of
 from gcs_sysid.web.log_request import PICTURE, RESULT, file_name, parse_request
 from tests.results.test_comparison import result
 

@@ -17,7 +17,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import result_table
 from gcs_sysid.session.analysis import analyze_pair
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
         reporter = Reporter(ReportJob.of_options(options, airframe, truth))
     chain = ChainOptions(
         tuning=_tuning(options.method),
-        history_interval=None if reporter is None else reporter.history_interval,
+        history_interval=None if reporter is None else HISTORY_INTERVAL,
         start=options.start,
         end=options.end,
         offline=options.offline,

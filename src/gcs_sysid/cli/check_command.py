@@ -71,7 +71,7 @@ def _found(
     airframe = health.airframe
     sized = airframe is not None and health.arm_known and airframe.anchor() is not None
     if airframe is not None and sized and not health.contradicted:
-        chain = ChainOptions(history_interval=None)
+        chain = ChainOptions()
         result = analyze_log(Path(log), airframe, options.vehicle, chain, progress, opened=opened)
         whole = WholeAnalysis(result, beside_analysis(health, result))
         document, health = whole.as_json(), whole.health

@@ -30,7 +30,7 @@ from gcs_sysid.report.evidence_sections import twin_svg
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import Observer
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
 from gcs_sysid.twin.held_out_flight import fly_own_flight
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight
@@ -85,9 +85,6 @@ class ReportJob:
 
 class Reporter:
     """Looks on while a log is analyzed; as a context, the observers to hand over."""
-
-    history_interval = 0.5
-    """s between the instants of the estimates' history."""
 
     def __init__(self, job: ReportJob) -> None:
         self._job = job
@@ -170,7 +167,7 @@ def write(job: ReportJob) -> None:
         shutil.copyfile(job.log, log)
         reporter = Reporter(replace(job, log=log))
         with reporter as observers:
-            history = ChainOptions(history_interval=reporter.history_interval)
+            history = ChainOptions(history_interval=HISTORY_INTERVAL)
             found = analyze_whole(
                 log, job.airframe, job.vehicle, history, observers=observers, name=str(job.log)
             )

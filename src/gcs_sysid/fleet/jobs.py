@@ -148,7 +148,7 @@ def analyze(task: Task) -> Document:
     job = task.job
     made: Document
     try:
-        options = ChainOptions(history_interval=None, offline=job.offline)
+        options = ChainOptions(offline=job.offline)
         log, name = Path(task.path), str(job.log)
         airframe, opened = job.airframe, None
         if airframe is None:

@@ -340,7 +340,8 @@ def _followed(times: Array, commands: Array, half: float, lag: float) -> tuple[A
         u = u[0] + lfilter([1.0 - kept], [1.0, -kept], u - u[0])[0]
     apart = longest_step(steps, half)
     if float(steps.max()) > apart:
-        sampled = steps[np.searchsorted(times, grid, side="right") - 1] <= apart
+        # By rounding the last of the grid may lie at the last of the times.
+        sampled = steps[np.searchsorted(times[:-1], grid, side="right") - 1] <= apart
         grid, u = grid[sampled], u[sampled]
     return grid, u
 

@@ -71,7 +71,7 @@ def analyze_whole(
     Raises:
         InputError: the file cannot be read as a log.
     """
-    options = options or ChainOptions(history_interval=None)
+    options = options or ChainOptions()
     keeper = HoverRecords()
     result = analyze_log(
         log, airframe, vehicle, options, progress, observers=observers, keeper=keeper,

@@ -68,7 +68,7 @@ def analyze_log(
     Raises:
         InputError: the file cannot be read as a log, or a prior needs a scale.
     """
-    options = options or ChainOptions(history_interval=None)
+    options = options or ChainOptions()
     if anchor is None and airframe.anchor() is None:
         airframe = airframe.in_own_units()
 

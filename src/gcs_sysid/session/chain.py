@@ -80,7 +80,7 @@ class ChainOptions:
 
     tuning: EstimatorTuning = field(default_factory=EstimatorTuning)
     changes: ChangeTuning | None = field(default_factory=ChangeTuning)
-    history_interval: float | None = 0.5
+    history_interval: float | None = None
     tick: float = 0.1
     start: float = 0.0
     end: float = float("inf")
@@ -147,6 +147,9 @@ class ChainEvents:
 
 WINDOW = 8192
 """IMU samples that are best taken at once."""
+
+HISTORY_INTERVAL = 0.5
+"""s between the instants of the estimates' history in reports and notebooks."""
 
 Cutoffs = tuple[float | None, float | None]
 """Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""

@@ -128,7 +128,7 @@ def _flown(
         raise NoAnswerError(f"{log}: no flight in it has attitude, rates and rotors at once")
     if same:
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
-        options = ChainOptions(history_interval=None, start=max(since, start), end=cut)
+        options = ChainOptions(start=max(since, start), end=cut)
         flown = analyze_log(
             log, as_exact(vehicle), wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )

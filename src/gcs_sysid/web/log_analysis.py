@@ -15,15 +15,12 @@ from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import health_picture, render
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
-
-HISTORY_INTERVAL = 0.5
-"""s between the instants of the estimates' history in the report."""
 
 OnProgress = Callable[[str, float], None]
 
