@@ -71,29 +71,20 @@ def no_imu(paper_flight, tmp_path):
 
 
 @pytest.mark.slow
-def test_json_on_standard_output_is_the_contract_and_nothing_else(analyze, paper_flight):
-    status, out, err = analyze(paper_flight.tlog, *PAPER, "--json", "-")
-    assert (status, err) == (0, "")
-    result = read_strict(out)
-    check_contract(result)
-    assert result["verdict"] == "identified"
-    assert result["source"] == str(paper_flight.tlog)
-    wanted = {"mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M"}
-    assert wanted <= result["parameters"].keys()
-    truth = paper_flight.truth
-    assert all(
-        math.isclose(result["parameters"][n]["value"], truth[n], rel_tol=0.05) for n in wanted
-    )
-
-
-@pytest.mark.slow
 def test_table_shows_truth_and_error_beside_json_in_a_file(analyze, paper_flight, tmp_path):
     path = tmp_path / "result.json"
     truth = ("--truth", paper_flight.truth_file)
     status, out, err = analyze(paper_flight.tlog, *PAPER, *truth, "--json", path)
     assert (status, err) == (0, "")
     assert out.startswith("identified: ")
-    check_contract(read_strict(path.read_text()))
+    result = read_strict(path.read_text())
+    check_contract(result)
+    assert result["verdict"] == "identified"
+    assert result["source"] == str(paper_flight.tlog)
+    for name in ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M"):
+        assert result["parameters"][name]["value"] == pytest.approx(
+            paper_flight.truth[name], rel=0.05
+        )
     head, *rows = out.splitlines()[2:]
     assert head.split()[0] == "parameter"
     assert "truth" in head
@@ -136,13 +127,13 @@ def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
 
 @pytest.mark.slow
 def test_parts_of_two_logs_make_a_list(analyze, paper_flight):
-    part = ("--start", "20", "--end", "40")
+    part = ("--start", "20", "--end", "28")
     status, out, _ = analyze(paper_flight.tlog, paper_flight.tlog, *PAPER, *part, "--json", "-")
     results = read_strict(out)
     assert status == 0
     assert results[0] == results[1]
     check_contract(results[1])
-    assert 10.0 < results[0]["telemetry"]["used_seconds"] <= 20.0
+    assert 4.0 < results[0]["telemetry"]["used_seconds"] <= 8.0
 
 
 def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
@@ -162,15 +153,13 @@ def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
 
 @pytest.mark.slow
 def test_scale_and_size_from_the_command_line(analyze, paper_flight, paper_result):
-    px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "1.5")
-    by_size = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
-    heavy = read_strict(analyze(paper_flight.tlog, *PAPER, "--mass", "3", "--json", "-")[1])
+    px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "3")
+    heavy = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
     for name in ("Ixx", "Izz", "k_T", "k_M"):
-        value, own = paper_result.parameters[name].value, by_size["parameters"][name]
+        value, own = paper_result.parameters[name].value, heavy["parameters"][name]
         # The same layout, but not given as exact: the flight then shows how the IMU is turned.
-        assert own["value"] == pytest.approx(value, abs=own["std"])
-        assert heavy["parameters"][name]["value"] == pytest.approx(2 * value, rel=1e-9)
-    assert heavy["scale"] == {"anchor": "mass", "value": 3.0, "unit": "kg"}
+        assert own["value"] == pytest.approx(2 * value, abs=own["std"])
+    assert {"anchor": "mass", "value": 3.0, "unit": "kg"}.items() <= heavy["scale"].items()
 
 
 @pytest.mark.slow

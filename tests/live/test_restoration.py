@@ -314,7 +314,7 @@ def test_a_stream_that_this_session_does_not_want_is_restored_at_once(tmp_path):
 @pytest.mark.parametrize(
     "content",
     [
-        "", "[]", "{", '{"schema": "gcs-sysid-streams/1"}', "[" * 100_000,
+        "", "[]", "{", '{"schema": "gcs-sysid-streams/1"}', pytest.param("[" * 100_000, id="deep"),
         '{"schema": "gcs-sysid-streams/1", "streams": {"ATTITUDE": [1]}}',
         '{"schema": "gcs-sysid-streams/1", "streams": {"ATTITUDE": ["x", 4000]}}',
     ],
