@@ -53,7 +53,7 @@ def test_two_flights_with_a_known_mass_added_give_mass_and_k_t(analyze, fly):
             assert estimate["value"] == pytest.approx(true, rel=0.03)
             assert abs(estimate["value"] - true) < 2.5 * estimate["std"]
             assert estimate["status"] == "identified"
-    part = ("--end", "9")
+    part = ("--end", "7")
     status, _, err = analyze(heavy.tlog, light.tlog, *PAPER, "--added-mass", "0.3", *part)
     assert status == 2
     assert "is not heavier" in err

@@ -96,7 +96,7 @@ def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airf
     gone = lambda: process.poll() is not None  # noqa: E731
     told = []
     session = LiveSession(
-        udp, airframe, LiveOptions(rate=100.0, refit_interval=1.0), path, gone, told.append
+        udp, airframe, LiveOptions(rate=100.0, refit_interval=2.0), path, gone, told.append
     )
     session.start()
     final = finish(session)

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.live.live_estimate import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
@@ -24,9 +23,8 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.urls import LinkUrl
 from testbed.payloads import unpack
-from tests.live.test_live_session import LONGEST, assert_same_numbers
+from tests.live.test_live_session import LISTEN, LONGEST, assert_same_numbers
 
-LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)
 HERE = LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0)
 needs_posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -90,8 +88,7 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     """It learns when it can: the result is that of the recording, whatever was put off."""
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
     source, sent, go_on = receiver(record_to=path), threading.Event(), threading.Event()
-    options = LISTEN
-    session = LiveSession(source, airframe, options, path, sender_gone=sent.is_set)
+    session = LiveSession(source, airframe, LISTEN, path, sender_gone=sent.is_set)
     chain = session._estimate.chain
     take = chain.take
     monkeypatch.setattr(chain, "take", lambda block: go_on.wait() and take(block))

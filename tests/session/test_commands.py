@@ -165,7 +165,6 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     late = Chain(load_airframe("paper"), ChainOptions())
     late.rotor_selector.autopilot = "ardupilot"
     feed(late, (*records[: len(records) // 2], parameter))
-    late.finish()
     assert late.outdated == (cutoff != 20)
 
 

@@ -29,38 +29,27 @@ def lossy(fly):
     return flight, flight.records()
 
 
-def assert_right(result, truth):
-    assert result.verdict == "identified"
-    for name in ("Ixx", "Iyy", "Izz", "cg_x", "cg_y", "k_T", "k_M"):
-        estimate = result.parameters[name]
-        assert abs(estimate.value - truth[name]) < 2.0 * Z95 * estimate.std, name
-
-
 @pytest.mark.slow
-def test_a_lossy_link_costs_little_more_than_what_it_loses(lossy):
-    flight, records = lossy
-    chain, result = run(records)
-    assert_right(result, flight.truth)
-    assert chain.fit.seconds > 0.7 * SECONDS
-    assert result.telemetry["grid_rate"] == pytest.approx(100.0)
-    assert result.telemetry["restarts"] == 0
-    assert result.telemetry["rotor_outliers"] == 0
-
-
-@pytest.mark.slow
-def test_wild_rotor_speeds_are_taken_for_lost(lossy):
+def test_losses_and_wild_rotor_speeds_cost_little_more_than_what_is_lost(lossy):
     flight, records = lossy
     rng = np.random.default_rng(1)
-    spoilt = []
+    spoilt, wild = [], 0
     for record in records:
         if record.source == "ESC_STATUS" and rng.random() < 0.005:
             speeds = list(record.values)
             speeds[rng.integers(4)] = 2500.0
             record = record._replace(values=tuple(speeds))
+            wild += 1
         spoilt.append(record)
-    _, result = run(spoilt)
-    assert_right(result, flight.truth)
-    assert result.telemetry["rotor_outliers"] >= 3
+    chain, result = run(spoilt)
+    assert result.verdict == "identified"
+    for name in ("Ixx", "Iyy", "Izz", "cg_x", "cg_y", "k_T", "k_M"):
+        estimate = result.parameters[name]
+        assert abs(estimate.value - flight.truth[name]) < 2.0 * Z95 * estimate.std, name
+    assert chain.fit.seconds > 0.7 * SECONDS
+    assert result.telemetry["grid_rate"] == pytest.approx(100.0)
+    assert result.telemetry["restarts"] == 0
+    assert 3 <= result.telemetry["rotor_outliers"] <= wild
 
 
 def imu_times(share, seconds=12.0, rate=250.0):

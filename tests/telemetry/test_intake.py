@@ -290,7 +290,7 @@ def test_of_frames_that_come_again_over_a_second_radio_one_counts(sender, piece)
 def test_what_has_no_time_may_say_the_same_again(sender, piece):
     """256 frames a second: each heartbeat has the sequence number of the one before."""
     frames = [
-        sender.heartbeat() if i % 256 == 0 else sender.imu(1.0 + i / 256.0) for i in range(1280)
+        sender.heartbeat() if i % 256 == 0 else sender.imu(1.0 + i / 256.0) for i in range(600)
     ]
     intake = Intake()
     for first in range(0, len(frames), piece):
