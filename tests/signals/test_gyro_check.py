@@ -96,6 +96,26 @@ def test_a_vehicle_that_hardly_turns_says_nothing():
     assert gyro_fault(checked(0.0 * RATES, still)) is None
 
 
+def test_a_slow_attitude_counts_where_it_was_reported():
+    """Straight lines between eight reports a second cut a shake of 2 Hz by a seventh."""
+    rates = 1.2 * np.sin(4.0 * np.pi * T)[:, None] * np.array([1.0, 0.0, 0.0])
+    angle = 1.2 / (4.0 * np.pi) * (1.0 - np.cos(4.0 * np.pi * T))
+    q = attitude.from_rotation_vector(angle[:, None] * np.array([1.0, 0.0, 0.0]))
+    own = np.arange(len(T)) % 12 == 0
+    reported = np.column_stack([np.interp(T, T[own], column) for column in q[own].T])
+    for of, gain in ((own, 1.0), (None, 1.15)):
+        check = GyroCheck()
+        check.update(T, rates, reported, own=of)
+        assert check.result().gain[0, 0] == pytest.approx(gain, abs=0.02)
+
+
+def test_jumps_of_the_attitude_are_no_scale():
+    q = Q.copy()
+    for at in (1500, 2500):
+        q[at:] = attitude.multiply(np.array(attitude.from_euler(0.0, 0.0, 0.4)), q[at:])
+    assert gyro_fault(checked(RATES, q)) is None
+
+
 def test_gaps_are_no_turns():
     q = Q.copy()
     q[1500:1600] = np.nan

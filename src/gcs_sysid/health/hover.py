@@ -465,19 +465,20 @@ def sensors_of(
     grid, flying = flight
     at_once = 65536
     for first in range(0, len(t), at_once):
-        some, samples = t[first : first + at_once], imu[first : first + at_once, :6]
-        saturation.update(some, samples)
-        if not len(attitude_t) or not len(grid):
-            continue
-        flies = flying[np.clip(np.searchsorted(grid, some, side="right") - 1, 0, None)]
-        reported = np.column_stack([np.interp(some, attitude_t, column) for column in q.T])
-        after = np.clip(np.searchsorted(attitude_t, some), 1, max(len(attitude_t) - 1, 1))
+        saturation.update(t[first : first + at_once], imu[first : first + at_once, :6])
+    if len(attitude_t) and len(grid):
+        joined = np.union1d(t, attitude_t)
+        flies = flying[np.clip(np.searchsorted(grid, joined, side="right") - 1, 0, None)]
+        flies &= (joined >= t[0]) & (joined <= t[-1])
+        gyro = np.column_stack([np.interp(joined, t, column) for column in imu[:, :3].T])
+        reported = np.column_stack([np.interp(joined, attitude_t, column) for column in q.T])
+        after = np.clip(np.searchsorted(attitude_t, joined), 1, max(len(attitude_t) - 1, 1))
         near = (attitude_t[after] - attitude_t[after - 1] < GYRO_CHECK.interval) & (
-            some <= attitude_t[-1]
+            joined <= attitude_t[-1]
         )
         check.update(
-            some, np.where(flies[:, None], samples[:, :3], np.nan),
-            np.where(near[:, None], reported, np.nan),
+            joined, np.where(flies[:, None], gyro, np.nan),
+            np.where(near[:, None], reported, np.nan), own=np.isin(joined, attitude_t),
         )  # fmt: skip
     return check.result(), saturation.found()
 

@@ -66,6 +66,7 @@ class GyroCheckRules:
         least_share: explained, below which noise hides everything.
         noisy: share of noise in an attitude's turns, known to some 0.2, up to which they are
             turns.
+        correlated: intervals over which corrections of an attitude go on.
     """
 
     interval: float = 0.3
@@ -74,6 +75,7 @@ class GyroCheckRules:
     most: int = 8192
     least_share: float = 0.05
     noisy: float = 0.25
+    correlated: int = 10
 
 
 RULES = GyroCheckRules()
@@ -111,13 +113,23 @@ class GyroCheck:
         self._before: tuple[float, Array] | None = None
         self._found: tuple[int, GyroAgainstAttitude | None] = 0, None
 
-    def update(self, t: Array, gyro: Array, reported: Array, *, fresh: bool = False) -> None:
+    def update(
+        self,
+        t: Array,
+        gyro: Array,
+        reported: Array,
+        *,
+        own: Mask | None = None,
+        fresh: bool = False,
+    ) -> None:
         """Take a block.
 
         Args:
             t: (n,) s.
             gyro: (n, 3) rad/s as measured; NaN where it does not fly or was not read.
             reported: (n, 4) attitude (w, x, y, z).
+            own: (n,) where it was reported then: straight lines between reports of a slow one cut
+                its turns short. None: wherever there is one.
             fresh: whether a gap lies before it.
         """
         there = complete_rows(gyro) & complete_rows(reported)
@@ -131,11 +143,13 @@ class GyroCheck:
         angle = self._angle + np.cumsum(np.where(joined[:, None], steps, 0.0), axis=0)
         run = self._run + np.cumsum(~joined)
         number = np.floor(t / RULES.interval).astype(np.int64)
-        ends = there & (np.diff(number, prepend=self._number) != 0)
-        if ends.any() and len(self._ends) < RULES.most:
+        ends = np.flatnonzero(there if own is None else there & own)
+        before, self._number = self._number, int(number[ends[-1]]) if len(ends) else self._number
+        ends = ends[np.diff(number[ends], prepend=before) != 0]
+        if len(ends) and len(self._ends) < RULES.most:
             columns = (t, run, angle, reported, gyro)
             self._ends += list(np.column_stack(columns)[ends])
-        self._number, self._run, self._angle = int(number[-1]), int(run[-1]), angle[-1]
+        self._run, self._angle = int(run[-1]), angle[-1]
         self._last, self._before = bool(there[-1]), (float(t[-1]), gyro[-1].copy())
 
     def result(self) -> GyroAgainstAttitude | None:
@@ -165,13 +179,12 @@ def _compared(ends: Array) -> GyroAgainstAttitude | None:
     phi, theta = phi[small], theta[small]
     if len(phi) < RULES.fewest:
         return None
-    fits = [_robust(columns, theta[:, axis]) for axis in range(3)]
-    explained = np.array([[max(share, RULES.least_share)] for *_, share in fits])
-    gain = np.array([value[:3] for value, *_ in fits])
-    std = np.sqrt([np.diag(covariance)[:3] for _, covariance, _ in fits])
+    value, variances, shares = _robust(columns, theta)
+    explained = np.maximum(shares, RULES.least_share)[:, None]
+    gain = value[:, :3]
     half = 0.5 * gain * (1.0 / explained - 1.0)
-    gain, std = gain + half, np.hypot(std, half)
-    bias = np.array([value[3] for value, *_ in fits])
+    gain, std = gain + half, np.hypot(np.sqrt(variances[:, :3]), half)
+    bias = value[:, 3]
     turned = np.where(_noise_share(phi) < RULES.noisy, np.sqrt((phi**2).mean(axis=0)), 0.0)
     return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
 
@@ -185,20 +198,31 @@ def _noise_share(phi: Array) -> Array:
     return -2.0 * following / ((phi**2).mean(axis=0) + math.ulp(1.0))
 
 
-def _robust(columns: Array, y: Array) -> tuple[Array, Array, float]:
-    """(k,) Cauchy-weighted least squares, (k, k) its sandwich covariance, explained share."""
-    weights = np.ones(len(y))
+def _robust(columns: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Least squares of (n, 3) y on (n, k) columns, Cauchy-weighted by all three at once.
+
+    What corrects the attitude on the way, a fix or a compass, does so about every axis, and for
+    seconds: scores that follow each other add up.
+
+    Returns:
+        (3, k) values, (3, k) their variances, (3,) explained shares.
+    """
     ridge = 1e-9 * np.diag((columns**2).sum(axis=0) + math.ulp(1.0))
+    # From a sound gyro on: a jump of the attitude alone has any least squares to itself.
+    residual = y - columns[:, :3]
+    residual = residual - np.median(residual, axis=0)
     for _ in range(10):
+        scale = 2.0 * 1.4826 * np.median(np.abs(residual), axis=0) + 1e-9
+        weights = 1.0 / (1.0 + ((residual / scale) ** 2).sum(axis=1))
         weighted = columns.T * weights
         inverse = np.linalg.inv(weighted @ columns + ridge)
         value = inverse @ (weighted @ y)
         residual = y - columns @ value
-        scale = 2.0 * 1.4826 * float(np.median(np.abs(residual))) + 1e-9
-        weights = 1.0 / (1.0 + (residual / scale) ** 2)
-    scores = columns * (weights * residual)[:, None]
-    share = 1.0 - float(weights @ residual**2) / (float(weights @ y**2) + math.ulp(1.0))
-    return value, inverse @ (scores.T @ scores) @ inverse, share
+    starts = np.arange(0, len(y), RULES.correlated)
+    scores = np.add.reduceat(columns[:, None] * (weights[:, None] * residual)[:, :, None], starts)
+    variances = ((scores @ inverse) ** 2).sum(axis=0)
+    shares = 1.0 - weights @ residual**2 / (weights @ y**2 + math.ulp(1.0))
+    return value.T, variances, shares
 
 
 @dataclass(frozen=True)
