@@ -26,7 +26,7 @@ from sim_bridge.swings import read_plan
 TOOL = Path(gcs_sysid.__file__).parent
 ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 # Between processes of the program itself: the pipes to a child and from it.
-MAY_PICKLE = {"cli/reporting.py", "live/receiver_process.py"}
+MAY_PICKLE = {"web/log_report.py", "live/receiver_process.py"}
 
 
 def modules(words, *roots):

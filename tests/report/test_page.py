@@ -226,6 +226,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
     history = np.linspace(0.0, 60.0, instants)
     values = {name: np.full(instants, 0.0165) + 1e-4 * rng.normal(size=instants)
               for name in PARAMETERS}  # fmt: skip
+    spectrum = Spectrum(f, np.ones((200, 3)), np.ones((200, 3)))
     return ReportData(
         result=result,
         inspection=inspection,
@@ -234,8 +235,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         ),
         provenance=Provenance(("gcs-sysid", "analyze", text), {text: text}, 10, "ab" * 32),
         history=History(history, values, {n: np.full(instants, 1e-4) for n in PARAMETERS}),
-        prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, np.zeros(3)),
-        spectrum=Spectrum(f, np.ones((200, 3)), np.ones((200, 3))),
+        prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, spectrum),
         truth={"Ixx": 0.0164, "Iyy": 0.0},
         notes=(Event(1.0, text),),
     )

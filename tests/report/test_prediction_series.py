@@ -13,7 +13,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.data import Provenance, gather, predict, residual_spectrum
+from gcs_sysid.report.data import predict, predicted
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.twin.measured_flight import FlightRecorder
@@ -28,15 +28,13 @@ def agreement(prediction):
     return 1.0 - np.mean((y - z) ** 2, axis=0) / np.mean(y**2, axis=0)
 
 
-MADE = Provenance(("gcs-sysid",), {}, 0, "")
-
-
 def analyzed(path, airframe):
+    """The result, and what it predicts."""
     recorder = FlightRecorder()
     result = analyze_log(Path(path), airframe, options=ChainOptions(), observers=[recorder])
-    data = gather(result, recorder, {}, airframe, MADE)
+    prediction = predicted(result, recorder, airframe)
     recorder.close()
-    return data
+    return result, prediction
 
 
 @pytest.mark.slow
@@ -48,24 +46,24 @@ def analyzed(path, airframe):
     ],
 )
 def test_agrees_with_the_validation(fly, flight):
-    data = analyzed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
-    r_squared = agreement(data.prediction)
+    result, prediction = analyzed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
+    r_squared = agreement(prediction)
     for axis, name in enumerate(AXES):
-        told = data.result.validation
+        told = result.validation
         assert r_squared[axis] == pytest.approx(told["r_squared"][name], abs=5e-4)
-    share = data.prediction.held_out.sum() / np.isfinite(data.prediction.predicted[:, 0]).sum()
+    share = prediction.held_out.sum() / np.isfinite(prediction.predicted[:, 0]).sum()
     assert share == pytest.approx(1.0 - told["fitted_share"], abs=2e-3)
 
 
 @pytest.mark.thorough
 def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
     airframe = load_airframe("ardupilot-quad-x").with_arm(0.24).with_anchor("mass", 1.6)
-    data = analyzed(shared_logs / "ardupilot-sitl.tlog", airframe)
-    told = data.result.validation["r_squared"]
+    result, prediction = analyzed(shared_logs / "ardupilot-sitl.tlog", airframe)
+    told = result.validation["r_squared"]
     # The fit leaves out how the flight ended.
-    t = data.prediction.t
-    aloft = t < t[np.isfinite(data.prediction.predicted[:, 0])].max() - TRACKING.touchdown
-    found = replace(data.prediction, held_out=data.prediction.held_out & aloft)
+    t = prediction.t
+    aloft = t < t[np.isfinite(prediction.predicted[:, 0])].max() - TRACKING.touchdown
+    found = replace(prediction, held_out=prediction.held_out & aloft)
     assert agreement(found) == pytest.approx(list(told.values()), abs=2e-3)
 
 
@@ -73,12 +71,12 @@ def test_agrees_on_a_recorded_flight_behind_a_gyro_filter(shared_logs):
 def test_after_a_change_the_segment_in_force_is_predicted(fly):
     flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100")
     log = fly(*flight, "--seed", "1", "--mass-step", "30:1.2").tlog
-    data = analyzed(log, load_airframe("paper"))
-    (segment,) = data.result.segments
-    there = np.isfinite(data.prediction.predicted[:, 0])
-    assert data.prediction.t[there].min() >= segment["end"]
-    told = data.result.validation["r_squared"]
-    assert agreement(data.prediction) == pytest.approx(list(told.values()), abs=2e-3)
+    result, prediction = analyzed(log, load_airframe("paper"))
+    (segment,) = result.segments
+    there = np.isfinite(prediction.predicted[:, 0])
+    assert prediction.t[there].min() >= segment["end"]
+    told = result.validation["r_squared"]
+    assert agreement(prediction) == pytest.approx(list(told.values()), abs=2e-3)
 
 
 def still(n, dt, rotors=4, gyro_std=0.01, seed=1):
@@ -123,5 +121,5 @@ def test_without_a_model_the_rates_are_there(model):
     found = predict([still(2000, 0.004)], 0.004, None, -np.inf, np.inf, np.empty((0, 2)))
     assert np.isfinite(found.rates).all()
     assert not found.held_out.any()
-    assert residual_spectrum(found, 0.004, RotorInput.SPEED) is None
+    assert found.spectrum is None
     assert np.isnan(agreement(found)).all()

@@ -279,6 +279,7 @@ def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     assert "my &lt;b&gt;flight&lt;b&gt;.tlog" in report
     assert "<b>flight" not in report
     assert "/upload.tlog" not in report  # where it lay here
+    assert all(f'<section id="{part}"' in report for part in ("health", "twin"))
     # A result that was saved is compared with it.
     saved = tmp_path / "saved.json"
     saved.write_text(json.dumps(document))

@@ -5,19 +5,23 @@ import contextlib
 import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
+from gcs_sysid.files import check_target
 from gcs_sysid.health.whole_analysis import WholeAnalysis, analyze_whole
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_view import result_table
 from gcs_sysid.session.analysis import analyze_pair
 from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
+
+if TYPE_CHECKING:
+    from gcs_sysid.web.log_report import Reporter
 
 
 def run(options: argparse.Namespace) -> int:
@@ -29,9 +33,7 @@ def run(options: argparse.Namespace) -> int:
     truth = output.read_truth(options.truth) if options.truth else None
     reporter = None
     if options.report is not None:
-        from gcs_sysid.cli.reporting import Reporter, ReportJob  # only those who ask wait for it
-
-        reporter = Reporter(ReportJob.of_options(options, airframe, truth))
+        reporter = _reporter(options, airframe, truth)
     chain = ChainOptions(
         tuning=_tuning(options.method),
         history_interval=None if reporter is None else HISTORY_INTERVAL,
@@ -69,13 +71,39 @@ def run(options: argparse.Namespace) -> int:
                 show.result(log, found.result)
                 show.health(log, found)
                 if reporter is not None:
-                    report = functools.partial(reporter.write, found.result, found.health_document)
-                    deliveries.give(report)
+                    bar = output.progress_bar(f"{log}, telemetry")
+                    deliveries.give(functools.partial(reporter.write, found, bar))
     deliveries.give_json(documents, options.logs, options.json, force=options.force)
     deliveries.check()
     if one_by_one.failed:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
+
+
+def _reporter(
+    options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
+) -> "Reporter":
+    """What makes the report that is asked for.
+
+    Raises:
+        InputError: it cannot be of this, or not be written there.
+    """
+    from gcs_sysid.web.log_report import Reporter, ReportJob  # only those who ask wait for it
+
+    if len(options.logs) != 1:
+        raise InputError("--report takes one LOG; analyze them one by one")
+    if options.report in ("", "-"):
+        raise InputError("--report needs a file name, such as flight.html")
+    (log,), target = map(Path, options.logs), Path(options.report)
+    others = [options.json if options.json != "-" else None, options.truth, options.airframe]
+    sources = (log, *(Path(name) for name in others if name))
+    check_target(target, replace=options.force, sources=sources)
+    return Reporter(
+        ReportJob(
+            log, target, airframe, options.argv, options.vehicle, truth or {}, options.start,
+            options.force,
+        )
+    )  # fmt: skip
 
 
 class _PrintedResults:

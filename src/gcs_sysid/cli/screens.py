@@ -112,7 +112,7 @@ def report_session(
     Raises:
         InputError: there is no recording, or no result from it yet.
     """
-    from gcs_sysid.cli.reporting import ReportJob, have_written
+    from gcs_sysid.web.log_report import ReportJob, have_written
 
     recording = session.flushed_recording()
     if recording is None:
@@ -122,7 +122,7 @@ def report_session(
     received = () if snapshot is None else snapshot.link.vehicles
     vehicle = next((v.address for v in received if v.chosen), None)
     command = _command(recording, target, session.airframe, vehicle, options)
-    job = ReportJob(recording, target, session.airframe, vehicle, truth, command)
+    job = ReportJob(recording, target, session.airframe, command, vehicle, truth or {})
     have_written(job)
     return f"Report written to {target}"
 

@@ -1,7 +1,7 @@
 """A whole analysis of a log, read once: what is identified, and what hover shows beside it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,10 @@ class WholeAnalysis:
 
     result: Result
     health: Health
+
+    def named(self, log: str) -> "WholeAnalysis":
+        """The same of a log that has another name for people."""
+        return replace(self, result=replace(self.result, source=log))
 
     @property
     def answer(self) -> FirstAnswer:

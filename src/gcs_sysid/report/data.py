@@ -31,7 +31,6 @@ from gcs_sysid.live.acceleration_prediction import (
     PredictionRows,
     Predictor,
     RotationSamples,
-    half_window,
 )
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
@@ -39,23 +38,8 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import History
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.signals.smoothers import cosine_window
+from gcs_sysid.signals.smoothers import Window, cosine_window
 from gcs_sysid.twin.measured_flight import FlightRecorder
-
-
-@dataclass(frozen=True)
-class Prediction(PredictionRows):
-    """Rows of the forward form over a flight.
-
-    Attributes:
-        step: s between rows.
-        held_out: (n,) which rows were not fitted.
-        speed_noise: (3,) variance of a row's prediction by white noise of the rotors' stream.
-    """
-
-    step: float
-    held_out: Mask
-    speed_noise: Array
 
 
 @dataclass(frozen=True)
@@ -72,6 +56,21 @@ class Spectrum:
     frequency: Array
     density: Array
     white: Array
+
+
+@dataclass(frozen=True)
+class Prediction(PredictionRows):
+    """Rows of the forward form over a flight.
+
+    Attributes:
+        step: s between rows.
+        held_out: (n,) which rows were not fitted.
+        spectrum: of the residual; None where too little of the flight was kept apart.
+    """
+
+    step: float
+    held_out: Mask
+    spectrum: Spectrum | None
 
 
 def predict(
@@ -119,22 +118,30 @@ def predict(
         Q = model.Q[:, :4]
         average, _ = predictor.smoother.noise_gains(0.0)
         variance = np.diag(Q @ (average * noise.torques) @ Q.T)
-    return Prediction(t, rates, measured, predicted, predictor.smoother.step * dt, out, variance)
+    step = predictor.smoother.step * dt
+    residual = np.where(out[:, None], measured - predicted, np.nan)
+    spectrum = _spectrum(residual, step, variance, cosine_window(predictor.half, dt), dt)
+    return Prediction(t, rates, measured, predicted, step, out, spectrum)
 
 
-def residual_spectrum(
-    prediction: Prediction, dt: float, rotor_input: RotorInput
+def _spectrum(
+    residual: Array, step: float, speed_noise: Array, window: Window, dt: float
 ) -> Spectrum | None:
-    """The residual's power density on the rows not fitted, by Welch; None if too few joined."""
-    residual = np.where(
-        prediction.held_out[:, None], prediction.measured - prediction.predicted, np.nan
-    )
+    """The residual's power density on the rows not fitted, by Welch; None if too few joined.
+
+    Args:
+        residual: (n, 3) NaN where a row was fitted.
+        step: s between rows.
+        speed_noise: (3,) variance of a row's prediction by white noise of the rotors' stream.
+        window: that makes a row of samples `dt` s apart.
+        dt: s.
+    """
     stretches = [residual[run] for run, there in runs(complete_rows(residual)) if there]
     longest = max((len(s) for s in stretches), default=0)
     # Rows in one piece of the spectrum.
     size = min(512, max(32, 2 ** int(np.log2(max(longest // 4, 1)))))
     taper = np.hanning(size + 2)[1:-1, None]
-    scale = 2.0 * prediction.step / float(np.sum(taper**2))
+    scale = 2.0 * step / float(np.sum(taper**2))
     found = [
         np.abs(np.fft.rfft(taper * (s[a : a + size] - s[a : a + size].mean(axis=0)), axis=0)) ** 2
         for s in stretches
@@ -143,15 +150,13 @@ def residual_spectrum(
     if not found:
         return None
     density = scale * np.mean(found, axis=0)[1:-1]
-    frequency = np.fft.rfftfreq(size, prediction.step)[1:-1]
-    half = half_window(dt, rotor_input)
-    window = cosine_window(half, dt)
-    angles = 2.0 * np.pi * np.outer(frequency, dt * np.arange(-half, half + 1))
+    frequency = np.fft.rfftfreq(size, step)[1:-1]
+    angles = 2.0 * np.pi * np.outer(frequency, dt * np.arange(-window.half, window.half + 1))
     averaged, shape = (
         np.abs(np.exp(-1j * angles) @ taps) ** 2 for taps in (window.average, window.derivative)
     )
     total = float(window.average @ window.average)
-    speeds = np.outer(2.0 * dt / total * averaged, prediction.speed_noise)
+    speeds = np.outer(2.0 * dt / total * averaged, speed_noise)
     near = shape > 0.5 * shape.max()
     gyro = np.maximum(density[near] - speeds[near], 0.01 * density[near]) / shape[near, None]
     white = speeds + shape[:, None] * gyro.mean(axis=0)
@@ -199,7 +204,6 @@ class ReportData:
         provenance: what reproduces it.
         history: of the estimates.
         prediction: None where nothing flew.
-        spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
         notes: of the analysis, such as which rotor stream it took, and when it restarted.
         health: a health file's content; empty where nothing hovers.
@@ -213,50 +217,11 @@ class ReportData:
     provenance: Provenance
     history: History
     prediction: Prediction | None = None
-    spectrum: Spectrum | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[Event, ...] = ()
     health: Mapping[str, Any] = field(default_factory=dict)
     twin: Mapping[str, Any] = field(default_factory=dict)
     twin_picture: str = ""
-
-
-def gather(
-    result: Result,
-    recorder: FlightRecorder,
-    inspection: Mapping[str, Any],
-    airframe: Airframe,
-    provenance: Provenance,
-    truth: Mapping[str, float] | None = None,
-    health: Mapping[str, Any] | None = None,
-) -> ReportData:
-    """Put together what a report needs.
-
-    Args:
-        result: of the analysis that the recorder looked at.
-        recorder: its samples are read once more.
-        inspection: as `ReportData.inspection`.
-        airframe: with its anchor.
-        provenance: what reproduces it.
-        truth: as `ReportData.truth`.
-        health: as `ReportData.health`.
-    """
-    prediction = predicted(result, recorder, airframe)
-    spectrum = None
-    if prediction is not None and recorder.dt is not None:
-        spectrum = residual_spectrum(prediction, recorder.dt, result.rotor_input)
-    return ReportData(
-        result,
-        inspection,
-        airframe,
-        provenance,
-        recorder.history,
-        prediction,
-        spectrum,
-        dict(truth or {}),
-        recorder.notes,
-        dict(health or {}),
-    )
 
 
 def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> Prediction | None:

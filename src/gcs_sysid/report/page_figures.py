@@ -198,7 +198,7 @@ def add_prediction(figures: ChartData, data: ReportData) -> bool:
 
 def add_spectrum(figures: ChartData, data: ReportData) -> bool:
     """The residual's spectrum beside that of white sensor noise; whether there is one."""
-    found = data.spectrum
+    found = None if data.prediction is None else data.prediction.spectrum
     if found is None:
         return False
     f = figures.array("spectrum.f", found.frequency)

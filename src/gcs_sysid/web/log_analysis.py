@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,13 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import MEGABYTE, LogLimits, OverTime, within
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.whole_analysis import analyze_whole
-from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe
-from gcs_sysid.report.data import gather, provenance_of
-from gcs_sysid.report.page import health_picture, render
+from gcs_sysid.report.page import health_picture
 from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
 from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.twin.measured_flight import FlightRecorder
+from gcs_sysid.web.log_report import Reporter, ReportJob
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
 
 OnProgress = Callable[[str, float], None]
@@ -59,32 +56,17 @@ def analyze(
         InputError: the log cannot be read, or the request makes no sense.
     """
     airframe = airframe_of(request, log)
-    recorder = FlightRecorder()
-    try:
-        options = ChainOptions(history_interval=HISTORY_INTERVAL)
+    reporter = Reporter(ReportJob(log, folder / REPORT, airframe, _command(request, name)))
+    with reporter as observers:
         found = analyze_whole(
             log,
             airframe,
-            options=options,
+            options=ChainOptions(history_interval=HISTORY_INTERVAL),
             progress=lambda share: on_progress("identifying", 0.6 * share),
-            observers=[recorder],
+            observers=observers,
             name=name,
-        )
-        found = replace(found, result=replace(found.result, source=name))
-        inspection = inspect_log(
-            log, None, lambda share: on_progress("inspecting telemetry", 0.6 + 0.3 * share)
-        ).as_json()
-        on_progress("writing the report", 0.9)
-        data = gather(
-            found.result,
-            recorder,
-            inspection,
-            airframe,
-            provenance_of(_command(request, name), log),
-        )
-        (folder / REPORT).write_text(render(data), encoding="utf-8")
-    finally:
-        recorder.close()
+        ).named(name)
+        reporter.write(found, lambda share: on_progress("writing the report", 0.6 + 0.3 * share))
     if found.health.available:
         picture = health_picture(document_of(found.health))
         (folder / PICTURE).write_text(picture, encoding="utf-8")

@@ -1,31 +1,27 @@
-"""Reports: what they need is gathered while a log is analyzed, then they are written.
+"""The report of a log: what it needs is gathered while the log is analyzed, then it is written.
 
-    python -m gcs_sysid.cli.reporting < JOB
+    python -m gcs_sysid.web.log_report < JOB
 
 makes the report of a recording that may still be growing in a process of its own; JOB is a pickled
 `ReportJob`. In the session's process an analysis at full speed would hold up the session; and what
 that process has for a terminal belongs to the screen.
 """
 
-import argparse
 import pickle
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
-from gcs_sysid.cli import output
 from gcs_sysid.errors import GcsSysidError, InputError, NoAnswerError
-from gcs_sysid.files import check_target, write_whole
-from gcs_sysid.health.whole_analysis import analyze_whole
+from gcs_sysid.files import write_whole
+from gcs_sysid.health.whole_analysis import WholeAnalysis, analyze_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.data import gather, provenance_of
+from gcs_sysid.report.data import ReportData, predicted, provenance_of
 from gcs_sysid.report.evidence_sections import twin_svg
 from gcs_sysid.report.page import render
 from gcs_sysid.results.result import Result
@@ -44,9 +40,9 @@ class ReportJob:
         log: that it is of; may still be growing.
         target: file to write.
         airframe: with its anchor.
+        command: that makes it.
         vehicle: system and component; None: the first autopilot found.
         truth: of an emulated vehicle.
-        command: that makes it.
         start: s after the first record, from which the log is analyzed.
         force: whether a file that is there may be replaced.
     """
@@ -54,33 +50,11 @@ class ReportJob:
     log: Path
     target: Path
     airframe: Airframe
-    vehicle: tuple[int, int | None] | None
-    truth: Mapping[str, float] | None
     command: tuple[str, ...]
+    vehicle: tuple[int, int | None] | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
     start: float = 0.0
     force: bool = False
-
-    @classmethod
-    def of_options(
-        cls, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
-    ) -> "ReportJob":
-        """The report that `analyze --report` asks for.
-
-        Raises:
-            InputError: it cannot be of this, or not be written there.
-        """
-        if len(options.logs) != 1:
-            raise InputError("--report takes one LOG; analyze them one by one")
-        if options.report in ("", "-"):
-            raise InputError("--report needs a file name, such as flight.html")
-        (log,), target = map(Path, options.logs), Path(options.report)
-        others = [options.json if options.json != "-" else None, options.truth, options.airframe]
-        sources = (log, *(Path(name) for name in others if name))
-        check_target(target, replace=options.force, sources=sources)
-        return cls(
-            log, target, airframe, options.vehicle, truth, options.argv, options.start,
-            options.force,
-        )  # fmt: skip
 
 
 class Reporter:
@@ -94,34 +68,33 @@ class Reporter:
     def __enter__(self) -> Sequence[Observer]:
         return (self._recorder,)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._recorder.close()
 
-    def write(self, result: Result, health: Mapping[str, Any] | None = None) -> None:
-        """Write the report of the log analyzed.
-
-        Args:
-            result: of the analysis.
-            health: a health file's content; None where nothing hovers.
+    def write(self, found: WholeAnalysis, progress: Callable[[float], None] | None = None) -> None:
+        """Write the report of the log analyzed, under the name that its result has for it.
 
         Raises:
             InputError: the file cannot be written, or has come into being meanwhile.
         """
-        job = self._job
-        progress = output.progress_bar(f"{job.log}, telemetry")
+        job, result = self._job, found.result
         inspection = inspect_log(job.log, job.vehicle, progress).as_json()
         provenance = provenance_of(job.command, job.log)
-        data = gather(
-            result, self._recorder, inspection, job.airframe, provenance, job.truth, health
+        data = ReportData(
+            result,
+            inspection,
+            job.airframe,
+            provenance,
+            self._recorder.history,
+            predicted(result, self._recorder, job.airframe),
+            job.truth,
+            self._recorder.notes,
+            found.health_document or {},
         )
         twin = self._twin(result)
         if twin is not None:
-            shown = replace(twin, source="the fit to the first part", log=job.log.name)
+            name = Path(result.source).name
+            shown = replace(twin, source="the fit to the first part", log=name)
             data = replace(data, twin=twin.as_json(), twin_picture=twin_svg(shown))
         write_whole(job.target, render(data), replace=job.force)
 
@@ -145,7 +118,7 @@ def have_written(job: ReportJob) -> None:
         InputError: the recording has no result, or the file cannot be written.
     """
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "gcs_sysid.cli.reporting"],
+        [sys.executable, "-P", "-m", "gcs_sysid.web.log_report"],
         input=pickle.dumps(job),
         capture_output=True,
         check=False,
@@ -171,7 +144,7 @@ def write(job: ReportJob) -> None:
             found = analyze_whole(
                 log, job.airframe, job.vehicle, history, observers=observers, name=str(job.log)
             )
-            reporter.write(replace(found.result, source=str(job.log)), found.health_document)
+            reporter.write(found.named(str(job.log)))
 
 
 def main() -> int:
