@@ -336,8 +336,8 @@ class Port(Protocol):
         """Give the port back."""
 
 
-class Transceiver:
-    """Receives from a link, and sends what the gate lets pass.
+class Transceiver(Receiver):
+    """A receiver that also sends what the gate lets pass.
 
     Args:
         link: open; `close` closes it.
@@ -351,15 +351,14 @@ class Transceiver:
     def __init__(
         self, link: Link, *, listen_only: bool = False, signing_key: Path | None = None
     ) -> None:
-        self._link = link
-        self._clock: SigningClock | None = None
+        self._signing: SigningClock | None = None
         check = signer = None
         if signing_key is not None:
             key = read_key(signing_key)
             state = signing_key.with_name(signing_key.name + STATE_SUFFIX)
-            self._clock = SigningClock(state)
-            check, signer = SignatureCheck(key, self._clock), Signer(key, self._clock)
-        self._receiver = Receiver(link, check)
+            self._signing = SigningClock(state)
+            check, signer = SignatureCheck(key, self._signing), Signer(key, self._signing)
+        super().__init__(link, check)
         self.gate = Gate(link.send, listen_only=listen_only, signer=signer)
 
     @property
@@ -367,19 +366,10 @@ class Transceiver:
         """Of the link."""
         return self._link.url
 
-    def receive(self, timeout: float) -> list[ReceivedFrames]:
-        """Wait up to `timeout` s for bytes; the accepted frames."""
-        return self._receiver.receive(timeout)
-
-    def follow(self, vehicle: tuple[int, int]) -> None:
-        """Reply from now on to the address that the vehicle (sysid, compid) sends from."""
-        self._receiver.follow(vehicle)
-
     @property
     def link_report(self) -> LinkReport:
         """As things stand."""
-        link, receiver = self._link, self._receiver
-        check, whereabouts = receiver.check, receiver.whereabouts
+        link, check, whereabouts = self._link, self.check, self.whereabouts
         signing: dict[str, Any] = {}
         if check is not None:
             signing = {"accepted": check.accepted, "refused": dict(check.refused)}
@@ -388,16 +378,16 @@ class Transceiver:
             breaks=link.breaks,
             floods=link.floods,
             dropped=link.dropped,
-            garbage_bytes=receiver.garbage_bytes,
-            marks=receiver.marks,
+            garbage_bytes=self.garbage_bytes,
+            marks=self.marks,
             rival=whereabouts.rival,
             passed_over=whereabouts.passed_over,
-            signing_problem=self._clock.problem if self._clock else "",
+            signing_problem=self._signing.problem if self._signing else "",
             **signing,
         )
 
     def close(self) -> None:
         """Give the link's port back."""
         self._link.close()
-        if self._clock is not None:
-            self._clock.close()
+        if self._signing is not None:
+            self._signing.close()
