@@ -34,6 +34,7 @@ from gcs_sysid.telemetry.mapped_table import (
 )
 from gcs_sysid.telemetry.ros_messages import JsonColumns, MessageColumns, short_type
 from gcs_sysid.telemetry.track_collector import Recording
+from gcs_sysid.telemetry.ulog_format import TopicLog
 
 _HEAD = struct.Struct("<BQ")
 """Kind and size of a record."""
@@ -363,12 +364,12 @@ def _px4_topic(topic: str, kind: str) -> tuple[str, str]:
 
 def _of_px4(path: Path, bag: RosBag) -> Recording | None:
     """By PX4's topics, of the vehicle that has most messages; None: there are none."""
-    vehicles: dict[str, ulog.TopicLog] = {}
+    vehicles: dict[str, TopicLog] = {}
     counts: dict[str, int] = {}
     for name, columns in bag.topics.items():
         vehicle, topic = _px4_topic(name, bag.kinds[name])
         if topic and "timestamp" in columns:
-            topics = vehicles.setdefault(vehicle, ulog.TopicLog()).topics
+            topics = vehicles.setdefault(vehicle, TopicLog()).topics
             # A node that translates versions publishes a topic twice.
             if (topic, 0) not in topics or len(topics[topic, 0]["timestamp"]) < bag.counts[name]:
                 topics[topic, 0] = columns

@@ -10,7 +10,6 @@ Which topic is which message was measured on a flight recorded both ways:
 """
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.message_table import RPM, OnboardMessage
 from gcs_sysid.telemetry.track_collector import Recording, interpolated
-from gcs_sysid.telemetry.ulog_format import Topic, UlogFile
+from gcs_sysid.telemetry.ulog_format import Topic, TopicLog, UlogFile
 
 _ARMED = 2
 """vehicle_status.arming_state."""
@@ -83,20 +82,6 @@ _ESC_FIELDS = {"esc_count", "esc_rpm", "esc_current", "actuator_function"}
 _NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
 
 
-@dataclasses.dataclass
-class TopicLog:
-    """PX4's topics from elsewhere; as of `UlogFile`."""
-
-    topics: dict[tuple[str, int], Topic] = dataclasses.field(default_factory=dict)
-    start: float = 0.0
-    initial: dict[str, float] = dataclasses.field(default_factory=dict)
-    changed: list[tuple[float, str, float]] = dataclasses.field(default_factory=list)
-    dropouts: list[tuple[float, float]] = dataclasses.field(default_factory=list)
-    garbage_bytes: int = 0
-    damaged: bool = False
-    faults: dict[str, str] = dataclasses.field(default_factory=dict)
-
-
 def is_read(topic: str, column: str) -> bool:
     """Whether a column of one of the topics in `READ` is needed."""
     if column == "timestamp":
@@ -117,8 +102,8 @@ def read_ulog(path: Path) -> Recording:
         return recording_of(path, log)
 
 
-def recording_of(path: Path, log: UlogFile | TopicLog) -> Recording:
-    """What PX4's topics say; those of a `TopicLog` are used up.
+def recording_of(path: Path, log: TopicLog) -> Recording:
+    """What PX4's topics say; they are used up.
 
     Raises:
         InputError: there are none.

@@ -65,17 +65,9 @@ class _TopicRows:
     """It grows in place, so that no copy is needed to join what the windows give."""
 
 
-_Subscription = tuple[int, int, "array[int] | None"]
-"""Least and most bytes of a row's entry, and the places to add to; None: it is not wanted."""
-
-
-class UlogFile:
-    """A .ulg read once, within bounds of time and memory.
-
-    Args:
-        path: of the file.
-        wanted: names of the topics whose rows are kept.
-        is_read: whether a column (topic, name) is kept; None: all. The timestamp is.
+@dataclass
+class TopicLog:
+    """PX4's topics, from wherever they come.
 
     Attributes:
         topics: (name, instance) -> column -> (n,) values, of topics with rows.
@@ -86,6 +78,29 @@ class UlogFile:
         garbage_bytes: bytes that belong to no entry.
         damaged: whether the file is not as it was written.
         faults: topic -> why it cannot be read.
+    """
+
+    topics: dict[tuple[str, int], Topic] = field(default_factory=dict)
+    start: float = 0.0
+    initial: dict[str, float] = field(default_factory=dict)
+    changed: list[tuple[float, str, float]] = field(default_factory=list)
+    dropouts: list[tuple[float, float]] = field(default_factory=list)
+    garbage_bytes: int = 0
+    damaged: bool = False
+    faults: dict[str, str] = field(default_factory=dict)
+
+
+_Subscription = tuple[int, int, "array[int] | None"]
+"""Least and most bytes of a row's entry, and the places to add to; None: it is not wanted."""
+
+
+class UlogFile(TopicLog):
+    """A .ulg read once, within bounds of time and memory.
+
+    Args:
+        path: of the file.
+        wanted: names of the topics whose rows are kept.
+        is_read: whether a column (topic, name) is kept; None: all. The timestamp is.
 
     Raises:
         InputError: the file cannot be read, or is no ULog that is known here.
@@ -113,12 +128,7 @@ class UlogFile:
         wanted: Collection[str],
         is_read: Callable[[str, str], bool] | None = None,
     ) -> None:
-        self.initial: dict[str, float] = {}
-        self.changed: list[tuple[float, str, float]] = []
-        self.dropouts: list[tuple[float, float]] = []
-        self.garbage_bytes = 0
-        self.damaged = False
-        self.faults: dict[str, str] = {}
+        super().__init__()
         self._wanted = frozenset(wanted)
         self._is_read = is_read
         self._formats = Formats()
@@ -139,7 +149,6 @@ class UlogFile:
         self._names = sorted(name.encode() for name in self._wanted)
         with reading_log(path):
             self._read(path)
-        self.topics: dict[tuple[str, int], Topic] = {}
         for key, rows in sorted(self._rows.items()):
             if rows.table:
                 table = np.frombuffer(rows.table, rows.kept)
