@@ -312,30 +312,23 @@ def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...
     return own.rotors, own.name
 
 
-@dataclass(frozen=True)
-class _Rule:
-    """One parameter by two others."""
-
-    name: str
-    of: tuple[str, str]
-    formula: Callable[[float, float], float]
-
-
-_RULES = (
-    _Rule("k_T", ("T_max", "rotor_speed_max"), lambda thrust, speed: thrust / speed**2),
-    _Rule("T_max", ("k_T", "rotor_speed_max"), lambda k_T, speed: k_T * speed**2),
-    _Rule("rotor_speed_max", ("T_max", "k_T"), lambda thrust, k_T: math.sqrt(thrust / k_T)),
-    _Rule("moment_ratio", ("k_M", "k_T"), lambda k_M, k_T: k_M / k_T),
-    _Rule("k_M", ("moment_ratio", "k_T"), lambda ratio, k_T: ratio * k_T),
+_RULES: tuple[tuple[str, tuple[str, str], Callable[[float, float], float]], ...] = (
+    ("k_T", ("T_max", "rotor_speed_max"), lambda thrust, speed: thrust / speed**2),
+    ("T_max", ("k_T", "rotor_speed_max"), lambda k_T, speed: k_T * speed**2),
+    ("rotor_speed_max", ("T_max", "k_T"), lambda thrust, k_T: math.sqrt(thrust / k_T)),
+    ("moment_ratio", ("k_M", "k_T"), lambda k_M, k_T: k_M / k_T),
+    ("k_M", ("moment_ratio", "k_T"), lambda ratio, k_T: ratio * k_T),
 )
+"""A parameter, two others, and how it follows from them."""
 
 
 def complete(known: dict[str, KnownEstimate]) -> None:
     """Add what follows from two others."""
-    for rule in _RULES:
-        if rule.name not in known and all(name in known for name in rule.of):
-            value = rule.formula(*(known[name].value for name in rule.of))
-            known[rule.name] = KnownEstimate(value, None, origin=f"from {' and '.join(rule.of)}")
+    for name, of, formula in _RULES:
+        if name not in known and all(other in known for other in of):
+            first, second = (known[other].value for other in of)
+            origin = f"from {' and '.join(of)}"
+            known[name] = KnownEstimate(formula(first, second), None, origin=origin)
     if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():
         k_T, full, speed = (known[n].value for n in ("k_T", "T_max", "rotor_speed_max"))
         if abs(k_T * speed**2 / full - 1.0) > _APART:

@@ -197,13 +197,13 @@ class Inspector:
             self._wraps += int(self._newest // WRAP_US) - int(self._boot_began // WRAP_US)
 
     def _look_at(self, key: Key, watch: StreamWatch) -> None:
-        chunk = watch.cut_chunk()
-        if chunk is None or not watch.flying:
+        t, values = watch.cut_chunk()
+        if not len(t) or not watch.flying:
             return
         if key[0] in _ROTORS:
-            self._rotors.setdefault(key, RotorWatch()).add_values(chunk.values)
-        elif key[0] is Stream.IMU and len(chunk.t) > 1:
-            self._motion.add_rates(chunk.t, chunk.values[:, :3], watch.usual_step)
+            self._rotors.setdefault(key, RotorWatch()).add_values(values)
+        elif key[0] is Stream.IMU and len(t) > 1:
+            self._motion.add_rates(t, values[:, :3], watch.usual_step)
 
     def finish(
         self,

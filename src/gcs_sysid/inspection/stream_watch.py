@@ -189,19 +189,6 @@ def set_back(t: Array, newest: float) -> list[int]:
     return found
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """Samples in rising time.
-
-    Attributes:
-        t: (n,) s.
-        values: (n, width); NaN where a sample has fewer values than others.
-    """
-
-    t: Array
-    values: Array
-
-
 @dataclass
 class Tally:
     """Counts of one stream."""
@@ -279,10 +266,13 @@ class StreamWatch:
         """The counts that matter: those in flight, where there was flight."""
         return self.flight if self.flight.samples > 1 else self.ground
 
-    def cut_chunk(self) -> Chunk | None:
-        """Look at what was gathered; the samples that came in rising time, if any."""
+    def cut_chunk(self) -> tuple[Array, Array]:
+        """Look at what was gathered; the samples that came in rising time, (n,) s and values.
+
+        NaN where a sample has fewer values than others.
+        """
         if not self._t:
-            return None
+            return np.empty(0), np.empty((0, 0))
         t, values = np.concatenate(self._t), stacked(self._values)
         self._t.clear()
         self._values.clear()
@@ -290,16 +280,16 @@ class StreamWatch:
         before = -np.inf if self._last is None else self._last
         newest = np.maximum.accumulate(np.concatenate(([before], t)))
         fresh = t > newest[:-1]
-        if not fresh.any():
-            return None
         t, values = t[fresh], values[fresh]
+        if not len(t):
+            return t, values
         tally = self.flight if self.flying else self.ground
         tally.samples += len(t)
         self._count_steps(tally, np.diff(t) if self._last is None else np.diff(t, prepend=before))
         self._count_repeats(tally, values)
         self._last = float(t[-1])
         self._last_values = values[-1].copy()
-        return Chunk(t, values)
+        return t, values
 
     def _count_steps(self, tally: Tally, steps: Array) -> None:
         if not len(steps):
