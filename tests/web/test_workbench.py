@@ -236,10 +236,20 @@ def test_the_airframe_is_proposed_from_the_log(fly):
 
 
 @pytest.mark.slow
-def test_a_log_without_its_layout_asks_for_one(paper_flight):
-    assert log_worker.look(paper_flight.tlog, lambda *_: None)["airframe"] is None
-    with pytest.raises(InputError, match="choose or draw the airframe"):
+def test_a_layout_that_only_the_flight_shows_is_proposed_as_analyze_takes_it(paper_flight):
+    found = log_worker.look(paper_flight.tlog, lambda *_: None)["airframe"]
+    assert found["by"] == "how the vehicle turns"
+    assert found["arm"] is None
+    with pytest.raises(InputError, match="enter the arm"):
         airframe_of(parse_request(request(airframe={"kind": "log"})), paper_flight.tlog)
+
+
+@pytest.mark.slow
+def test_a_log_without_its_layout_asks_for_one(fly):
+    log = fly("--mission", "hover", "--duration", "3", "--rate", "50").tlog
+    assert log_worker.look(log, lambda *_: None)["airframe"] is None
+    with pytest.raises(InputError, match="choose or draw the airframe"):
+        airframe_of(parse_request(request(airframe={"kind": "log"})), log)
 
 
 def lines_of(text):

@@ -8,14 +8,14 @@ from typing import Any
 from gcs_sysid.argument_types import given_words, with_given
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import MEGABYTE, LogLimits, OverTime, within
+from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.whole_analysis import analyze_whole
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.report.page import health_picture
 from gcs_sysid.session.chain import HISTORY_INTERVAL, ChainOptions
-from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
+from gcs_sysid.session.reported_layout import airframe_of_layout
 from gcs_sysid.strict_json import json_text
-from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_report import Reporter, ReportJob
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
 
@@ -112,19 +112,15 @@ def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
 
 
 def _reported_airframe(log: Path, arm: float | None) -> Airframe:
-    opened = open_log(log)
-    for _ in opened.blocks():
-        pass
-    vehicle = opened.vehicle
-    of_vehicle = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
-    if of_vehicle is None:
+    layout = ReadLog(log).layout()
+    if layout is None:
         raise InputError("the log does not hold the vehicle's layout: choose or draw the airframe")
-    if arm is None and not of_vehicle.sized:
+    if arm is None and not layout.sized:
         raise InputError(
-            f"the log gives the layout ({of_vehicle.by}) but no lengths: enter the arm, from the "
+            f"the log gives the layout ({layout.by}) but no lengths: enter the arm, from the "
             "center to each motor"
         )
-    return airframe_of_layout(of_vehicle, arm)
+    return airframe_of_layout(layout, arm)
 
 
 def _command(request: AnalysisRequest, name: str) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.processes import end_after
 from gcs_sysid.results.health_view import short_facts
-from gcs_sysid.session.reported_layout import proposal, reported_layout, suggested_airframe
+from gcs_sysid.session.reported_layout import proposal, suggested_airframe
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import parse_request
@@ -42,7 +42,7 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
             if len(track.t):
                 first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
     vehicle = opened.vehicle
-    layout = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
+    layout = keeper.layout()
     health = document_of(keeper.health(str(log), HealthOptions()))
     return {
         "answer": health["summary"],
