@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
+from gcs_sysid.model.attitude import align_signs
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import message_table
 from gcs_sysid.telemetry.clock import DRIVING, ClockTimes, Stamp, VehicleClock, following
@@ -445,11 +446,8 @@ class RecordDecoder:
         self._drop("not finite", ~sound)
         order, t, q = order[sound], t[sound], q[sound] / norm[sound, None]
         timed = np.isfinite(t)
-        chain = np.vstack([self._q_last, q[timed]])
-        flips = np.einsum("ij,ij->i", chain[1:], chain[:-1]) < 0.0
-        q[timed] = np.where(np.cumsum(flips)[:, None] % 2, -chain[1:], chain[1:])
-        if timed.any():
-            self._q_last = q[timed][-1]
+        chain = align_signs(np.vstack([self._q_last, q[timed]]))
+        q[timed], self._q_last = chain[1:], chain[-1].copy()
         return order, t, q
 
     def _give(self, message: Message, rows: Array, t: Array, out: TrackCollector) -> None:
