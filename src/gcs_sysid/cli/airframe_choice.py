@@ -45,10 +45,9 @@ def layout_of(options: argparse.Namespace, reported: Airframe | None = None) -> 
         InputError: there is none of that name, or it is no airframe.
     """
     airframe = load_airframe(options.airframe) if reported is None else reported
-    if options.arm is not None:
-        airframe = with_given(airframe, "arm", options.arm, "--arm")
-    scale = given_scale(options)
-    return airframe if scale is None else with_given(airframe, *scale, GIVEN_OPTIONS[scale[0]])
+    for name, value in given_of(options):
+        airframe = with_given(airframe, name, value, GIVEN_OPTIONS[name])
+    return airframe
 
 
 def airframe_of(
