@@ -106,13 +106,14 @@ def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
     batch, logs, airframe_file, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    (logs / "one" / "b.tlog").unlink()
     airframe_file(logs / "one" / "airframe.toml", "quad-1")
     airframe_file(logs / "airframe.toml", "others", mass=2.0)
     status, err = batch(logs, "-o", tmp_path / "out", "--workers", "1")
     assert status == 0
     lines = re.split(r"\r *\r", err)
-    assert any(line.startswith("1 of 5 logs: 1 ") and line.endswith(" left") for line in lines)
-    assert lines[-1].startswith("gcs-sysid: 5 of 5 logs: 4 identified, 1 failed")
+    assert any(line.startswith("1 of 4 logs: 1 ") and line.endswith(" left") for line in lines)
+    assert lines[-1].startswith("gcs-sysid: 4 of 4 logs: 3 identified, 1 failed")
     found = {
         Path(row["path"]).parent.name: (row["vehicle"], row["scale"]["value"])
         for row in read_table(tmp_path / "out" / "fleet.parquet")
