@@ -20,7 +20,7 @@ pytestmark = [
 
 ENOUGH = {
     "px4-esc-cg.tlog": ChainOptions(end=120.0),
-    "ardupilot-sitl.tlog": ChainOptions(end=150.0),
+    "ardupilot-sitl.tlog": ChainOptions(end=110.0),
 }
 """As much of a log as reaches the bars."""
 
