@@ -186,14 +186,14 @@ def test_a_gap_is_bridged(paper_records, whole):
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "believed"), [(1.0, True), (1.5, False)])
 def test_a_prior_that_the_flight_contradicts_is_named_and_not_used(
-    paper_records, paper_flight, whole, share, believed
+    beginning, paper_flight, begun, share, believed
 ):
     k_M = paper_flight.truth["k_M"]
     airframe = replace(load_airframe("paper"), priors={"k_M": (share * k_M, 0.01 * k_M)})
-    _, result = run(paper_records, airframe=airframe)
+    _, result = run(beginning, airframe=airframe)
     assert [o.by for o in result.objections if o.by == "priors"] == ["priors"] * (not believed)
     assert result.verdict == ("identified" if believed else "partial")
-    alone = whole.parameters["k_M"]
+    alone = begun[1].parameters["k_M"]
     found = result.parameters["k_M"]
     if believed:
         assert found.std < alone.std
@@ -208,15 +208,15 @@ def test_an_airframe_without_scale_is_refused():
 
 
 @pytest.mark.slow
-def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
+def test_a_wrong_airframe_is_told_apart_from_a_short_flight(beginning):
     airframe = load_airframe("paper")
     one, two, three, four = airframe.rotors
     swapped = replace(airframe, rotors=(three, two, one, four))
-    result = run(paper_records, airframe=swapped)[1]
+    result = run(beginning, airframe=swapped)[1]
     assert result.verdict == "refused"
     assert "rotors 1 and 3 look swapped" in result.reasons[0]
     turned = tuple(replace(rotor, spin=-rotor.spin) for rotor in airframe.rotors)
-    result = run(paper_records, airframe=replace(airframe, rotors=turned))[1]
+    result = run(beginning, airframe=replace(airframe, rotors=turned))[1]
     assert result.verdict == "partial"
     assert result.parameters["k_M"].value < 0.0
     assert "check spin in the airframe file" in "; ".join(result.reasons)
