@@ -24,8 +24,8 @@ def run(records, options=END_ONLY):
 
 @pytest.fixture(scope="module")
 def records(paper_records):
-    """Two thirds of the article's flight."""
-    return [r for r in paper_records if r.t - paper_records[0].t < 44.0]
+    """The first mode of the article's flight, and a little of the second."""
+    return [r for r in paper_records if r.t - paper_records[0].t < 24.0]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_clean_samples_are_not_touched(whole):
     ("how", "kind"), [(spike, "spikes"), (repeat, "frozen"), (no_gyro, "missing")]
 )
 def test_the_estimate_holds_and_the_faults_are_told(records, whole, how, kind):
-    faulty, count = spoilt(records, 0.01, how)
+    faulty, count = spoilt(records, 0.02, how)
     assert count >= 6
     chain, result = run(faulty)
     agree(result, whole)
@@ -101,26 +101,25 @@ def test_an_accelerometer_that_fails_costs_nothing(records, whole, share):
 
 
 @pytest.mark.slow
-def test_a_sensor_that_stands_still_is_missing_and_holds_nothing_up(paper_records):
-    first = paper_records[0].t
-    stuck = None
-    records = []
-    for record in paper_records:
-        if record.stream is Stream.IMU and 30.0 < record.t - first < 33.0:
+def test_a_sensor_that_stands_still_is_missing_and_holds_nothing_up(records, whole):
+    first, stuck, faulty = records[0].t, None, []
+    for record in records:
+        if record.stream is Stream.IMU and 12.0 < record.t - first < 15.0:
             stuck = stuck or record.values
             record = record._replace(values=stuck)
-        records.append(record)
+        faulty.append(record)
     chain = Chain(load_airframe("paper"), END_ONLY)
     behind = 0.0
-    for n in range(0, len(records), 50):
-        some = records[n : n + 50]
+    for n in range(0, len(faulty), 50):
+        some = faulty[n : n + 50]
         feed(chain, some)
         if some[-1].t - first > 5.0:
             behind = max(behind, some[-1].t - first - chain.t)
     result = chain.finish()
     assert behind < 2.0
     assert result.telemetry["imu_outliers"]["frozen"] == pytest.approx(59, abs=2)
-    assert 50.0 < result.telemetry["used_seconds"] < 58.0
+    lost = whole.telemetry["used_seconds"] - result.telemetry["used_seconds"]
+    assert 3.0 <= lost < 8.0
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
 
 
