@@ -9,7 +9,7 @@ from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record.tuning import COMMANDS, EstimatorTuning
 
 DT = 0.005
-STOP = 40
+STOP = 20
 """Samples from fit to fit."""
 
 
@@ -74,7 +74,7 @@ def test_blocks_give_what_single_fits_give(truth, flight, smoother):
     alone = single(truth, samples, tuning)
     for block in (7, 250):
         fits = series(truth, samples, block, tuning)
-        assert sum(fit.rotation is not None for fit in fits) > 60
+        assert sum(fit.rotation is not None for fit in fits) > 120
         assert_same(fits, alone)
 
 
@@ -89,7 +89,7 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
         for fits in (series(truth, samples, 3000, COMMANDS), single(truth, samples, COMMANDS))
     ]
     # These motors have no lag, so that some searches are on their way to its bound.
-    assert len(late[0]) > 50
+    assert len(late[0]) > 100
     assert_same(*late)
 
 
@@ -98,8 +98,8 @@ def test_quick_fits_are_near_full_ones(truth, flight):
     # Of whitened rows: test_quick_fits_stay_near_the_full_one.
     estimator = OnlineEstimator(truth.geometry, DT, EstimatorTuning(smoother="window"))
     off = []
-    for k, start in enumerate(range(0, len(samples.gyro), 5 * STOP)):
-        part = samples.part(slice(start, start + 5 * STOP))
+    for k, start in enumerate(range(0, len(samples.gyro), 10 * STOP)):
+        part = samples.part(slice(start, start + 10 * STOP))
         quick = estimator.follow(part, list(range(STOP, len(part.gyro) + 1, STOP)))[-1]
         if k % 4 == 3 and quick.seconds > 6.0:
             full, quick = estimator.fit().rotation, quick.rotation
