@@ -300,11 +300,22 @@ class SpeedNoise(InputNoise):
         covariance = np.zeros_like(self._differences.covariance)
         if self._dt <= _SLOWEST and self._differences.count >= ENOUGH:
             covariance = self._differences.covariance
-            # Sensors err one by one; what the loop does it does to all rotors at once.
             one_by_one = self._dt <= _FAST_ENOUGH
-            covariance = np.diag(np.diag(covariance)) if one_by_one else _MISSED * covariance
+            covariance = self._one_by_one(covariance) if one_by_one else _MISSED * covariance
         least = np.maximum(ROUNDING_STD**2 - np.diag(covariance), 0.0)
         return covariance + np.diag(least)
+
+    def _one_by_one(self, covariance: Array) -> Array:
+        """(rotors, rotors) the diagonal part of a covariance to which yaw adds what it will.
+
+        Sensors err one by one; what the loop does it does to all rotors at once. Of a step of a
+        rate, yaw, whose torque is that of drag, makes the largest step of the speeds: in doublets
+        at 250 Hz a tenth of their third differences. Without it P D P is left of the diagonal D,
+        whose diagonal is (P o P) d.
+        """
+        yaw = self._mixer[:, 3] / np.linalg.norm(self._mixer[:, 3])
+        P = np.eye(len(yaw)) - np.outer(yaw, yaw)
+        return np.diag(np.linalg.solve(P * P, np.diag(P @ covariance @ P)))
 
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
         """See `InputNoise.row_moments`."""
