@@ -63,8 +63,7 @@ def speed_noise(samples: Samples, dt: float) -> Array:
     """(5, 5) covariance of the rotors' signals in a sample, as the program finds it."""
     noise = SpeedNoise(GEOMETRY, dt)
     noise.update(samples.speeds)
-    torques, across, H = noise.of_signals
-    return np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
+    return noise.of_signals
 
 
 def at_known_mass(fit: Fit) -> dict[str, Estimate]:

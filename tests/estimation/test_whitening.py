@@ -86,7 +86,7 @@ def test_known_noise_is_what_noise_adds():
     white = WhitenerBank(bank_for(T)[::4]).update(
         np.swapaxes(elements, 0, 1).reshape(len(rows.average), n)
     )
-    told = record.noise(np.eye(4), np.zeros(4), 1.0)[:, :n, :n]
+    told = record.noise(np.eye(5))[:, :n, :n]
     for w, expected in zip(white, told[::4], strict=True):
         size = np.sqrt(np.diag(expected))
         scaled = (w.T @ w / len(w) - expected) / np.outer(size, size)

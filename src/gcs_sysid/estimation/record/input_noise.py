@@ -320,8 +320,9 @@ class SpeedNoise(InputNoise):
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
         """See `InputNoise.row_moments`."""
         out = np.zeros((basis.width, basis.width))
-        averaged, differentiated = np.zeros((2, SIGNALS, SIGNALS))
-        averaged[:4, :4], _, differentiated[4, 4] = self.of_signals
+        averaged, differentiated = self.of_signals, np.zeros((SIGNALS, SIGNALS))
+        differentiated[4, 4] = averaged[4, 4]
+        averaged[4], averaged[:, 4] = 0.0, 0.0
         if not averaged.any():
             return out
         if memory not in self._overlaps:
@@ -339,22 +340,15 @@ class SpeedNoise(InputNoise):
     @property
     def torques(self) -> Array:
         """See `InputNoise.torques`."""
-        return self.of_signals[0]
+        return self.of_signals[:4, :4]
 
     @property
-    def of_signals(self) -> tuple[Array, Array, float]:
-        """Covariance of the rotors' signals in one sample.
-
-        (4, 4) of roll, pitch, thrust and yaw, (4,) of these with H, and the variance of H.
-        """
+    def of_signals(self) -> Array:
+        """(5, 5) covariance of roll, pitch, thrust, yaw and H in one sample."""
         if self._samples == 0:
-            return np.zeros((4, 4)), np.zeros(4), 0.0
-        mixer, spin, covariance = self._linear_mixer, self._mixer[:, 3], self.covariance
-        return (
-            mixer.T @ covariance @ mixer,
-            mixer.T @ covariance @ spin,
-            float(spin @ covariance @ spin),
-        )
+            return np.zeros((SIGNALS, SIGNALS))
+        signals = np.column_stack([self._linear_mixer, self._mixer[:, 3]])
+        return signals.T @ self.covariance @ signals
 
 
 def missed_and_seen(dt: float, loop_cutoff: float | None, apart: float | None = None) -> Array:

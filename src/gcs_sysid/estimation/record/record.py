@@ -60,9 +60,6 @@ cut."""
 _BATCHES, _FEWER_BATCHES = 512, 256
 """RegressionRows of commands are wide, and their batches large: fewer are kept apart."""
 
-_SignalsNoise = tuple[Array, Array, float]
-"""Covariance of the rotors' signals, as `WhitenedRecord.noise` takes it."""
-
 
 class FlightRecord:
     """Samples in; moments out.
@@ -116,7 +113,7 @@ class FlightRecord:
         """Samples that wait for a whole piece."""
         self._noted_every = piece * max(round(_NOTED_TIME / (piece * dt)), 1)
         self._since_noted = 0
-        self._note: _SignalsNoise | None = None
+        self._note: Array | None = None
         self.basis = basis = ActuatorDynamics(
             smoother.delays,
             tuning.lags,
@@ -262,7 +259,7 @@ class FlightRecord:
             if self._since_noted >= every:
                 self._since_noted = 0
                 if self._of_speeds is not None:
-                    self._note = self._signals_noise()
+                    self._note = self.signals_noise
                     if self.seconds >= self._judge_at:
                         self._judge_gyro(self._of_speeds)
                 elif self.commands is not None and self.commands.is_due():
@@ -388,27 +385,20 @@ class FlightRecord:
             # Commands that are whitened are too fast to miss anything.
             silence = white.silence
             return silence if some is None else silence[list(some)]
-        return white.noise(*self._signals_noise(), some)
+        return white.noise(self.signals_noise, some)
 
     def _noted_noise(self) -> Array:
         """(bank, width, width) of a whitened row, as known when it was last noted."""
         assert self._of_speeds is not None
         if self._note is None:
-            self._note = self._signals_noise()
-        return self._of_speeds.noise(*self._note)
-
-    def _signals_noise(self) -> _SignalsNoise:
-        noise = self.input_noise
-        assert isinstance(noise, SpeedNoise)
-        return noise.of_signals
+            self._note = self.signals_noise
+        return self._of_speeds.noise(self._note)
 
     @property
     def signals_noise(self) -> Array:
         """(5, 5) covariance of roll, pitch, thrust, yaw and H in a sample, of known noise."""
-        if self.commands is not None:
-            return np.zeros((5, 5))
-        torques, across, H = self._signals_noise()
-        return np.block([[torques, across[:, None]], [across[None], np.array([[H]])]])
+        noise = self.input_noise
+        return noise.of_signals if isinstance(noise, SpeedNoise) else np.zeros((5, 5))
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of the record (whole batches)."""

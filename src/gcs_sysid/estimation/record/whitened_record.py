@@ -236,27 +236,24 @@ class WhitenedRecord:
         self.narrowed = True
         return white[np.ix_(keep, range(white.shape[1]), columns)]
 
-    def noise(
-        self, average: Array, across: Array, slope: float, some: Sequence[int] | None = None
-    ) -> Array:
+    def noise(self, covariance: Array, some: Sequence[int] | None = None) -> Array:
         """(bank, width, width) what white noise of measured speeds adds to one row of elements.
 
         Args:
-            average: (4, 4) covariance of roll, pitch, thrust and yaw of a sample.
-            across: (4,) of these with H.
-            slope: variance of H.
+            covariance: (5, 5) of roll, pitch, thrust, yaw and H of a sample.
             some: whiteners; None: all.
         """
         if self._overlaps is None:
             self._overlaps = self._overlapping()
         overlaps = self._overlaps if some is None else self._overlaps[list(some)]
         of_average, of_both, of_slope = np.zeros((3, SIGNALS, SIGNALS))
-        of_average[:4, :4], of_both[4, :4], of_slope[4, 4] = average, across, slope
+        of_average[:4, :4], of_both[4, :4] = covariance[:4, :4], covariance[4, :4]
+        of_slope[4, 4] = covariance[4, 4]
         n = self.basis.width - BODY
         mixed = overlaps[:, 1]
         signals = sum(
-            np.einsum("bxy,ij->bxiyj", overlap, covariance)
-            for overlap, covariance in (
+            np.einsum("bxy,ij->bxiyj", overlap, of_signals)
+            for overlap, of_signals in (
                 (overlaps[:, 0], of_average),
                 (mixed, of_both.T),
                 (np.swapaxes(mixed, 1, 2), of_both),
