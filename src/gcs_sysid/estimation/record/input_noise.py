@@ -308,10 +308,11 @@ class SpeedNoise(InputNoise):
     def _one_by_one(self, covariance: Array) -> Array:
         """(rotors, rotors) the diagonal part of a covariance to which yaw adds what it will.
 
-        Sensors err one by one; what the loop does it does to all rotors at once. Of a step of a
-        rate, yaw, whose torque is that of drag, makes the largest step of the speeds: in doublets
-        at 250 Hz a tenth of their third differences. Without it P D P is left of the diagonal D,
-        whose diagonal is (P o P) d.
+        Sensors err one by one; what the loop does it does to all rotors at once, most of it about
+        yaw, whose torque is that of drag: steps of its rate were a tenth of the third differences
+        of doublets at 250 Hz. Without yaw P D P is left of D, whose diagonal is (P o P) d. Blocks
+        of differences that stand out are no measure: noise of real ESCs is uneven, and a third of
+        it would be left out with them.
         """
         yaw = self._mixer[:, 3] / np.linalg.norm(self._mixer[:, 3])
         P = np.eye(len(yaw)) - np.outer(yaw, yaw)
