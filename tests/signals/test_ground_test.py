@@ -9,14 +9,14 @@ G = 9.81
 T = np.arange(0.0, 30.0, 0.02)
 
 
-def stood(effort, force, rate=0.02, *, commands=False, noise=0.1, block=10**6):
+def stood(effort, force, rate=0.02, *, commands=False, noise=0.1, block=10**6, test=None):
     """Where the ground is found to carry it, from the mean of what thrust grows with."""
     rng = np.random.default_rng(4)
     force = np.abs(force + noise * rng.normal(size=len(T)))
     rates = np.full(len(T), rate)
     empty = np.full(len(T), np.nan)
     thrust = np.column_stack([empty, effort] if commands else [effort, empty])
-    test = GroundTest()
+    test = GroundTest() if test is None else test
     parts = [slice(i, i + block) for i in range(0, len(T), block)]
     return np.concatenate([test.update(T[k], force[k], rates[k], thrust[k]) for k in parts])
 
@@ -28,8 +28,17 @@ def maneuvers(share=0.05):
 
 
 def test_a_bench_run_is_carried_by_the_bench():
-    steps = 1e5 * (2.0 + np.sin(0.8 * T))
-    assert stood(steps, G + 0.0 * T)[T > 3.0].all()
+    steps, test = 1e5 * (2.0 + np.sin(0.8 * T)), GroundTest()
+    assert stood(steps, G + 0.0 * T, test=test)[T > 3.0].all()
+    assert [start for start, _ in test.stood] == [-np.inf]
+
+
+def test_what_flew_stood_from_its_last_sign_of_flight_on():
+    thrust, test = np.where(T < 20.0, maneuvers(0.1), 0.3 + 0.1 * np.sin(3.0 * T)), GroundTest()
+    assert stood(4e5 * thrust, np.where(T < 20.0, G * thrust, G), test=test)[-1]
+    [(start, end)] = test.stood
+    assert 19.5 < start < 21.5
+    assert start < end < 23.0
 
 
 @pytest.mark.parametrize("commands", [False, True])

@@ -440,7 +440,8 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
         [_mean_effort(streams.speeds, grid, 2), _mean_effort(streams.commands, grid, 1)]
     )
     seen_by_imu = felt[:, 3:], felt[:, :3], thrust
-    flying = FlightDetector().update(grid, reported, armed, speeds, position, *seen_by_imu)
+    detector = FlightDetector()
+    flying = detector.update(grid, reported, armed, speeds, position, *seen_by_imu)
     effort = np.nan_to_num(speeds**2).sum(axis=1)
     carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
     seen = np.count_nonzero(flying & carrying) >= TUNING.least_seen * np.count_nonzero(carrying)
@@ -449,6 +450,8 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
         nowhere = np.full_like(position, np.nan)
         flying = FlightDetector().update(grid, reported, armed, speeds, nowhere, *seen_by_imu)
         flying &= carrying
+    for start, end in detector.ground_test.stood:
+        flying &= (grid < start) | (grid >= end)
     return grid, flying
 
 

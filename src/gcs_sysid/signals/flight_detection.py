@@ -60,9 +60,16 @@ _MOST = np.array([0.3, 0.2, 0.2])
 
 
 class GroundTest:
-    """Takes samples block by block; how they are grouped does not matter."""
+    """Takes samples block by block; how they are grouped does not matter.
+
+    Attributes:
+        stood: s from and until which it stood, as turned out at the end of each: what stands and
+            was never shown to fly has stood all the while.
+    """
 
     def __init__(self) -> None:
+        self.stood: list[tuple[float, float]] = []
+        self._flew = -math.inf
         self._number = -1
         self._sums = np.zeros((2, 4))
         self._before = np.full(3, np.nan)
@@ -119,7 +126,13 @@ class GroundTest:
         least = np.where(self._stand, -0.5, -1.0) * _ODDS
         self._stand = self._nats <= least
         # A rotor that is read wrong hides what the force follows, but not from the commands.
-        self._stands = bool(self._stand[known.argmax()] and not (self._nats[known] > 0.0).any())
+        stands = bool(self._stand[known.argmax()] and not (self._nats[known] > 0.0).any())
+        end = (self._number + 1) * _GROUND.window
+        if (self._nats[known] > 0.5 * _ODDS).any():
+            self._flew = end
+        if stands and not self._stands:
+            self.stood.append((self._flew, end))
+        self._stands = stands
 
     def _judged(self, i: int, y: float, x: float, mean: Array) -> float:
         """Nats of a stream after a window in which log |f| changed by y, and log u by x."""
@@ -197,6 +210,7 @@ class FlightDetector:
 
     Attributes:
         left_ground: s from which a flight counts -> s at which it left the ground.
+        ground_test: who carries it.
     """
 
     def __init__(self) -> None:
@@ -217,7 +231,7 @@ class FlightDetector:
         self._sensed = self._stood = self._moved = False
         self._weighed = self._weighed_upright = False
         self._still: tuple[float, float, Array] | None = None
-        self._ground_test = GroundTest()
+        self.ground_test = GroundTest()
 
     def update(
         self,
@@ -287,7 +301,7 @@ class FlightDetector:
             changes = (np.abs(speeds - before) > RULES.same * speeds).any(axis=1)
         driven = self._since(t, changes, "_driven_at") < RULES.silent_for
         disarmed = (armed < 0.5) & ~(turn & driven & (in_air > 0.5))
-        carried_by_ground = self._ground_test.update(t, force, rates, thrust)
+        carried_by_ground = self.ground_test.update(t, force, rates, thrust)
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         stands |= carried_by_ground
         down = self._lately(t, position[:, 2])
