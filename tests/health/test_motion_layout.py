@@ -63,7 +63,7 @@ def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0, crosstalk=0.0):
     slow = np.cumsum(random.standard_normal((n, 3)), axis=0)
     slow *= gusts * moment.std(axis=0) / slow.std(axis=0)
     rates = np.cumsum(moment + slow, axis=0) / RATE
-    force = np.tile([0.0, 0.0, -9.81], (n, 1))
+    force = thrust.mean(axis=1)[:, None] * [0.0, 0.0, -9.81]
     speeds = 500.0 * np.sqrt(np.maximum(thrust, 0.05))
     if extra:
         speeds = np.hstack([speeds, np.full((n, extra), 20.0)])
