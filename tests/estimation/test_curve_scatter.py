@@ -42,7 +42,7 @@ def scattered(basis=BASIS, counts=COUNTS):
     fit = SimpleNamespace(
         unknowns=np.zeros(N_UNKNOWNS), deviations=np.zeros(0), extended_covariance=covariance
     )
-    return problem, curve_scatter(problem, fit, batches, counts)
+    return problem, curve_scatter(problem, fit, batches, counts, np.zeros((3, width, width)))
 
 
 def test_what_goes_beyond_the_interval_is_added_and_all_goes_with_it(found):

@@ -21,9 +21,6 @@ THETA = rb.theta_of(
     }
 )
 
-PLAIN = np.eye(rb.N_SIGNALS + 3)
-"""Of moments of rows as they are."""
-
 
 def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):
     """Moments of rows with the gyroscopic torque of THETA multiplied by a share."""
@@ -37,14 +34,14 @@ def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):
     return np.swapaxes(z, 1, 2) @ z
 
 
-def judged(moments, P, Q):
+def judged(moments, Q):
     """Of moments that are the same for all axes."""
-    return judge_rigid_body(np.repeat(moments[:, None], 3, axis=1), P, Q)
+    return judge_rigid_body(np.repeat(moments[:, None], 3, axis=1), Q)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.0, 0.5])
 def test_share_is_found(share):
-    found = judged(batches(share), PLAIN, rb.forward_matrix(THETA))
+    found = judged(batches(share), rb.forward_matrix(THETA))
     assert np.all(np.abs(found.share - share) < 4.0 * found.std)
     assert np.all(found.std < 0.05)
     assert found.contradicted == (share < 1.0)
@@ -53,16 +50,14 @@ def test_share_is_found(share):
 def test_each_axis_may_have_moments_of_its_own():
     """Roll without gyroscopic torque, the others with it."""
     none, whole = batches(0.0), batches(1.0)
-    found = judge_rigid_body(
-        np.stack([none, whole, whole], axis=1), PLAIN, rb.forward_matrix(THETA)
-    )
-    roll, all_ = (judged(b, PLAIN, rb.forward_matrix(THETA)) for b in (none, whole))
+    found = judge_rigid_body(np.stack([none, whole, whole], axis=1), rb.forward_matrix(THETA))
+    roll, all_ = (judged(b, rb.forward_matrix(THETA)) for b in (none, whole))
     np.testing.assert_array_equal(found.share, [roll.share[0], *all_.share[1:]])
     np.testing.assert_array_equal(found.std, [roll.std[0], *all_.std[1:]])
 
 
 def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
-    found = judged(batches(0.0, activity=3e-3), PLAIN, rb.forward_matrix(THETA))
+    found = judged(batches(0.0, activity=3e-3), rb.forward_matrix(THETA))
     assert np.all(found.std > 0.2)
     assert not found.contradicted
 
@@ -70,7 +65,7 @@ def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
 def test_no_coupling_is_no_contradiction():
     same = THETA.copy()
     same[:6] = [100.0, 100.0, 100.0, 0.0, 0.0, 0.0]
-    found = judged(batches(1.0), PLAIN, rb.forward_matrix(same))
+    found = judged(batches(1.0), rb.forward_matrix(same))
     assert np.isnan(found.share).all()
     assert not found.contradicted
 
@@ -98,7 +93,7 @@ def test_share_and_deviation_are_those_of_a_regression():
     """Rows written out: residual on predicted torque, both freed of all other inputs."""
     x, y, rows = colored()
     z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
-    found = judged(np.swapaxes(z, 1, 2) @ z, PLAIN, rb.forward_matrix(THETA))
+    found = judged(np.swapaxes(z, 1, 2) @ z, rb.forward_matrix(THETA))
     Q = rb.forward_matrix(THETA)
     others = np.delete(x, PRODUCTS, axis=1)
     for axis in range(3):
@@ -126,6 +121,6 @@ def test_gyroscopic_torque_that_follows_a_rotor_torque_tells_nothing(axis):
     strength = np.sqrt(1e-3 * (y[:, axis] ** 2).mean() / (x[:, 0] ** 2).mean())
     x[:, PRODUCTS[0]] = strength / np.abs(Q[axis, PRODUCTS[0]]) * x[:, 0]
     z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
-    found = judged(np.swapaxes(z, 1, 2) @ z, PLAIN, Q)
+    found = judged(np.swapaxes(z, 1, 2) @ z, Q)
     assert np.isnan(found.share[axis])
     assert np.isnan(found.std[axis])

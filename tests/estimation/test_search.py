@@ -13,6 +13,7 @@ from gcs_sysid.estimation.fit.priors import (
 from gcs_sysid.estimation.fit.problem import Problem
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
+from gcs_sysid.estimation.fit.whitener_choice import BankProblem, with_possible_noise
 from gcs_sysid.estimation.rows.actuator_dynamics import (
     BODY,
     PLAIN,
@@ -20,6 +21,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import (
     ActuatorDynamics,
 )
 from gcs_sysid.model import rigid_body as rb
+from tests.estimation.rows_fit import moments_as
 from tests.known_theta import prior_of, sizes, theta_from
 
 VALUES = (80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
@@ -197,3 +199,14 @@ def test_a_search_goes_on_along_the_edge_of_physical_inertias():
     left = point.gradient[0] - inward[0] * (way @ point.gradient[0]) / (way @ inward[0])
     assert left @ np.linalg.solve(point.hessian[0], left) < 1.0  # within a standard deviation
     assert way @ point.gradient[0] < 0.0
+
+
+@pytest.mark.parametrize("counts", [[], [5, 5]])
+def test_a_record_that_has_hardly_begun_starts_no_search(counts):
+    """Between two flights rows of the window are none yet: powers were divided by zero."""
+    width = COMMANDS.width
+    moments = np.zeros((len(counts), 1, width, width)), np.array(counts, dtype=int)
+    data = moments_as(*moments, np.zeros((1, width, width)))
+    prior = prior_of({i: (THETA[i], 0.1 * abs(THETA[i])) for i in range(6)})
+    assert BankProblem(data, COMMANDS, prior).scanned() is None
+    assert with_possible_noise(data, COMMANDS, prior) is data

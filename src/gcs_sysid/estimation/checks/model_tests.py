@@ -65,19 +65,18 @@ class RigidBodyTest:
         return bool(np.any((away > _OFF) & (away > _SURE * self.std)))
 
 
-def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
+def judge_rigid_body(batches: Array, Q: Array) -> RigidBodyTest:
     """Compare the gyroscopic torque in the data with that of the fit.
 
     Args:
-        batches: (k, 3, width, width) moments of rows of elements, as each axis has them.
-        P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
+        batches: (k, 3, WIDTH, WIDTH) moments of rows [x, y], as each axis has them.
         Q: (3, N_SIGNALS) of the fit.
     """
     n = rb.N_SIGNALS
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):
         own = batches[:, axis]
-        total = P @ own.sum(axis=0) @ P.T
+        total = own.sum(axis=0)
         predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
         predicted[PRODUCTS] = Q[axis, PRODUCTS]
         residual[:n], residual[n + axis] = -Q[axis], 1.0
@@ -90,7 +89,7 @@ def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
             continue
         more = float(predicted @ total @ residual) / power
         # Neighboring batches share slow noise, as in the sandwich of the fit.
-        scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)
+        scores = (own @ (residual - more * predicted)) @ predicted
         meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
         share[axis] = 1.0 + more
         std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power
@@ -129,6 +128,8 @@ def find_other_layout(
     )
     # Of the same rows: by others, gusts count for less or for more.
     own, found = _left(small, basis), []
+    if (own - _least(small, basis)).sum() <= -np.log(_CONVINCING):
+        return None
     for says, other in _mistakes(geometry):
         between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
         if np.linalg.cond(between) > 1e6:
@@ -146,6 +147,21 @@ def _left(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
     explained = explained_by(data, basis)
     if explained is None:
         return np.zeros(3)
+    left: Array = np.log(np.clip(1.0 - explained, _NONE, 1.0))
+    return left
+
+
+def _least(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
+    """(3,) as `_left`, were each axis free to mix its signals: no layout leaves less."""
+    total = data.total(np.ones(len(data.counts), dtype=bool))[:, None]
+    P = basis.maps(basis.nodes)[:, 0]
+    moments = P @ total @ np.swapaxes(P, 1, 2)  # (bank, nodes, WIDTH, WIDTH)
+    diagonal = np.diagonal(moments, axis1=2, axis2=3)
+    d = np.sqrt(np.where(diagonal > _ROUNDING, diagonal, 1.0))
+    r = moments / (d[..., None] * d[..., None, :])
+    cross = r[..., :-3, -3:]
+    mixed = np.linalg.pinv(r[..., :-3, :-3], rcond=_NONE, hermitian=True) @ cross
+    explained = (cross * mixed).sum(axis=2).max(axis=(0, 1))
     left: Array = np.log(np.clip(1.0 - explained, _NONE, 1.0))
     return left
 

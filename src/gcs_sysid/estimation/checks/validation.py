@@ -21,7 +21,7 @@ from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped, slower
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined, slower
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 
 _FREQUENCIES = 4096
@@ -247,12 +247,16 @@ def _slow_power(
                 for a, b in zip(own_places, references, strict=True)
             ]
         )
-    powers = []
-    for pick in (own_places, references):
-        batches, counts = data.of_axes(pick)[kept], data.counts[kept]
-        batches, counts = grouped(batches, counts, data.grouped)
-        powers.append(by_parts(lambda some: axis_power(TP, some), batches))
-    own, slow = powers
+    counts = data.counts[kept]
+    own, slow = (
+        joined(
+            by_parts(lambda some: axis_power(TP, some), data.of_axes(pick))[kept],
+            counts,
+            data.grouped,
+        )
+        for pick in (own_places, references)
+    )
+    counts = joined(counts, counts, data.grouped)
     expected = ratio * own
     if data.gains is not None:
         # What the speeds' noise does not explain is the gyro's.

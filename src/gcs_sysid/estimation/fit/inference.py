@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, COORDINATES, N_UNKNOWNS, Prior, Unknown
@@ -108,13 +107,12 @@ class Outcome:
         moved = _times(self.roots[1], pull / self._scale)
         return moved[:, :, None] * moved[:, None, :]
 
-    def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
+    def scores(self, i: int, batches: Array) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
 
         Args:
             i: of the hypothesis.
-            batches: (k, 1 or 3, width, width) of this hypothesis, without the known noise.
-            counts: (k,) rows in each.
+            batches: (k, 1 or 3, width, width) of this hypothesis.
         """
         f, point = len(self._problem.basis.free), self._point
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
@@ -128,10 +126,7 @@ class Outcome:
             of_theta = (TPM @ P[0, :N_X].T).reshape(k, -1) @ WG.T
             return np.column_stack([of_theta, -TPM.reshape(k, -1) @ slopes.T])
 
-        scores = by_parts(some, batches)
-        # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
-        scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
-        return scores / self._scale[i]
+        return by_parts(some, batches) / self._scale[i]
 
     def shares(self, i: int, batches: Array) -> Array:
         """(k, p) what each batch is expected to add to the variance of each unknown.

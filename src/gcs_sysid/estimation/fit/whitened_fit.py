@@ -33,7 +33,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import REACH, TRY, AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, find_whiteners, grouped
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, find_whiteners
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.significance import FALSE_ALARM_RATE
@@ -215,7 +215,7 @@ def fit_whitened(
     deviations = given if start is None else start.deviating
     wanted = np.ones(len(data.counts), dtype=bool) if only is None else only
     bank = BankProblem(data, basis, prior, wanted, deviations)
-    if bank.rows < 3 * rb.N_THETA:
+    if bank.is_short:
         return None
     solved = []
     if start is None:
@@ -226,7 +226,7 @@ def fit_whitened(
             solved.append((bank, bank.solve_from(trial)))
         else:
             # Rows of the window share samples: what a leak leaves of them is not which is best.
-            for i in range(len(data.whiteners)):
+            for i in data.own[:1] or range(len(data.whiteners)):
                 own = (i,) * len(_AXES)
                 alone = replace(bank, data=replace(data, own=own))
                 solved.append((alone, alone.solve(own, trial.unknowns[[i]])))
@@ -240,9 +240,10 @@ def fit_whitened(
             solved.append((bank, bank.solve(pick, unknowns[None])))
         else:
             solved.append((bank, bank.solve_from(bank.tried(unknowns))))
-    finish = partial(_finished, wanted=wanted, choice=choice, others=others, doubt=doubt,
-                     hover=hover, only=only, scatter=scatter)  # fmt: skip
-    return most_certain([finish(*one) for one in solved])
+    chosen = choice if others else None
+    settled = [_settled(*one, wanted, chosen) for one in solved]
+    finish = partial(_finished, data, wanted, choice, doubt, hover, only, scatter)
+    return most_certain([finish(*one) for one in settled])
 
 
 def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
@@ -256,20 +257,11 @@ def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
     return fits[int(np.argmax(uncertain <= uncertain.min() + _AS_CERTAIN))]
 
 
-def _finished(
-    bank: BankProblem,
-    solved: AxisFit,
-    *,
-    wanted: Mask,
-    choice: DeviationChoice | None,
-    others: bool,
-    doubt: float,
-    hover: float,
-    only: Mask | None,
-    scatter: bool,
-) -> WhitenedFit:
-    """The fit from where the search ended: without shocks, with deviations and intervals."""
-    data, basis, kept = bank.data, bank.basis, wanted
+def _settled(
+    bank: BankProblem, solved: AxisFit, wanted: Mask, choice: DeviationChoice | None
+) -> tuple[BankProblem, AxisFit]:
+    """The fit from where the search ended: without shocks, with deviations."""
+    data, kept = bank.data, wanted
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         TP, variance = _innovation_maker(solved), solved.point.variance[0]
@@ -281,33 +273,45 @@ def _finished(
         bank = replace(bank, kept=kept)
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = data.of_axes(solved.pick)
-    weighed = data
     if data.is_whole:
         power = axis_power(_innovation_maker(solved), batches) / data.counts[:, None]
         # Over the median: geometric mean of the axes.
         relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
-        weighed = data.weighed(relative)
-        bank = replace(bank, data=weighed)
+        bank = replace(bank, data=data.weighed(relative))
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
-        batches = weighed.of_axes(solved.pick)
-    for _ in range(_CHOSEN if choice is not None and others else 0):
+    for _ in range(_CHOSEN if choice is not None else 0):
         assert choice is not None
-        motion = None if basis.motors else _of_motion(bank, solved, batches)
-        chosen = bank.choose_deviations(solved, choice, motion)
+        batches = bank.data.of_axes(solved.pick)
+        chosen = bank.choose_deviations(solved, choice, None if bank.basis.motors else batches)
         if chosen.like(bank.deviations):
             break
         # Whiteners too: what the model lacked looked like a disturbance.
         bank = replace(bank, deviations=chosen)
         solved = bank.solve(solved.trial.pick, solved.point.unknowns[:, :N_UNKNOWNS])
-        batches = weighed.of_axes(solved.pick)
+    return bank, solved
+
+
+def _finished(
+    data: WhitenedMoments,
+    wanted: Mask,
+    choice: DeviationChoice | None,
+    doubt: float,
+    hover: float,
+    only: Mask | None,
+    scatter: bool,
+    bank: BankProblem,
+    solved: AxisFit,
+) -> WhitenedFit:
+    """The fit with its intervals."""
+    kept = wanted if bank.kept is None else bank.kept
     outcome = Outcome(solved.problem, solved.point)
     p = solved.problem.p
     # With the standard deviations that white innovations of the whole model would have.
     bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged])[0]
     fit = bound
     if scatter:
-        apart = None if basis.motors else choice
-        fit = _with_scatter(bank, solved, outcome, batches, doubt, hover, only, apart)
+        apart = None if bank.basis.motors else choice
+        fit = _with_scatter(bank, solved, outcome, doubt, hover, only, apart)
         if data.judges:
             r_squared = _explained(solved, data.total(kept), data.judges)
             fit = replace(fit, r_squared=r_squared)
@@ -328,19 +332,10 @@ def _finished(
     )
 
 
-def _of_motion(bank: BankProblem, solved: AxisFit, batches: Array) -> tuple[Array, Array]:
-    """The batches kept, grouped, without the noise that is known; and their rows."""
-    data = bank.data
-    own, counts = grouped(batches[bank.kept], data.counts[bank.kept], data.grouped)
-    own -= NOISE_SHARE * counts[:, None, None, None] * data.noise[list(solved.pick)]
-    return own, counts
-
-
 def _with_scatter(
     bank: BankProblem,
     solved: AxisFit,
     outcome: Outcome,
-    batches: Array,
     doubt: float,
     hover: float,
     only: Mask | None,
@@ -352,17 +347,15 @@ def _with_scatter(
         bank: of the batches kept.
         solved: with its whiteners.
         outcome: of the same.
-        batches: (k, 3, width, width) with them, of all batches.
         doubt: as of `fit_whitened`.
         hover: likewise.
         only: likewise.
         apart: of rotors that may not be read together; None: they are.
     """
     data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
-    noise = data.noise[list(solved.pick)]
-    batches, counts = _of_motion(bank, solved, batches)
-    scores = outcome.scores(0, batches, counts)
-    inverse_root = outcome.roots[1][0]
+    noise = NOISE_SHARE * data.noise[list(solved.pick)]
+    batches = data.of_axes(solved.pick)
+    scores, inverse_root = bank.scores(outcome, batches), outcome.roots[1][0]
     spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
     disturbed = solved.trial.detected.max() > RULES.detected
     if disturbed or bank.deviations.shown:
@@ -370,7 +363,9 @@ def _with_scatter(
         # all scatter counts, proved or not.
         spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
     spread = spread[None]
-    widening = student_factor(outcome.shares(0, batches), REACH, by_scatter)[None]
+    counts = data.counts[:, None]
+    shares = outcome.shares(0, batches) - counts * outcome.shares(0, noise[None])
+    widening = student_factor(bank.joined(shares), REACH, by_scatter)[None]
     if data.is_whole:
         # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)
@@ -391,7 +386,8 @@ def _with_scatter(
     shaken = 1.0 if disturbed or not data.of_steps else 0.0
     ways += list(fit.imitated_turns(shaken)[:, problem.free] / widening[0])
     if disturbed and basis.motors and only is None:
-        ways.append(curve_scatter(problem, fit, batches, counts) / widening[0])
+        rows = data.counts if bank.kept is None else bank.kept * data.counts
+        ways.append(curve_scatter(problem, fit, batches, rows, noise) / widening[0])
     if apart is not None and Unknown.DELAY in problem.free:
         excess = float(np.trace(spread[0])) / problem.p
         way, delays = unlike_delays(problem, point, apart.older, excess)
@@ -405,7 +401,7 @@ def _with_scatter(
 
 
 def curve_scatter(
-    problem: Problem, fit: RotationFit, batches: Array, counts: NDArray[np.int64]
+    problem: Problem, fit: RotationFit, batches: Array, counts: NDArray[np.int64], noise: Array
 ) -> Array:
     """(p,) what all that is fitted errs by with the curve, beyond the fit's own interval.
 
@@ -420,7 +416,8 @@ def curve_scatter(
         problem: that was solved.
         fit: its solution.
         batches: (k, 3, width, width) moments, in time order, with its whiteners.
-        counts: (k,) rows in each.
+        counts: (k,) rows in each; 0: it is left out.
+        noise: (3, width, width) to be taken out of each row.
     """
     nothing = np.zeros(problem.p)
     if Unknown.CURVE not in problem.free or len(counts) < _STRETCHES:
@@ -431,10 +428,11 @@ def curve_scatter(
         return nothing
     ends = np.cumsum(counts)
     stretch = np.minimum((ends - 1) * _STRETCHES // ends[-1], _STRETCHES - 1)
-    without = [stretch != i for i in range(_STRETCHES)]
+    weights = np.stack([(counts > 0) & (stretch != i) for i in range(_STRETCHES)])
+    rows = weights @ counts
     others = Problem(
-        np.stack([batches[kept].sum(axis=0) for kept in without]),
-        np.array([counts[kept].sum() for kept in without]),
+        np.tensordot(weights.astype(float), batches, 1) - rows[:, None, None, None] * noise,
+        rows,
         problem.basis,
         problem.prior,
         np.zeros((1, *batches.shape[1:])),

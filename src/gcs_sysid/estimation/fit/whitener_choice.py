@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
@@ -27,7 +26,7 @@ from gcs_sysid.estimation.fit.problem import (
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import meat
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
@@ -96,11 +95,28 @@ class BankProblem:
         counts = self.data.counts
         return int(counts.sum() if self.kept is None else counts[self.kept].sum())
 
+    @property
+    def is_short(self) -> bool:
+        """Whether there are too few rows for as many unknowns."""
+        return self.rows < 3 * rb.N_THETA
+
     def axes(self, pick: tuple[int, ...]) -> Problem:
         """The problem with one whitener for each axis."""
         places = list(pick)
         moments, noise = self.total[places][None], self.data.noise[places][None]
         return Problem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
+
+    def joined(self, values: Array) -> Array:
+        """(g, ...) sums of (k, ...) values of the batches, of those kept that count as one."""
+        kept = slice(None) if self.kept is None else self.kept
+        return joined(values[kept], self.data.counts[kept], self.data.grouped)
+
+    def scores(self, outcome: Outcome, batches: Array) -> Array:
+        """(g, p) how the score of (k, 3, width, width) batches scatters."""
+        counts, scores = self.joined(self.data.counts), self.joined(outcome.scores(0, batches))
+        # Away from the likelihood's own minimum all rows pull one way, and the noise that is known
+        # does; that is no scatter.
+        return scores - np.outer(counts / counts.sum(), scores.sum(axis=0))
 
     def solve(self, pick: tuple[int, ...], starts: Array) -> AxisFit:
         """Fit with a whitener for each axis, or with others, should these be better there.
@@ -157,6 +173,8 @@ class BankProblem:
         None while the data cannot even start a fit.
         """
         basis, nodes, rows = self.basis, self.basis.nodes, self.rows
+        if self.is_short:
+            return None
         every = max(len(self.total) * len(nodes) // _SCANNED, 1)
         some, some_noise = self.total[::every], self.data.noise[::every]
         middle = nodes[basis.middle]
@@ -210,7 +228,7 @@ class BankProblem:
         self,
         fit: AxisFit,
         choice: DeviationChoice,
-        motion: tuple[Array, NDArray[np.int64]] | None,
+        batches: Array | None,
     ) -> Deviations:
         """The deviations for which there is evidence, from one look at all of them.
 
@@ -223,8 +241,7 @@ class BankProblem:
         Args:
             fit: without them, or with some.
             choice: of them.
-            motion: (k, 3, width, width) batches with its whiteners, without the noise that is
-                known, and (k,) rows in each; None: with commands.
+            batches: (k, 3, width, width) with its whiteners; None: with commands.
         """
         point = fit.point
         every = choice.every(point.unknowns[0])
@@ -258,11 +275,11 @@ class BankProblem:
         information = hessian[np.ix_(of, of)] - cross.T @ inverse @ cross
         score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
         scatter = 1.0
-        if motion is not None:
+        if batches is not None:
             bounded = axes(choice.largest(point.unknowns[0]))
             outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
             root = outcome.roots[1][0]
-            spread = root @ meat(outcome.scores(0, *motion), REACH) @ root
+            spread = root @ meat(self.scores(outcome, batches), REACH) @ root
             scatter = max(float(np.median(np.diag(spread))), 1.0)
         score += information @ phi
         return choice.choose(every, point.unknowns[0], score / scatter, information / scatter)

@@ -471,19 +471,12 @@ class WhitenedMoments:
         return moments
 
 
-def grouped(
-    batches: Array, counts: NDArray[np.int64], least: int
-) -> tuple[Array, NDArray[np.int64]]:
-    """Batches joined until each has so many rows."""
+def joined(values: Array, counts: NDArray[np.int64], least: int) -> Array:
+    """(g, ...) sums of (k, ...) values over batches joined until each has so many rows."""
     starts, size = [0], 0
     for i, count in enumerate(counts):
         if size >= least:
             starts.append(i)
             size = 0
         size += int(count)
-    if len(starts) == len(batches):
-        return batches, counts.copy()
-    out = np.empty((len(starts), *batches.shape[1:]))
-    for joined, start, stop in zip(out, starts, [*starts[1:], len(batches)], strict=True):
-        batches[start:stop].sum(axis=0, out=joined)
-    return out, np.add.reduceat(counts, starts)
+    return np.add.reduceat(values, starts, axis=0)

@@ -162,7 +162,7 @@ class OnlineEstimator:
     def _full_fit(self) -> Fit:
         self._renew_prior(afresh=True)
         rot = self._rotation.fit(None, self.prior)
-        validation = self._rotation.validate(self.prior)
+        validation = self._rotation.validate(self.prior, rot)
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # Inertia in roll and pitch is left to determine.
@@ -293,7 +293,7 @@ class OnlineEstimator:
         rigid_body_test = self._latest_rigid_body_test(rot)
         trans = self._thrust.with_slope(trans, rot, self.prior)
         if self.record.article is None and not series:
-            self._validation = self._rotation.validate(self.prior)
+            self._validation = self._rotation.validate(self.prior, rot)
             self._other_layout = self._rotation.other_layout()
         return Fit(
             rot,

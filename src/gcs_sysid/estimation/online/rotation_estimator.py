@@ -127,11 +127,17 @@ class RotationEstimator:
         """Whether the body is rigid, by a fit."""
         return self._whitening.test_rigid_body(fit)
 
-    def validate(self, prior: Prior | None) -> Validation | None:
+    def validate(self, prior: Prior | None, fit: RotationFit | None) -> Validation | None:
         """How well a part of the flight is predicted from the rest; None: too short, or not asked
         of the article's.
+
+        Args:
+            prior: what else is known.
+            fit: to all of it.
         """
-        return None if self._record.article is not None else self._whitening.validate(prior)
+        if fit is None or self._record.article is not None:
+            return None
+        return self._whitening.validate(prior, fit)
 
     def other_layout(self) -> str | None:
         """What is wrong with the airframe's layout, if another explains the motion far better."""

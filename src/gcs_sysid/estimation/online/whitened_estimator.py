@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.checks.model_tests import (
     LEAST_RATE,
     PRODUCTS,
@@ -28,7 +28,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.fit.whitener_choice import with_possible_noise
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, grouped
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.record.window_record import WindowRecord
@@ -138,9 +138,13 @@ class WhitenedEstimator:
             self._record.whitened_noise(pick),
         )
 
-    def validate(self, prior: Prior | None) -> Validation | None:
+    def validate(self, prior: Prior | None, fit: RotationFit) -> Validation | None:
         """Fit a part, predict the rest; whiteness of innovations."""
-        return predict_held_out(self._data, self.basis, self._choice, prior)
+        data = self._data
+        if not data.of_steps:
+            # By the leak that is right for the flight: each of several costs a fit.
+            data = replace(data, own=tuple(self._white.places(fit.whiteners)))
+        return predict_held_out(data, self.basis, self._choice, prior)
 
     def other_layout(self) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
@@ -172,9 +176,10 @@ class WhitenedEstimator:
         """Whether the body is rigid, see `estimation.checks.model_tests`."""
         data = self._data
         pick = self._white.places(fit.whiteners)
-        batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)
-        batches -= counts[:, None, None, None] * data.noise[pick]
-        return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.Q)
+        P = self.basis.map_at(fit.coordinates)
+        rows = by_parts(lambda some: P @ some @ P.T, data.of_axes(pick))
+        rows -= data.counts[:, None, None, None] * (P @ data.noise[pick] @ P.T)
+        return judge_rigid_body(joined(rows, data.counts, data.grouped), fit.Q)
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
