@@ -20,7 +20,7 @@ from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor, ScaleReference
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.rotor_input import RotorInput
 from tests.estimation.rows_fit import fit_rows
-from tests.known_theta import theta_from
+from tests.known_theta import prior_of, theta_from
 
 ROWS = 4000
 QUAD = Airframe(
@@ -34,12 +34,13 @@ THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.01, 0.005, 0.03, 20.0, 
 MOTION = TranslationFit(1.4e-4, 1e-8, 0.1, 0.01, "momentum")
 
 
-def fit_of(airframe, sigma=0.3):
+def fit_of(airframe, sigma=0.3, prior=None):
     """The fit to the motion of `QUAD` with `THETA`, had the rotors been where an airframe says.
 
     Args:
         airframe: that is believed.
         sigma: rad/s^2, noise of the angular acceleration.
+        prior: on the unknowns.
     """
     rng = np.random.default_rng(1)
     slow = lfilter([0.3], [1.0, -0.95], rng.standard_normal((ROWS, 7)), axis=0)
@@ -54,7 +55,7 @@ def fit_of(airframe, sigma=0.3):
     y += sigma * rng.standard_normal(y.shape)
     moments = NormalEquations((1, WIDTH, WIDTH), 40)
     moments.add(np.column_stack([inputs(airframe.geometry, rates), y])[None])
-    fit = fit_rows(moments.batches, moments.counts, PLAIN, np.zeros((1, WIDTH, WIDTH)))
+    fit = fit_rows(moments.batches, moments.counts, PLAIN, np.zeros((1, WIDTH, WIDTH)), prior)
     total = moments.total[0]
     told = FitMoments(np.broadcast_to(total, (3, WIDTH, WIDTH)), total)
     return Fit(fit, MOTION, 30.0, moments=told)
@@ -86,6 +87,35 @@ def test_shares_of_what_was_given():
     known = {"k_T": (MOTION.kappa * 1.5, MOTION.kappa * 1.5 * 0.004)}
     stds = given_stds(values, fit, Given(told, anchor, RotorInput.SPEED, known))
     assert stds["k_T"] == pytest.approx(0.08 * 0.004**2 / (0.004**2 + 0.04**2), rel=1e-3)
+
+
+def ratio_known(shift=0.0):
+    """A prior on the moment ratio, from which Izz follows."""
+    ratio = float(THETA[rb.MOMENT_RATIO])
+    return prior_of({rb.MOMENT_RATIO: (ratio * (1.0 + shift), 1e-5 * ratio)})
+
+
+@pytest.mark.parametrize(
+    ("prior", "arm", "scale", "izz", "ratio"),
+    [
+        # By half, Izz is what the prior makes of it.
+        ("moment_ratio", "3%", 0.0, 0.45 * 0.03, 0.0),
+        ("moment_ratio", 0, 0.04, 0.04, 0.0),
+        ("k_M", 0, 0.04, 0.45 * 0.04, 0.04),
+    ],
+)
+def test_what_follows_from_a_prior_moves_as_that_does(prior, arm, scale, izz, ratio):
+    """Izz was as sure as the prior on the moment ratio, whatever the scale: 4 % off at 3 sigma."""
+    told = QUAD.with_uncertainty({"rotor_position": 0, "arm": arm}, "here")
+    fit, moved = (fit_of(told, prior=ratio_known(shift)) for shift in (0.0, 1e-4))
+    follows = (moved.rotation.theta - fit.rotation.theta)[2] / (1e-4 * THETA[2])
+    assert follows == pytest.approx(0.55, abs=0.01)
+    k_T = 2e-4
+    values = {"Izz": Estimate(k_T * float(fit.rotation.theta[2]), 0.0)}
+    values["moment_ratio"] = Estimate(float(fit.rotation.theta[rb.MOMENT_RATIO]), 0.0)
+    given = Given(told, ScaleReference("k_T", k_T, given=scale), RotorInput.SPEED, {prior: (1, 1)})
+    shares = {n: std / values[n].value for n, std in given_stds(values, fit, given).items()}
+    assert shares == pytest.approx({"Izz": izz, "moment_ratio": ratio}, rel=0.02, abs=1e-6)
 
 
 def test_exactly_given_adds_nothing():

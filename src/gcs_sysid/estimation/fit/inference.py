@@ -234,6 +234,8 @@ class Outcome:
                     off = along(own, place, COORDINATE_STD[place - rb.N_THETA])
                     own += np.outer(off, off)
         data_std = _deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        # The likelihood's information adds up with the prior's L to C^-1: dx / dm = C L.
+        by_prior = every[:, problem.free[:, None], problem.free] @ problem.prior_information
         return [
             RotationFit(
                 theta=unknowns[i, :n],
@@ -244,6 +246,7 @@ class Outcome:
                 converged=bool(done),
                 coordinates=unknowns[i, COORDINATES],
                 data_std=data_std[i, :n],
+                by_prior=by_prior[i, :n, :n],
                 full_covariance=full[i],
                 warm_start=RotationStart(self._unknowns[i], spread[i], widening[i]),
                 deviations=unknowns[i, N_UNKNOWNS:],

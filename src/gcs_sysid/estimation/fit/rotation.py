@@ -53,6 +53,7 @@ class RotationFit:
             sensor noise alone, see `BankTrial.detected`; NaN where rows are the window's.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone does
             not determine a parameter.
+        by_prior: (N_THETA, N_THETA) derivatives of the estimate by the prior's means.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
             was not estimated.
         warm start: what `follow_rotation` starts from.
@@ -74,6 +75,7 @@ class RotationFit:
     converged: bool
     coordinates: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
     data_std: Array = field(default_factory=lambda: np.empty(0))
+    by_prior: Array = field(default_factory=lambda: np.zeros((rb.N_THETA, rb.N_THETA)))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     warm_start: RotationStart | None = None
     whiteners: tuple[Whitener, ...] = ()

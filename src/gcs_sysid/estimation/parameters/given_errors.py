@@ -37,7 +37,7 @@ class Given:
         airframe: with rotor positions and the uncertainty of all.
         anchor: that sets the scale.
         rotor_input: what the fit is relative to.
-        priors: on mass and k_T.
+        priors: on parameters.
     """
 
     airframe: Airframe
@@ -72,11 +72,18 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
     center = np.hypot(middle, unseen_shift(airframe))
     of_mass, of_thrust = np.zeros((2, len(CAUSES)))
     of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
-    weight = np.ones(rb.N_THETA)
+    held = np.zeros((rb.N_THETA, len(CAUSES)))
     if fit.rotation is not None and not given.anchor.origin:
-        # What comes from a prior does not move with the arm. Before a change in flight it does.
-        std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
-        weight = np.minimum((std / by_data) ** 2, 1.0)
+        # A prior does not move with the arm; relative to k_T it does with the scale. One from
+        # before a change in flight moves as this fit does.
+        theta = fit.rotation.theta
+        held[:, _ARM] = arm * theta
+        held[rb.MOMENT_RATIO, _CANT] = arm * airframe.cant
+        held[rb.CG_X, _CENTER], held[rb.CG_Y, _CENTER + 1] = center
+        scaled = [rb.THETA.index(p.theta) for n in given.priors
+                  if (p := PARAMETERS.get(n)) and p.theta and p.scale == "thrust"]  # fmt: skip
+        held[scaled, _SCALE] = scale.thrust_given * theta[scaled]
+        held = fit.rotation.by_prior @ held
     out = {}
     for name, entry in values.items():
         p = PARAMETERS.get(name)
@@ -92,7 +99,7 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
                 effect[_CENTER + axis] = center[axis]
             if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
                 effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
-            out[name] = float(weight[at]) * effect
+            out[name] = effect - (scale.thrust or 0.0 if by_thrust else 1.0) * held[at]
         elif p.fit in ("scale", "translation"):
             out[name] = entry.value * (of_mass if p.scale == "mass" else of_thrust)
     return out
