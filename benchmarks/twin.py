@@ -33,7 +33,7 @@ from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.significance import Z95
-from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
+from gcs_sysid.twin.held_out_flight import TwinFlight, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
 from sim_bridge.doublets import LEAD, PART, DoubletMission
 from sim_bridge.missions import Reference
@@ -188,7 +188,8 @@ def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
     airframe = drawn.airframe
     turn = np.radians(airframe.uncertainty.imu_rotation.amount) * random.standard_normal(3)
     if exact:
-        airframe = as_exact(airframe)
+        sure = dict.fromkeys(vars(airframe.uncertainty), 0.0)
+        airframe = airframe.with_uncertainty(sure, "exact")
     else:
         airframe, air = as_given(airframe, random), replace(air, imu_rotation=tuple(turn))
     mission = ShortDoublets(drawn.mission("doublets", 2.0, 1.5))
@@ -205,13 +206,11 @@ def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
     error = np.array([(result.parameters[n].value or 0.0) - float(truth[n]) for n in JUDGED])
     P = matrix[np.ix_(at, at)]
     std = np.sqrt(np.diag(P))
-    power, axes = np.linalg.eigh(P / np.outer(std, std))
     return {
         "flight": number,
         "verdict": result.verdict,
         "single": (error / std).tolist(),
         "squared": normalized_error(error, P),
-        "along": (axes.T @ (error / std) / np.sqrt(power)).tolist(),
     }
 
 
@@ -221,9 +220,7 @@ def _show_errors(found: list[dict[str, Any]], where: str) -> None:
     if not judged:
         print(f"none of {len(found)} flights is identified")
         return
-    single, squared, along = (
-        np.array([one[key] for one in judged]) for key in ("single", "squared", "along")
-    )
+    single, squared = (np.array([one[key] for one in judged]) for key in ("single", "squared"))
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
     print(
@@ -241,8 +238,6 @@ def _show_errors(found: list[dict[str, Any]], where: str) -> None:
         f"{name} {value:.2f}"
         for name, value in zip(JUDGED, np.sqrt((single**2).mean(axis=0)), strict=True)
     ))  # fmt: skip
-    print("the same along the eigenvectors of their correlation, from the best known on: "
-          + ", ".join(f"{value:.2f}" for value in np.sqrt((along**2).mean(axis=0))))  # fmt: skip
 
 
 def main() -> int:

@@ -235,6 +235,14 @@ def test_a_turned_imu_is_no_rotor_of_another_torque():
     assert not competing.ratios.any()
 
 
+def test_misplaced_rotors_turn_the_body_by_their_thrust():
+    given = DeviationChoice(QUAD, place=1e-3).given
+    signal = np.linalg.pinv(rb.mixer(QUAD))
+    x, y = np.swapaxes(given.places, 0, 1)
+    assert given.torques[:, 0, :4] == pytest.approx(-y @ signal.T, abs=1e-15)
+    assert given.torques[:, 1, :4] == pytest.approx(x @ signal.T, abs=1e-15)
+
+
 def fit_to(samples, geometry, **given):
     """The fit to a flight, by what is given and how well that is known."""
     estimator = OnlineEstimator(geometry, T, EstimatorTuning(**given))

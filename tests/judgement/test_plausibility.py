@@ -316,7 +316,8 @@ def turning(k_T, ages=()):
         np.zeros(n), np.zeros((n, n)), np.eye(3), np.ones(3), 1000, True,
         deviations=apart @ (k_T / k_T.mean() - 1.0), extended_covariance=own, ages=np.array(ages),
         deviating=Deviations(np.zeros((m, 3, rb.N_SIGNALS)), np.full(m, 0.1), apart, 0.0 * apart,
-                             *np.zeros((2, m, 3)), sized=np.zeros(m, dtype=bool)),
+                             *np.zeros((2, m, 3)), places=np.zeros((m, 2, rotors)),
+                             sized=np.zeros(m, dtype=bool)),
     )  # fmt: skip
     spun = evidence(values() | {"rotor_inertia": Estimate(3e-5, 1e-6)})
     airframe = replace(QUAD, rotors=QUAD.rotors[:1] * rotors)

@@ -115,6 +115,15 @@ def test_the_model_has_the_numbers_of_result_and_samples():
     assert replace(r, parameters=by_axis).model().damping.tolist() == [1e-5, 1e-5, 0.004]
 
 
+def test_the_models_rotors_lie_where_the_fit_has_them():
+    offsets = 1e-3 * np.arange(8.0).reshape(2, 4)
+    moved = replace(result(), telemetry={"rotor_offsets": {"value": offsets.tolist()}})
+    assert moved.model().geometry[:2] == pytest.approx(result().model().geometry[:2] + offsets)
+    for wrong in ({"value": [1.0]}, {"std": 1.0}, [0.0], {"value": [["x"] * 4] * 2}):
+        with pytest.raises(InputError, match="rotor_offsets is malformed"):
+            replace(moved, telemetry={"rotor_offsets": wrong}).model()
+
+
 def test_canted_rotors_turn_by_thrust_too():
     r = result()
     airframe = parse_airframe({"name": "x", "rotor": ROTORS}, "here")

@@ -65,11 +65,12 @@ def assert_same_grid(blocks, others):
 def assert_same(result, other, *, share=1e-5):
     assert result.verdict == other.verdict
     said, expected = dict(result.telemetry), dict(other.telemetry)
-    turned, as_expected = said.pop("imu_rotation", None), expected.pop("imu_rotation", None)
+    for what in ("imu_rotation", "rotor_offsets"):
+        found, as_expected = said.pop(what, None), expected.pop(what, None)
+        assert (found is None) == (as_expected is None)
+        for name in found or ():
+            np.testing.assert_allclose(found[name], as_expected[name], rtol=share, atol=1e-12)
     assert said == expected
-    assert (turned is None) == (as_expected is None)
-    for name in turned or ():
-        np.testing.assert_allclose(turned[name], as_expected[name], rtol=share, atol=1e-12)
     assert len(result.segments) == len(other.segments)
     assert [e["kind"] for e in result.events] == [e["kind"] for e in other.events]
     for event, told in zip(result.events, other.events, strict=True):

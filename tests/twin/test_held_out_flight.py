@@ -14,11 +14,18 @@ import pytest
 import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
+from gcs_sysid.model import attitude
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.report import evidence_sections
+from gcs_sysid.results.words import TEXT_WIDTH
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
-from gcs_sysid.twin.measured_flight import FlightRecorder
+from gcs_sysid.twin.held_out_flight import (
+    airframe_of_result,
+    fly_held_out,
+    fly_own_flight,
+    is_same_flight,
+)
+from gcs_sysid.twin.measured_flight import FlightRecorder, MeasuredFlight
 from gcs_sysid.twin.prediction_errors import Twin, basic_model
 from gcs_sysid.twin.twin_flight import twin_table
 
@@ -68,6 +75,17 @@ def test_errors_grow_from_the_measured_state(twin):
     assert growth.guess["attitude"][-1] > 5.0 * growth.rms["attitude"][-1]
 
 
+def test_the_body_is_seen_through_a_turned_imu():
+    """An IMU turned by a quarter about yaw reads roll as pitch; the body rolls."""
+    read = np.array([[0.0, -0.3, 0.1]])
+    level = np.array([[1.0, 0.0, 0.0, 0.0]])
+    record = MeasuredFlight(np.zeros(1), read, level, read, read, 0.004, RotorInput.SPEED)
+    body = record.of_body(np.array([0.0, 0.0, 0.5 * math.pi]))
+    assert body.rates == pytest.approx(np.array([[0.3, 0.0, 0.1]]))
+    forward = attitude.rotate(body.attitude, np.array([[1.0, 0.0, 0.0]]))
+    assert forward == pytest.approx(np.array([[0.0, -1.0, 0.0]]))
+
+
 @pytest.mark.thorough
 def test_a_wrong_model_leaves_the_band(result):
     """The band is of what the result claims: a vehicle with another inertia flies out of it."""
@@ -92,7 +110,7 @@ def _scaled(result, factor):
 
 def test_the_table_fits_a_terminal(twin):
     lines = twin_table(twin).split("\n")
-    assert max(map(len, lines)) <= 100
+    assert max(map(len, lines)) <= TEXT_WIDTH
     row = next(line for line in lines if line.startswith("rates, deg/s") and " 1 s" in line)
     shown = float(row.split()[4])
     assert shown == pytest.approx(np.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.01)
@@ -234,7 +252,7 @@ def test_the_report_flies_the_first_part_only(tmp_path, capsys, twin):
 
 
 @pytest.mark.slow
-def test_a_recorder_keeps_no_more_than_it_is_asked_for():
+def test_a_recorder_keeps_no_more_than_it_is_asked_for(result):
     whole, half = FlightRecorder(), FlightRecorder(20.0)
     both = SimpleNamespace(
         begin=lambda: [each.begin() for each in (whole, half)],
@@ -244,6 +262,12 @@ def test_a_recorder_keeps_no_more_than_it_is_asked_for():
     analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observers=[both])
     flown = whole.record(0.0, "log").flown()
     kept = half.record(0.0, "log").flown()
+    # Refitted by the estimator of a result: where rotors and IMU are is unknown.
+    roughly = {"imu_rotation": 1.0, "rotor_position": "0.2%"}
+    airframe = gcs_sysid.load_airframe("paper", mass=1.5, uncertainty=roughly)
+    refitted = fly_own_flight(result, half, SAMPLE, airframe).result
+    assert refitted.telemetry["imu_rotation"]
+    assert refitted.telemetry["rotor_offsets"]
     whole.close()
     half.close()
     assert flown[-1] - flown[0] > 50.0

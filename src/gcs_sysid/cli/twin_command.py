@@ -10,7 +10,7 @@ from gcs_sysid.report.evidence_sections import twin_svg
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.twin.held_out_flight import as_exact, fly_held_out
+from gcs_sysid.twin.held_out_flight import fly_held_out
 from gcs_sysid.twin.twin_flight import twin_table
 
 
@@ -58,7 +58,7 @@ def _result(options: argparse.Namespace, airframe: Airframe | None) -> Result:
             f"{path}: a log as RESULT needs --airframe, or write its result first: "
             f"gcs-sysid analyze {path} --json result.json"
         )
-    result = analyze_log(path, as_exact(airframe), options.vehicle)
+    result = analyze_log(path, airframe, options.vehicle)
     if result.verdict == "refused":
         raise NoAnswerError(f"{path}: cannot identify from this: {'; '.join(result.reasons)}")
     return result

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -124,8 +124,8 @@ def covariance_of(result: ResultData) -> tuple[tuple[str, ...], Array]:
 def flight_model(result: ResultData, samples: ParameterSamples | None = None) -> FlightModel:
     """The equations of motion with a result's numbers in them.
 
-    What the flight does not show of damping, drag and rotor inertia is zero. Rotors have the shares
-    of thrust and torque that the result gives each of them.
+    What the flight does not show of damping, drag and rotor inertia is zero. Rotors lie where the
+    fit has them, and have the shares of thrust and torque that the result gives each of them.
 
     Args:
         result: with its airframe.
@@ -137,7 +137,8 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
     airframe = result.layout
     if airframe is None:
         raise InputError("the result has no rotor positions; analyze the log again")
-    geometry = airframe.geometry
+    geometry = airframe.geometry.copy()
+    geometry[:2] += found_in_flight(result, "rotor_offsets", geometry[:2].shape)
     if samples is None:
         estimates = result.estimates
         names = tuple(n for n, e in estimates.items() if e.value is not None)
@@ -177,6 +178,26 @@ def flight_model(result: ResultData, samples: ParameterSamples | None = None) ->
         further={name: values[name] for name in FURTHER if name in values},
         **{name: values.get(name, zero) for name in _BY_NAME},
     )
+
+
+def found_in_flight(
+    result: ResultData, what: Literal["imu_rotation", "rotor_offsets"], shape: tuple[int, ...]
+) -> Array:
+    """How IMU (degrees) or rotors (m) lie otherwise than given; zeros where no fit says so.
+
+    Raises:
+        InputError: a file's is malformed.
+    """
+    found = result.telemetry.get(what)
+    if found is None:
+        return np.zeros(shape)
+    try:
+        value = np.asarray(found["value"], np.float64)
+    except (TypeError, ValueError, KeyError):
+        value = np.empty(0)
+    if value.shape != shape or not np.isfinite(value).all():
+        raise InputError(f"the result's {what} is malformed")
+    return value
 
 
 def _root(result: ResultData, names: tuple[str, ...], *, given: bool) -> Array:

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -841,23 +841,23 @@ class Findings:
             "rotor_outliers": base.wild_speeds,
             "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
-            "imu_rotation": self._imu_rotation(),
+            "imu_rotation": self._found("turns", math.degrees(1.0)),
+            "rotor_offsets": self._found("places", 1.0),
             "thrust_voltage": self.chain.tracker.voltage if self.chain.tracker else None,
         }
 
-    def _imu_rotation(self) -> dict[str, Any] | None:
-        """How the IMU is turned, in degrees; None where that is given as exact or not
+    def _found(self, kind: Literal["turns", "places"], unit: float) -> dict[str, Any] | None:
+        """How IMU or rotors lie otherwise than given; None where that is given as exact or not
         identifiable.
         """
         rotation = self.chain.fit.rotation
-        if rotation is None or not rotation.deviating.turns.any():
+        if rotation is None or not (ways := getattr(rotation.deviating, kind)).any():
             return None
-        turns = rotation.deviating.turns
-        std = np.sqrt(np.maximum(np.diag(turns.T @ rotation.deviations_covariance @ turns), 0.0))
-        return {
-            "value": np.degrees(rotation.deviations @ turns).tolist(),
-            "std": np.degrees(std).tolist(),
-        }
+        flat = unit * ways.reshape(len(ways), -1)
+        variance = np.einsum("ki,kl,li->i", flat, rotation.deviations_covariance, flat)
+        value, std = rotation.deviations @ flat, np.sqrt(np.maximum(variance, 0.0))
+        shape = ways.shape[1:]
+        return {"value": value.reshape(shape).tolist(), "std": std.reshape(shape).tolist()}
 
     def _gyro_filter_found(self) -> float | None:
         """Hz of the undeclared low-pass that the gyro's delay is that of; None: none was found."""

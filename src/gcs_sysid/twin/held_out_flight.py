@@ -9,7 +9,7 @@ again, to the first part of the flight, and judged on the rest.
 import filecmp
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
+from gcs_sysid.results.parameter_samples import found_in_flight
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -130,7 +131,7 @@ def _flown(
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
         options = ChainOptions(start=max(since, start), end=cut)
         flown = analyze_log(
-            log, as_exact(vehicle), wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
+            log, vehicle, wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )
         before, rest = _settled(times, since, cut), FlightPart(cut, np.inf)
         judged = [(rest, before)]
@@ -144,6 +145,7 @@ def _flown(
         spans = ((first.since, float(times[-1])),)
         notes.append("noise and disturbances of each half of the log are taken from the other half")
     notes += _doubts(flown)
+    record = record.of_body(np.radians(found_in_flight(flown, "imu_rotation", (3,))))
     model = flown.model()
     # Vehicles drawn from the covariance; the standard deviation is then known to 10 %.
     samples = flown.samples(48, seed, given=False)
@@ -197,16 +199,6 @@ def _alike(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
     pairs = [(x, second[axis]) for axis, x in first.items()]
     numbers = [(x, y) for x, y in pairs if isinstance(x, float) and isinstance(y, float)]
     return bool(numbers) and all(abs(x - y) <= 1e-9 for x, y in numbers)
-
-
-def as_exact(airframe: Airframe) -> Airframe:
-    """The airframe with what is given taken as exact.
-
-    A twin is flown in the axes of the IMU and with the givens that it was fitted with: their errors
-    are the model's and the vehicle's alike, and change no motion.
-    """
-    exact = {each.name: 0.0 for each in fields(airframe.uncertainty)}
-    return airframe.with_uncertainty(exact, "the twin")
 
 
 def airframe_of_result(result: Result) -> Airframe:

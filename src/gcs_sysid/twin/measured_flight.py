@@ -4,7 +4,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,6 +65,15 @@ class MeasuredFlight:
         """(k,) times at which all is there."""
         there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
         return self.t[there & (self.t >= since)]
+
+    def of_body(self, turn: Array) -> "MeasuredFlight":
+        """The motion of the body, whose IMU is turned by (3,) rad."""
+        back = quaternions.from_rotation_vector(turn)
+        return replace(
+            self,
+            rates=quaternions.rotate(back, self.rates),
+            attitude=quaternions.multiply(self.attitude, quaternions.conjugate(back)),
+        )
 
     def one_step(self, model: FlightModel, part: slice) -> tuple[Array, Array, Array]:
         """What one step of the model leaves, summed up: (n, 3) each of a gapless part.

@@ -93,6 +93,7 @@ class Deviations:
         ratios: (m, rotors) change of each rotor's torque over the mean thrust coefficient, m.
         dampings: (m, 3) change of the damping of each axis.
         turns: (m, 3) rotation vector of the IMU about roll, pitch and yaw, rad.
+        places: (m, 2, rotors) by which rotors are off, m.
         sized: (m,) whether std is given or, with speeds, that of most evidence; with commands the
             others' is no more than usual.
         shown: kinds (of `SIZES`) that the flight shows; others are only allowed for.
@@ -104,6 +105,7 @@ class Deviations:
     ratios: Array
     dampings: Array
     turns: Array
+    places: Array
     sized: Mask
     shown: frozenset[str] = frozenset(SIZES)
 
@@ -171,6 +173,7 @@ NO_DEVIATIONS = Deviations(
     np.zeros((0, 0)),
     np.zeros((0, 3)),
     np.zeros((0, 3)),
+    np.zeros((0, 2, 0)),
     np.zeros(0, dtype=bool),
     shown=frozenset(),
 )
@@ -199,7 +202,7 @@ class DeviationChoice:
         self._contrasts = np.linalg.svd(np.ones((1, rotors)))[2][1:]
         self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
         ways = _misplaced(geometry, self._signal)
-        self._places = place * ways if place else ways[:0]
+        self._misplaced, self._places = (place * way if place else way[:0] for way in ways)
         self._turn = turn
         more = rotors > len(self._signal)
         self._hidden = max(SIZES["thrust"]) if more else _HIDDEN
@@ -227,13 +230,14 @@ class DeviationChoice:
     def given(self) -> Deviations:
         """Of what is given, in its standard deviations."""
         axes = np.eye(3) if self._turn else np.zeros((0, 3))
-        torques = np.concatenate([self._places, np.zeros((len(axes), 3, N_X))])
+        torques = np.concatenate([self._misplaced, np.zeros((len(axes), 3, N_X))])
         n, places = len(torques), len(self._places)
         none = np.zeros((n, self._geometry.shape[1]))
         about = np.concatenate([np.zeros((places, 3)), self._turn * axes])
+        off = np.concatenate([self._places, np.zeros((len(axes), 2, none.shape[1]))])
         every = np.ones(n, dtype=bool)
         return Deviations(
-            torques, np.ones(n), none, none, np.zeros((n, 3)), about, every, frozenset()
+            torques, np.ones(n), none, none, np.zeros((n, 3)), about, off, every, frozenset()
         )
 
     def every(self, unknowns: Array) -> Deviations:
@@ -266,6 +270,7 @@ class DeviationChoice:
             np.concatenate([ratios, given.ratios]),
             np.concatenate([np.eye(kinds, 3), given.dampings]),
             np.concatenate([np.zeros((kinds, 3)), given.turns]),
+            np.concatenate([np.zeros((kinds, 2, rotors)), given.places]),
             np.concatenate([np.zeros(kinds, dtype=bool), given.sized]),
         )
 
@@ -338,6 +343,7 @@ class DeviationChoice:
             every.ratios[use],
             every.dampings[use],
             every.turns[use],
+            every.places[use],
             (every.sized | ~self._commands)[use],
             frozenset(
                 name
@@ -350,8 +356,8 @@ class DeviationChoice:
 _THRUST, _TORQUE = 1, 2
 
 
-def _misplaced(geometry: Array, signal: Array) -> Array:
-    """(m, 3, N_SIGNALS) torques of rotors that are off by a meter, in all ways that count.
+def _misplaced(geometry: Array, signal: Array) -> tuple[Array, Array]:
+    """Of rotors that are off by a meter, in all ways that count.
 
     A common shift and a common scale do not. Of the others the four signals show at most five
     apart.
@@ -359,6 +365,9 @@ def _misplaced(geometry: Array, signal: Array) -> Array:
     Args:
         geometry: (3, rotors).
         signal: (4, rotors) of each rotor's O in the four signals.
+
+    Returns:
+        (m, 3, N_SIGNALS) torques, and (m, 2, rotors) by how much in x and y.
     """
     places, rotors = geometry[:2], geometry.shape[1]
     centered = places - places.mean(axis=1, keepdims=True)
@@ -366,11 +375,11 @@ def _misplaced(geometry: Array, signal: Array) -> Array:
                        centered.ravel()])  # fmt: skip
     ways = np.linalg.svd(common)[2][len(common) :].reshape(-1, 2, rotors)  # the null space
     x, y = np.swapaxes(ways @ signal.T, 0, 1)  # (ways, 4) each
-    _, sizes, apart = np.linalg.svd(np.concatenate([-y, x], axis=1), full_matrices=False)
+    mix, sizes, apart = np.linalg.svd(np.concatenate([-y, x], axis=1), full_matrices=False)
     seen = sizes > 1e-9 * sizes[0]
     torques = np.zeros((int(seen.sum()), 3, rb.N_SIGNALS))
     torques[:, :2, :4] = (sizes[seen, None] * apart[seen]).reshape(-1, 2, 4)
-    return torques
+    return torques, np.tensordot(mix.T[seen], ways, 1)
 
 
 def evidence_for(g: Array, H: Array, std: Array) -> float:
