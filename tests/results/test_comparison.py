@@ -172,7 +172,7 @@ def test_a_lag_is_compared_in_milliseconds():
     timing = {"motor_lag": Estimate(0.0612, 0.001, "s", "identified")}
     comparison = compare(before, replace(before, timing=timing))
     line = next(line for line in report(comparison).splitlines() if "motor_lag" in line)
-    assert line.split() == ["motor_lag", "50.0", "61.2", "11.2", "2.8", "+22", "ms", "changed"]
+    assert line.split() == ["motor_lag", "50.0", "61.2", "11.2", "2.8", "+22", "ms", "≠"]
     row = next(row for row in comparison_rows(comparison)["rows"] if row["name"] == "motor_lag")
     assert (row["before"], row["difference"]) == ("50.0 ± 2.0 ms", "11.2 ± 2.8 ms")
     assert comparison.as_json()["parameters"]["motor_lag"]["unit"] == "s"

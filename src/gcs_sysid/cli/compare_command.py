@@ -9,10 +9,8 @@ from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.comparison import Comparison, Difference, compare, comparison_sentences
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.result_view import figures, number_figures
-from gcs_sysid.results.words import CHANGE, percent_column, scaled_unit, wrapped
+from gcs_sysid.results.words import CHANGE, label, percent_column, scaled_unit, wrapped
 from gcs_sysid.significance import Z95
-
-_WIDTH = 100
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,19 +35,14 @@ def report(comparison: Comparison) -> str:
         f"A {before.verdict}: {before.source}",
         f"B {after.verdict}: {after.source}",
         "",
-        f"{'parameter':<19}{'A':>12}{'B':>12}{'B - A':>10}{'± 95 %':>9}{'%':>8}  "
-        f"{'unit':<{wide}}verdict",
+        f"{'parameter':<14}{'A':>11}{'B':>11}{'B - A':>10}{'± 95 %':>9}{'%':>7}  unit",
         *(_row(each, wide) for each in found),
         "",
-        *(
-            line
-            for sentence in comparison_sentences(comparison)
-            for line in wrapped(sentence, "", _WIDTH)
-        ),
+        *(line for sentence in comparison_sentences(comparison) for line in wrapped(sentence)),
         "",
     ]
     for note in (*comparison.notes, *_RULES):
-        lines += wrapped(note, "- ", _WIDTH)
+        lines += wrapped(note, "- ")
     return "\n".join(lines)
 
 
@@ -68,17 +61,16 @@ def _unit(found: Difference) -> str:
 def _row(found: Difference, wide: int) -> str:
     """A parameter's line, with so many columns for the unit."""
     exponent = REGISTRY[found.name].exponent
-    line = f"{found.name:<19}"
+    line = f"{label(found.name):<14}"
     for estimate in (found.before, found.after):
-        line += f"{figures(estimate, exponent=exponent, digits=5).value:>12}"
+        line += f"{figures(estimate, exponent=exponent, digits=5).value:>11}"
     if found.value is None or found.std is None or found.before is None:
-        line += f"{'-':>10}{'-':>9}{'-':>8}"
+        line += f"{'-':>10}{'-':>9}{'-':>7}"
     else:
         half = Z95 * found.std
         shown = number_figures(found.value, half, found.unit, exponent=exponent, digits=3)
-        line += f"{shown.value:>10}{shown.half or '0':>9}{_percent(found.value, found.before):>8}"
-    why = f": {found.why}" if found.why else ""
-    return f"{line}  {_unit(found):<{wide}}{CHANGE[found.verdict].meaning}{why}"
+        line += f"{shown.value:>10}{shown.half or '0':>9}{_percent(found.value, found.before):>7}"
+    return f"{line}  {_unit(found):<{wide}}{CHANGE[found.verdict].sign}"
 
 
 def _percent(difference: float, before: Estimate) -> str:

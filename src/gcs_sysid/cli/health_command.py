@@ -147,41 +147,41 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     yield f"{health.seconds:.0f} s of hover, rotors by {what} ({health.rotor_source})"
     yield ""
     for name, size, way, alike in cg_facts(document):
-        yield _line(name, f"{size} {way} of the center ({alike})")
+        yield from _line(name, f"{size} {way} of the center ({alike})")
     if health.cg_of_hover is None:
-        yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
+        yield from _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
         perhaps = f"perhaps {off_words(*health.by_wind, ', ')}: fly in calm air to know"
-        yield _line("  wind contribution", perhaps)
+        yield from _line("  wind contribution", perhaps)
     for key in ("yaw_imbalance", "hover_throttle", "thrust_to_weight"):
         yield from _fact(document, key)
     for name in ("k_T", "T_max", "mass"):
         if telling(quantity := document.get(name)):
-            yield _line(name, quantity_text(quantity or {}))
+            yield from _line(name, quantity_text(quantity or {}))
     if health.curve is not None:
         curve = health.curve
         origin = curve.origin if curve.origin in ("given", "assumed") else f"by {curve.origin}"
-        yield _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half, origin))
+        yield from _line("thrust curve", PLAIN.measure(curve.c.value, curve.c.half, origin))
     yield from _fact(document, "drift_per_minute")
     if health.motor_lag:
-        yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
+        yield from _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
     if health.condition is not None:
-        yield _line("rotors", condition_text(health.condition))
+        yield from _line("rotors", condition_text(health.condition))
     if health.apart:
-        yield from wrapped(health.apart, f"{'rotors':<{_NAME}}")
+        yield from _line("rotors", health.apart)
     if health.weakened is not None:
         weak_rotor = condition_text(health.weakened.condition)
-        yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
+        yield from _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
 
 
-def _line(name: str, text: str) -> str:
-    return f"{name:<{_NAME}}{text}"
+def _line(name: str, text: str) -> list[str]:
+    return wrapped(text, f"{name:<{_NAME}}")
 
 
 def _fact(document: Mapping[str, Any], key: str) -> Iterator[str]:
     found = health_fact(document, key, whole=True)
     if found is not None:
-        yield _line(*found)
+        yield from _line(*found)
 
 
 def _rotors(document: Mapping[str, Any]) -> Iterator[str]:

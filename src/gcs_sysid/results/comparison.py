@@ -119,15 +119,18 @@ class Comparison:
 
 def comparison_sentences(comparison: Comparison) -> list[str]:
     """Has the vehicle changed, in a sentence or two."""
-    changed = comparison.named("changed")
-    same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
+    changed, same = comparison.named("changed"), comparison.named("no_change_seen")
+    by_reason: dict[str, list[str]] = {}
+    for name in comparison.named("cannot_tell"):
+        by_reason.setdefault(comparison.differences[name].why, []).append(name)
+    unknown = "; ".join(f"{', '.join(names)} ({why})" for why, names in by_reason.items())
     if comparison.verdict == "cannot_tell":
-        return ["Undetermined: no parameter is identified in both results."]
-    if changed:
+        sentences = ["Undetermined: no parameter is identified in both results."]
+    elif changed:
         sentences = [f"The vehicle has changed: {', '.join(changed)}."]
     else:
         sentences = [f"No change seen in {', '.join(same)}."]
-    return [*sentences, f"Undetermined: {', '.join(unknown)}."] if unknown else sentences
+    return [*sentences, f"Undetermined: {unknown}."] if unknown else sentences
 
 
 def compare(before: Result, after: Result) -> Comparison:

@@ -18,10 +18,9 @@ SHOWN = {
     "velocity": (1.0, "m/s"),
 }
 """Scale and unit of each quantity for people."""
-_WIDTH = 98
 _RULES = (
     "error and band: rms over the axes at the end of the stretches; band: 95 % half-width from "
-    "the covariance of the parameters (alone: by params), noise and disturbance",
+    "the covariance of the parameters (alone: params), noise and disturbance",
     "guess: body rates and velocity assumed constant; R2 is at the end, relative to the measured "
     "variance",
     "basic: the same model without drag, damping, rotor inertia and differences between rotors",
@@ -103,10 +102,10 @@ def twin_table(twin: TwinFlight) -> str:
     """The errors as lines of text."""
     lines = [
         f"{twin.source or 'result'} along {twin.log}",
-        *wrapped(twin.held_out, "held out: ", _WIDTH),
+        *wrapped(twin.held_out, "held out: "),
         "",
-        f"{'quantity':<17}{'ahead':>6}{'error':>9}{'± 95 %':>9}{'by params':>11}{'inside':>8}"
-        f"{'R2':>8}{'basic':>9}{'guess':>8}{'count':>6}",
+        f"{'quantity':<13}{'ahead':>6}{'error':>8}{'± 95 %':>8}{'params':>8}{'inside':>7}"
+        f"{'R2':>8}{'basic':>8}{'guess':>7}{'count':>6}",
     ]
     for name in QUANTITIES:
         scale, unit = SHOWN[name]
@@ -115,7 +114,7 @@ def twin_table(twin: TwinFlight) -> str:
                 lines.append(_row(f"{name}, {unit}", seconds, each[name], scale))
     lines.append("")
     for note in (*twin.notes, *_RULES):
-        lines += wrapped(note, "- ", _WIDTH)
+        lines += wrapped(note, "- ")
     return "\n".join(lines)
 
 
@@ -127,9 +126,9 @@ def _row(name: str, seconds: float, a: Accuracy, scale: float) -> str:
     # Far below zero it says no more than that the model is worse than the mean.
     squared = "-" if not math.isfinite(a.r_squared) else f"{max(a.r_squared, -99.0):.3f}"
     return (
-        f"{name:<17}{seconds:>4g} s{number(a.rms):>9}{number(a.band):>9}"
-        f"{number(a.band_parameters):>11}{share:>8}{squared:>8}{number(a.basic):>9}"
-        f"{number(a.guess):>8}{a.count:>6}"
+        f"{name:<13}{seconds:>4g} s{number(a.rms):>8}{number(a.band):>8}"
+        f"{number(a.band_parameters):>8}{share:>7}{squared:>8}{number(a.basic):>8}"
+        f"{number(a.guess):>7}{a.count:>6}"
     )
 
 
