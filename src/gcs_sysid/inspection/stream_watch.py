@@ -4,7 +4,7 @@ Samples are gathered in chunks and looked at as arrays, because a log has a mill
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, Rotor
 from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
 from gcs_sysid.session.chain import WINDOW
 from gcs_sysid.signals.columns import RecordBlock, stacked
+from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
@@ -27,15 +28,15 @@ class FlightWatch:
     """When the vehicle flies, as the chain's samples have it.
 
     Args:
-        left_ground: as of `FlightDetector`.
+        detector: whose judgement the samples carry.
 
     Attributes:
         known: s of the session up to which that is known.
         spans: s from take-off to landing, of each flight.
     """
 
-    def __init__(self, left_ground: Mapping[float, float]) -> None:
-        self._left_ground = left_ground
+    def __init__(self, detector: FlightDetector) -> None:
+        self._detector = detector
         self.known = -math.inf
         self.spans: list[tuple[float, float]] = []
         self._edges: list[float] = []
@@ -62,10 +63,14 @@ class FlightWatch:
 
     def _turn(self, t: float) -> None:
         self._edges.append(t)
+        if len(self._edges) % 2:
+            return
+        counted = self._edges[-2]
+        stood = self._detector.ground_test.stood
+        landed = min([t, *(start for start, end in stood if end > counted)])
         # Less than a second is a jump of the judgement.
-        if len(self._edges) % 2 == 0 and t - self._edges[-2] >= 1.0 and len(self.spans) < 1000:
-            counted = self._edges[-2]
-            self.spans.append((self._left_ground.get(counted, counted), t))
+        if landed - counted >= 1.0 and len(self.spans) < 1000:
+            self.spans.append((self._detector.left_ground.get(counted, counted), landed))
 
 
 class ChainWatch:
@@ -83,7 +88,7 @@ class ChainWatch:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: RotorSource | None = None
-        self.flight = FlightWatch(self._sampler.flight_detector.left_ground)
+        self.flight = FlightWatch(self._sampler.flight_detector)
 
     def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
