@@ -72,8 +72,8 @@ def test_known_noise_of_the_inputs_is_taken_out_to_first_order(prior):
     told = fit_rows(batches, counts, PLAIN, noise, prior=prior)
     off = {name: fit.theta[:3] / THETA[:3] - 1.0 for name, fit in (("raw", raw), ("told", told))}
     assert np.all(off["raw"] > 0.005)
-    # 3 % of the noise are left in; the noise as drawn is off by 1 / sqrt(2000).
-    assert np.all(np.abs(off["told"]) < 0.2 * off["raw"])
+    # The noise as drawn is off by 1 / sqrt(2000).
+    assert np.all(np.abs(off["told"]) < 0.15 * off["raw"])
 
 
 @pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
@@ -83,7 +83,7 @@ def test_a_fit_that_follows_takes_that_noise_out_too(prior):
     (fit,) = follow_rotation(
         of_axes(batches.sum(axis=0)), np.array([ROWS]), PLAIN, of_axes(noise), start, prior=prior
     )
-    np.testing.assert_allclose(fit.theta, start.theta, atol=1e-3 * start.std.min())
+    assert np.all(np.abs(fit.theta - start.theta) < 1e-3 * start.std)
     np.testing.assert_allclose(fit.std, start.std, rtol=1e-6)
 
 

@@ -12,7 +12,8 @@ to the maximum-likelihood point.
 
 Known noise N of the rotors' inputs is part of the residual; but it is no part of what turned the
 vehicle, and least squares would underrate the inputs for it (errors in variables). Gradient and
-curvature are therefore those of M - n N, for which the truth is the stationary point.
+curvature are therefore those of M - n N, for which the truth is the stationary point; the curvature
+keeps a little of it (NOISE_SHARE).
 """
 
 from copy import copy
@@ -42,9 +43,8 @@ from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
 NOISE_SHARE = 0.97
-"""Share of the inputs' known noise that is taken out of whitened rows. How strong it is, is known
-to one or two percent, and where inputs are hardly more than noise, information must not become
-negative."""
+"""Share of the inputs' known noise that is no information. How strong it is, is known to one or two
+percent, and where inputs are hardly more than noise, information must not become negative."""
 LEAST_POWER = 0.05
 """Share of an innovation's power that no correction leaves it without."""
 _EPSILON = 4e-15
@@ -125,18 +125,17 @@ class Problem:
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
         self.noise, self.silent = noise, noise is None or not noise.any()
-        self.informed = self.moments
-        """As `moments`, without the known noise."""
-        self._noise: Array | None = None
+        self.exact = self.informed = self.moments
+        """As `moments`, without the known noise, and without what of it is no information."""
         if noise is not None and not self.silent:
             noise = noise if noise.ndim == 4 else noise[:, None]
-            self._noise = self.rows[:, None, None, None] * noise
-            self.informed = self.moments - NOISE_SHARE * self._noise
+            noise = self.rows[:, None, None, None] * noise
+            self.exact, self.informed = self.moments - noise, self.moments - NOISE_SHARE * noise
 
     def part(self, which: Array) -> Self:
         """Some of the hypotheses."""
         some = copy(self)
-        for name in ("moments", "rows", "informed", "_noise"):
+        for name in ("moments", "rows", "exact", "informed"):
             values = getattr(self, name)
             setattr(some, name, None if values is None else values[which])
         if not self.silent and len(self._usual) > 1:
@@ -235,23 +234,24 @@ class Problem:
         """Cost and its derivatives at (K, N_UNKNOWNS + m), or at (1, N_UNKNOWNS + m) for all."""
         K, n, f = len(self.moments), self.linear, len(self.basis.free)
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
-        moments, informed = self.moments, self.informed
+        moments, exact, informed = self.moments, self.exact, self.informed
         if self.basis is not PLAIN:
             P = self.maps(unknowns)
             first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
             moments = first @ moments @ turned
-            informed = moments if self.silent else first @ informed @ turned
+            exact = moments if self.silent else first @ exact @ turned
+            informed = (1.0 - NOISE_SHARE) * moments + NOISE_SHARE * exact
         phi = unknowns[:, N_UNKNOWNS:]
         Q, G = self.deviations.jacobian(unknowns, phi)
         T = residual_maker(Q)
-        residual, W, power = self._weigh(T, moments, informed)
+        residual, W, power = self._weigh(T, moments, exact)
         # By axis: (K, 3, n, N_X).
         WG, by_axis = (np.swapaxes(each, 1, 2) for each in (W[:, None] @ G, G))
         hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
         bend = np.zeros_like(hessian)
         signals = informed[..., :N_X, :N_X]
         hessian[:, :n, :n] = (WG @ signals @ np.swapaxes(by_axis, -1, -2)).sum(axis=1)
-        downhill = WG @ (informed[..., :N_X, :] @ T[..., None])
+        downhill = WG @ (exact[..., :N_X, :] @ T[..., None])
         gradient[:, :n] = downhill.sum(axis=1)[..., 0]
         weak = np.zeros(K)
         if phi.shape[1]:
@@ -264,10 +264,7 @@ class Problem:
             # Of residuals, by coordinate: (K, f, 3, width), and with all columns.
             TP = T[:, None] @ P[:, 1:]
             TPM = times_moments(TP, self.informed)
-            changed = TPM
-            if self._noise is not None:
-                # What a delay does to the noise itself is no information: all of it is taken out.
-                changed = TPM - (1.0 - NOISE_SHARE) * times_moments(TP, self._noise)
+            changed = TPM if self.silent else times_moments(TP, self.exact)
             slopes = ((W[:, None] @ changed) * (T @ P[:, 0])[:, None]).sum(axis=(2, 3))
             weighted = (W[:, None] @ TPM).reshape(K, f, -1)
             bends = weighted @ np.swapaxes(TP.reshape(K, f, -1), 1, 2)
@@ -279,7 +276,7 @@ class Problem:
             hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
             hessian[:, n:, n:] = bends + np.diag(self._information)
             if self.basis.twice_delayed is not None:
-                left = W[:, None] @ times_moments((T @ P[:, 0])[:, None], self.informed)
+                left = W[:, None] @ times_moments((T @ P[:, 0])[:, None], self.exact)
                 turned = left @ np.swapaxes(P[:, 1:, :N_X], -1, -2)  # (K, f, 3, N_X)
                 both = -(G.reshape(K, n, -1) @ np.swapaxes(turned.reshape(K, f, -1), 1, 2))
                 bend[:, :n, n:], bend[:, n:, :n] = both, np.swapaxes(both, 1, 2)
@@ -297,20 +294,20 @@ class Problem:
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
         assert self.noise is not None
         if self.basis is PLAIN:
-            return NOISE_SHARE * self.noise
+            return self.noise
         at = self.basis.nodes[self.basis.middle]
-        return NOISE_SHARE * self.basis.moments_at(self.noise, at)
+        return self.basis.moments_at(self.noise, at)
 
-    def _weigh(self, T: Array, moments: Array, informed: Array) -> tuple[Array, Array, Array]:
+    def _weigh(self, T: Array, moments: Array, exact: Array) -> tuple[Array, Array, Array]:
         """Residual covariance, its inverse, and power, as of `Evaluation`.
 
         Args:
             T: (K, 3, WIDTH) what makes residuals.
             moments: (K, 1 or 3, WIDTH, WIDTH) of rows [x, y].
-            informed: the same without the inputs' known noise.
+            exact: the same without the inputs' known noise.
         """
         rows = self.rows[:, None]
-        own = axis_power(T, informed)
+        own = axis_power(T, exact)
         all_ = own if self.silent else axis_power(T, moments)
         # Signals between two of the basis' delays are means of both, and have less noise: a weight
         # that followed that would make every delay look for the middle between two.

@@ -220,9 +220,7 @@ class BankProblem:
         """
         Q = self.deviations.forward(known, known[N_UNKNOWNS:])
         of_noise = axis_power(residual_maker(Q), noise)
-        return np.maximum(
-            point.power / self.rows + NOISE_SHARE * of_noise, LEAST_POWER * point.variance
-        )
+        return np.maximum(point.power / self.rows + of_noise, LEAST_POWER * point.variance)
 
     def choose_deviations(
         self,
