@@ -11,7 +11,7 @@ from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.judgement.judge import object_to
-from gcs_sysid.judgement.status import ROTORS
+from gcs_sysid.judgement.status import ROTORS, SPINS
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.rigid_body import mixer
@@ -172,10 +172,11 @@ def test_a_motor_order_that_the_motion_contradicts_tells_no_cg(name):
 
 
 def test_the_order_as_flown_keeps_its_cg_and_so_does_one_that_gusts_hide():
-    for rotors in (BETAFLIGHT, usual_layouts(4)["quad bf-x-reversed"]):  # spins do not count
-        found = health(rotors, moving=0.1)
+    for turned in ("", "-reversed"):  # spins do not count, and are named
+        found = health(usual_layouts(4)[f"quad bf-x{turned}"], moving=0.1)
         assert found.available
         assert not found.contradicted
+        assert [doubt.by for doubt in found.doubts] == [SPINS] * bool(turned)
     assert why_no_health({"health": document_of(found)}) == []
     rolled = flight(BETAFLIGHT, crosstalk=0.1)
     assert layout(rolled, Airframe("mine", BETAFLIGHT)).as_flown == ""

@@ -4,10 +4,12 @@ import math
 
 import pytest
 
+from gcs_sysid.judgement.status import READINGS
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.health_view import first_answer, health_fact, short_facts
 from gcs_sysid.significance import Z95
+from tests.known_results import result_of
 from tests.screen.fake import health
 
 QUANTITY = {"value": 0.25, "std": 0.001, "std_given": 0.0, "unit": "1"}
@@ -73,6 +75,8 @@ def test_a_wrong_motor_order_is_looked_at():
     wrong = Objection("no", how="give --airframe").as_json()
     told = document(verdict="refused", objections=[wrong], order_contradicted=True)
     assert first_answer(told).line == "LOOK AT the motor order: no"
+    odd = result_of({}, objections=(Objection("rotors differ", by=READINGS),))
+    assert first_answer(told, odd).line == "LOOK AT the motor order: no"
     assert first_answer(told).action == "give --airframe"
 
 

@@ -128,3 +128,4 @@ def test_that_nothing_names_the_outputs_is_said():
     assert not MotorOrder("ardupilot").unknown("RPM")
     named = {f"SERVO{n}_FUNCTION": 32.0 + n for n in range(1, 5)}
     assert not MotorOrder.of("ardupilot", named, 4).unknown("SERVO_OUTPUT_RAW")
+    assert "names 4 motors" in MotorOrder.of("ardupilot", named, 6).unknown("SERVO_OUTPUT_RAW")

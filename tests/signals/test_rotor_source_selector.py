@@ -444,6 +444,7 @@ def test_a_range_that_the_parameters_leave_open_is_assumed():
         assert "assumed" in found.origin
     simulated = px4 | {"SIM_BAT": 1}
     assert not command_range("RCOU", CommandRange(), "px4", simulated, (1000.0, 1600.0)).assumed
-    # DShot, of which nothing is in the log.
-    found = command_range("actuator_outputs", CommandRange(), "px4", px4, (110.0, 1600.0))
-    assert "unknown unit" in found
+    # DShot, of which nothing is in the log, or the range of pulses alone.
+    for known in (px4, BOARD):
+        found = command_range("actuator_outputs", CommandRange(), "px4", known, (110.0, 1600.0))
+        assert "unknown unit" in found

@@ -65,6 +65,7 @@ class GuessedAirframe:
         explained_coupled: the same by all their moments and their lift at once, which allows for
             products of inertia and a CG off the center, in whatever order the motors are.
         as_flown: where the motors are by the motion, in words, where that contradicts `airframe`.
+        reversed: whether all rotors turn the other way, by yaw.
         layout: the rotors that log or flight show; None where they are given, or only assumed.
     """
 
@@ -76,6 +77,7 @@ class GuessedAirframe:
     explained: float | None = None
     explained_coupled: float | None = None
     as_flown: str = ""
+    reversed: bool = False
     layout: ReportedLayout | None = None
 
 
@@ -192,7 +194,8 @@ def layout_by_motion(
         as_flown = "" if guess.shown or first is None else _contradiction(first, ours)
         as_flown = as_flown or _moved_in_flight(ours, seen)
         shown = (guess.shown or shown) and not as_flown
-        return replace(guess, shown=shown, as_flown=as_flown), streams
+        turned = not as_flown and own[2] <= -TUNING.surely_explained
+        return replace(guess, shown=shown, as_flown=as_flown, reversed=turned), streams
     if first is None:
         return replace(guess, shown=shown), streams
     size = guess.origin.partition(f" {ASSUMED}, ")[2]

@@ -32,7 +32,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import misfits, of_turning
-from gcs_sysid.judgement.status import READINGS, ROTORS, on_sound_data
+from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
 from gcs_sysid.model.rotor_input import RotorInput
@@ -47,6 +47,12 @@ from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 _AS_FLOWN = (
     "the motion does not match this motor order ({}); as flown, {}",
     "give --airframe with the rotors in that order, or see what changed places in the record",
+)
+_REVERSED = Objection(
+    "yaw answers the rotors the other way round: all spin in reverse of the airframe",
+    verdict="identified",
+    by=SPINS,
+    how="check spin in the airframe file",
 )
 _WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, and {}"
 
@@ -298,7 +304,7 @@ def health_of(
     # What is in proportion to it is no number.
     if unfit or assumed or (otherwise and not rotor_input.motors):
         health = replace(health, scale=None, mass=None)
-    doubts = (*sensors, *unfit, *otherwise)
+    doubts = (*sensors, *unfit, *otherwise, *((_REVERSED,) if guess.reversed else ()))
     return advised(
         replace(health, doubts=doubts, misread=streams.misread, battery_mass=given.battery_mass)
     )

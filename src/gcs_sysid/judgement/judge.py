@@ -12,7 +12,14 @@ from typing import Any, NamedTuple, TypeVar
 
 from gcs_sysid.judgement import imu_faults, outcome, plausibility, prediction, received
 from gcs_sysid.judgement.evidence import Evidence
-from gcs_sysid.judgement.status import LINES, by_interval, nothing, on_sound_data, reference_values
+from gcs_sysid.judgement.status import (
+    LINES,
+    SPINS,
+    by_interval,
+    nothing,
+    on_sound_data,
+    reference_values,
+)
 from gcs_sysid.model.estimate import Estimate, Objection, Status, Verdict
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 
@@ -81,7 +88,7 @@ PRODUCERS = (
     Producer("rigid body", prediction.rigid_body, Stage.WIDENING),
     Producer("rigid body", plausibility.edge_of_bodies, Stage.BELIEF),
     Producer("one scale", outcome.one_scale, Stage.OUTCOME),
-    Producer("spin", outcome.negative_torque, Stage.OUTCOME),
+    Producer(SPINS, outcome.negative_torque, Stage.OUTCOME),
     Producer("priors", outcome.contradicted_priors, Stage.BELIEF),
     Producer("givens", outcome.what_was_given, Stage.WIDENING),
     Producer("givens", outcome.limited_by_given, Stage.GIVEN),

@@ -144,7 +144,7 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
             ),
             cap="weak",
             verdict="partial",
-            how="check that every ESC reads true: its pole count first",
+            how="check the motor order, and that every ESC reads true: its pole count first",
             by=READINGS,
         )
 

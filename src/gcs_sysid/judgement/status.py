@@ -114,6 +114,8 @@ READINGS = "readings"
 """Producer of objections that rotors differ by more than propellers do."""
 LINES = "lines"
 """Producer of objections that the IMU is shaken otherwise than the rotors' speeds are read."""
+SPINS = "spins"
+"""Producer of objections that all rotors turn the other way."""
 _OF_THE_MOTION = {
     "gyro": "the gyro",
     "saturation": "the IMU",
@@ -128,6 +130,7 @@ OF_THE_DATA = _OF_THE_MOTION | {
     "clock": "the clock",
     "units": "the unit of the rotor speeds",
     LINES: "the unit of the rotor speeds",
+    SPINS: "the spin of the rotors",
     "priors": "what was given",
     "sizes": "what was given",
 }

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from gcs_sysid.judgement.status import OF_THE_DATA
+from gcs_sysid.judgement.status import OF_THE_DATA, READINGS
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import PLAIN, Notation, decimals_for, significant
@@ -258,8 +258,11 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
         health: a health file's content; None where nothing was looked at.
         result: of an identification of the same flight.
     """
+    # Rotors that are taken for others seem to read wrong, too.
+    known = health is not None and health["order_contradicted"]
     for objection in () if result is None else result.objections:
-        if at := OF_THE_DATA.get(objection.by):
+        at = OF_THE_DATA.get(objection.by)
+        if at and not (known and at == OF_THE_DATA[READINGS]):
             return FirstAnswer("LOOK AT", f"{at}: {objection.reason}", _remedy(objection))
     if health is None or health["verdict"] == "refused":
         return _unseen(health, result)

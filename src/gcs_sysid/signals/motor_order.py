@@ -8,7 +8,7 @@ drives none is no rotor's. Readers and links leave streams as they are sent, and
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -104,12 +104,14 @@ class MotorOrder:
             driver turns the motors. Empty: nothing is known, outputs are taken for motors.
         split: whether no driver has all motors, so that outputs in one stream are not all.
         others: drivers that have outputs of something else; those in a stream may be theirs.
+        named: how many motors have an output, where those are not all that the airframe has.
     """
 
     autopilot: str = ""
     orders: tuple[tuple[str, tuple[int, ...]], ...] = ()
     split: bool = False
     others: tuple[str, ...] = ()
+    named: int = field(default=0, compare=False)
 
     @classmethod
     def of(
@@ -126,7 +128,7 @@ class MotorOrder:
         known = {motor for outputs in drivers.values() for motor in outputs}
         count = rotors or max(known, default=-1) + 1
         if not count or not known.issuperset(range(count)):
-            return cls(autopilot)  # not all have come
+            return cls(autopilot, named=len(known))  # not all have come, or there are fewer
         whole = {
             tuple(outputs[motor] for motor in range(count)): driver
             for driver, outputs in sorted(drivers.items(), reverse=True)
@@ -216,6 +218,8 @@ class MotorOrder:
         if self.orders or self.split or not self.is_of_outputs(source):
             return ""
         names = "SERVOn_FUNCTION" if self.autopilot == "ardupilot" else "PWM_MAIN_FUNCn"
+        if self.named:
+            return f": {names} of the record names {self.named} motors, the airframe has more"
         return f": its first outputs are taken for the motors', as the record lacks {names}"
 
 

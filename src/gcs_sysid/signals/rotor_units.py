@@ -89,6 +89,8 @@ def command_range(
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
     found = _of_blackbox(parameters) if source == "motor" else _of_px4(parameters)
+    if found is not None and found.low >= _USUAL[0] > least:
+        found = None  # what is less than any pulse is none
     if found is not None and (source == "motor" or largest <= 1.05 * found.high):
         return found
     if _USUAL[0] <= least <= largest <= _USUAL[1]:
@@ -197,8 +199,8 @@ def are_digital(source: str, parameters: Parameters, values: Array) -> bool:
     only pass there from nothing to the first pulse.
     """
     known = _of_blackbox(parameters) if source == "motor" else _of_px4(parameters)
-    if known is not None:
-        return known.low < _LEAST_PULSE
+    if known is not None and known.low < _LEAST_PULSE:
+        return True
     steps, there = np.diff(values, axis=0), values[1:-1]
     with np.errstate(invalid="ignore"):
         turns = (steps[1:] * steps[:-1] <= 0.0) & (there > _DSHOT[0]) & (there < _LEAST_PULSE)
