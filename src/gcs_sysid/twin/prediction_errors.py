@@ -474,7 +474,9 @@ def _r_squared(error: Array, measured: Array) -> float:
 
 
 def _rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Array:
-    return np.sqrt(np.nanmean(values**2, axis=axis))
+    count = np.isfinite(values).sum(axis=axis)
+    # Of runs that end early nothing is left in the last steps.
+    return np.sqrt(np.nansum(values**2, axis=axis) / np.where(count > 0, count, np.nan))
 
 
 def _difference(flown: Trajectory, measured: dict[str, Array]) -> dict[str, Array]:
