@@ -94,9 +94,12 @@ def true_vehicle(vehicle: Vehicle, inertia: float = 1.0) -> ExportedVehicle:
     return ExportedVehicle("true", vehicle.rotors, known, result)
 
 
-def flown_by_pilot(drawn: Drawn, loop: RateLoop, gusts: float, seed: int) -> FlownSignals:
-    """What a log would hold of the flight; with gusts its position is held."""
-    sim = flown(drawn, loop, Pilot(seed), gusts, *(() if gusts else (ATTITUDE_ONLY,)))
+def flown_by_pilot(
+    drawn: Drawn, loop: RateLoop, gusts: float, seed: int, mission=None, *more
+) -> FlownSignals:
+    """What a log would hold of the flight, of a pilot or another; with gusts position is held."""
+    more = more if gusts else (ATTITUDE_ONLY,)
+    sim = flown(drawn, loop, mission or Pilot(seed), gusts, *more)
     rows = []
     for _ in range(round(SECONDS / (1e-6 * STEP_US))):
         sim.step()
@@ -140,7 +143,7 @@ def outcome(
     objected = []
     for each in dynamics:
         measured = measured_axes(flight, each, loop)
-        smooth = {name: smooth_ratio(one) for name, one in measured.items()}
+        smooth = {name: smooth_ratio(one.torque, one.model) for name, one in measured.items()}
         departures = {name: one.departure() for name, one in smooth.items() if one is not None}
         objected.append(any(parted(departures, LIMITS.unmodeled)))
     return {"claimed": claimed, "inside": inside, "margins": margins, "objections": objected}

@@ -227,6 +227,22 @@ def uncertain_delay(text: str) -> tuple[float, float]:
     return value, std
 
 
+def change(text: str) -> tuple[str, str | float | tuple[float, ...]]:
+    """What is tried: gains=proposed or =FILE, thrust=SHARE, payload=KG[@X,Y,Z] in m."""
+    name, _, value = text.partition("=")
+    if name == "gains" and value:
+        return name, value
+    mass, _, place = value.partition("@")
+    numbers = tuple(map(number, [mass, *(place.split(",") if place else ())]))
+    if name == "thrust" and 0.2 <= numbers[0] <= 1.5 and len(numbers) == 1:
+        return name, numbers[0]
+    if name == "payload" and numbers[0] >= 0.0 and len(numbers) in (1, 4):
+        return name, (*numbers, 0.0, 0.0, 0.0)[:4]
+    raise argparse.ArgumentTypeError(
+        f"must be gains=FILE, payload=KG[@X,Y,Z] or thrust=SHARE (0.2 to 1.5), got {text!r}"
+    )
+
+
 def percentage(text: str) -> float:
     """Per cent, with or without the sign, as a share."""
     try:

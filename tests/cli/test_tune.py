@@ -177,9 +177,10 @@ def test_adrc_has_the_slope_of_the_acceleration_and_bandwidths_that_keep_the_mar
 def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
     write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")
-    assert run(["tune", "command.json", log, *write, *FEW]) == 1
+    assert run(["tune", "command.json", log, *write, "--what-if", "thrust=0.8", *FEW]) == 1
     out, err = capsys.readouterr()
     assert "leave it: the measured response departs from the model's on roll" in out
+    assert "nothing is claimed: the flight contradicts the model" in out
     assert "flown" in out
     assert "new.params is not written" in err
     assert not (files / "new.params").exists()
@@ -196,11 +197,31 @@ def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, cap
 
 
 @pytest.mark.thorough
-def test_the_measured_response_is_a_table_too(files, shared_log, capsys):
+def test_a_recorded_flight_is_reproduced_and_flown_with_a_payload(files, shared_log, capsys):
+    truth = {
+        "Ixx": 0.025, "Iyy": 0.025, "Izz": 0.03, "T_max": 5.0, "moment_ratio": 0.02,
+        "rotational_damping": 0.025, "rotor_inertia": 1e-12, "k_T": 1e-5,
+    }  # fmt: skip
+    exact = estimates(truth, 0.01) | {"mass": Estimate(1.0, 0.01, "kg", "given")}
+    sih = replace(result("command"), parameters=exact)
+    replace(sih, airframe=load_airframe("px4-sih").as_json()).write(files / "sih.json")
     log = str(shared_log("px4-sih-default.ulg"))
-    table = ("--to", "frequency-response", "-o", "response.csv")
-    assert run(["tune", "command.json", log, *table, *FEW]) == 0
-    assert "leave it" in capsys.readouterr().out
+    write = ["--to", "frequency-response", "-o", "response.csv", "--json", "t.json"]
+    lag = ("--delay", "0.003+-0.001", "--set", "motor_lag=0.05+-0.001", "--bode", "b.svg")
+    change = ("--what-if", "payload=0.2@0.02,0,0.05", "--what-if", "thrust=0.8")
+    assert run(["tune", "sih.json", log, *lag, *write, *change, *FEW]) == 0
+    out = capsys.readouterr().out
+    assert "what if: 0.2 kg besides, 80 % of the thrust, along the rate set-points" in out
+    tried = json.loads((files / "t.json").read_text())["what_if"]
+    assert tried["axes"].keys() == {"roll", "pitch", "yaw"}
+    for axis in tried["axes"].values():
+        error = {name: each["value"] for name, each in axis["error_rad_s"].items()}
+        assert error["now"] == pytest.approx(error["flown"], rel=0.1)
+        assert error["then"] > 1.03 * error["flown"]
+        assert len(axis["shown_rad_s"]["then_low"]) == len(tried["shown_s"])
+    share = tried["rotor_limit_share"]
+    assert share["flown"]["value"] < share["then"]["value"] < 0.2
+    assert "what if: 0.2 kg" in (files / "b.svg").read_text()
     head, *rows = (files / "response.csv").read_text().splitlines()
     assert head.startswith("axis,omega_rad_s,magnitude")
     assert {row.split(",")[0] for row in rows} == {"roll", "pitch", "yaw"}
@@ -246,6 +267,8 @@ def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, 
         (["command.json", "now.params", "--autopilot", "ardupilot"], "holds no ATC_"),
         (["command.json", "--set", "motor_lag=x"], "must be a number"),
         (["command.json", "--delay", "7"], "0 to 0.2 s"),
+        (["command.json", "now.params", "--what-if", "thrust=0.8"], "give the LOG"),
+        (["command.json", "--what-if", "payload=1@2"], "payload=KG[@X,Y,Z]"),
         (["speed.json", "--with", "other.json"], "Ixx = 0.0165 and 0.033"),
     ],
 )  # fmt: skip

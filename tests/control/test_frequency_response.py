@@ -1,20 +1,33 @@
 """Measured frequency responses: of loops whose response is known, and of emulated flights."""
 
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.response import flown_by_pilot, outcome, true_vehicle
-from benchmarks.tune import DELAY, LAYOUTS, loop_of
+from benchmarks.tune import ATTITUDE_ONLY, DELAY, LAYOUTS, SETTLE, loop_of
 from gcs_sysid.control.frequency_response import (
     FlownSignals,
     flown_signals,
     measured_response,
+    replay,
 )
-from gcs_sysid.control.loop_margins import frequencies, hover_dynamics, margins_of, open_loops
+from gcs_sysid.control.loop_margins import (
+    HoverDynamics,
+    frequencies,
+    hover_dynamics,
+    margins_of,
+    open_loops,
+)
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.control.tuning_study import propose
+from gcs_sysid.control.tuning_study import Change, propose, what_if
 from gcs_sysid.exports.exported_vehicle import drawn_vehicles
+from gcs_sysid.model.parameters import INERTIA
 from gcs_sysid.signals.recursions import lfilter
+from sim_bridge.missions import Reference
+from sim_bridge.rate_controllers import LOOP_RATE
 from testbed.vehicles import draw
 
 DT, GAIN, P, ATTITUDE = 0.005, 40.0, 0.3, 5.0
@@ -89,6 +102,34 @@ def test_response_to_the_set_point():
     assert np.median(apart) < 0.02
 
 
+def test_other_gains_along_the_same_set_points_in_the_same_gusts(monkeypatch):
+    none, many = np.zeros((1, 3, 3)), np.eye(3)[None]
+    dynamics = HoverDynamics(GAIN * many, none, none, np.zeros(1), np.zeros(1), np.ones((1, 4)))
+    names = [f"MC_{axis}RATE_{x}" for axis in ("ROLL", "PITCH", "YAW") for x in "PID"]
+    off = dict.fromkeys([*names, "IMU_GYRO_CUTOFF", "MC_YAW_TQ_CUTOFF"], 0.0)
+    vehicles, flights = [], []
+    for gain in (P, 1.5 * P):
+        monkeypatch.setattr(sys.modules[__name__], "P", gain)
+        flights.append(closed_loop(10.0, 65.0, attitude=0.0))
+        settings = {**off, "MC_ROLLRATE_P": gain, "IMU_GYRO_RATEMAX": 1.0 / DT}
+        vehicles.append((dynamics, read_loop("px4", settings, draw(0).vehicle.rotors)))
+    now, then = vehicles
+    found = replay(flights[0], now, then, np.ones_like, 1e3).error
+    truth = replay(flights[1], then, then, np.ones_like, 1e3).error["flown"]
+    assert found["then"][0, 0] == pytest.approx(truth[0, 0], rel=0.005)
+    assert found["then"][0, 0] < 0.95 * found["flown"][0, 0]
+
+
+def test_set_points_that_are_logged_slowly_are_not_later_for_that():
+    flight = closed_loop(1.0, 65.0, attitude=0.0)
+    slow = flight.stretches[0].copy()
+    slow[:, 6] = np.repeat(slow[::5, 6], 5)[: len(slow)]
+    found = measured_response(replace(flight, stretches=(slow,), held=5 * DT), 0, of="setpoint")
+    expected = P * true(found.omega) / (1.0 + P * true(found.omega))
+    late = -(np.angle(found.values / expected) / found.omega)[found.claimed]
+    assert np.abs(np.median(late)) < 0.002
+
+
 def test_flight_in_pieces_too_short_or_without_commands_shows_nothing():
     assert flown_signals([], read_loop("px4", {}, draw(0).vehicle.rotors)) is None
     whole = closed_loop(5.0, 20.0).stretches[0]
@@ -136,3 +177,44 @@ def test_an_emulated_flight_shows_its_vehicle_and_phase_margin_and_objects_to_an
     assert all(abs(measured - true) < 3.0 for measured, _, true in found["margins"])
     assert len(found["margins"]) == 3
     assert found["objections"] == [False, True]
+
+
+class Logged:
+    """A mission of rate set-points that were logged, from `SETTLE` on."""
+
+    name, duration, turbulence = "logged", 60.0, 0.0
+
+    def __init__(self, rates):
+        self._rates = np.vstack([np.zeros((round(SETTLE * LOOP_RATE), 3)), rates])
+
+    def reference(self, t):
+        at, zero, level = (0.0, 0.0, -10.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        rates = self._rates[min(round(t * LOOP_RATE), len(self._rates) - 1)]
+        return Reference(at, zero, zero, level, level, tuple(rates.tolist()), zero, zero)
+
+
+@pytest.mark.thorough
+def test_an_emulated_vehicle_flies_as_was_said_with_other_gains_payload_and_battery(
+    flight, monkeypatch
+):
+    drawn, loop, dynamics, signals = flight
+    place = 0.3 * abs(drawn.vehicle.rotors[0].x) * np.array([1.0, 0.7, 1.0])
+    laden = true_vehicle(drawn.vehicle).changed(0.2 * drawn.vehicle.mass, place, 0.8)
+    other = loop
+    for axis, gains in enumerate(loop.gains):
+        other = other.with_gains(axis, replace(gains, P=0.7 * gains.P, I=0.5 * gains.I))
+    then = hover_dynamics([laden], other, (DELAY, 0.0)), other
+    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), then)
+    assert said.axes == (0, 1, 2)
+    for axis, gains in enumerate(other.gains):  # set-points are those of the log
+        other = other.with_gains(axis, replace(gains, attitude=0.0))
+    values = {name: laden[name] for name in ("mass", "cg_x", "cg_y", "T_max", *INERTIA)}
+    vehicle = replace(drawn.vehicle, **values)
+    monkeypatch.setattr("benchmarks.response.SECONDS", 42.0)
+    again = Logged(signals.stretches[0][:, 6:9])
+    gusts = 0.1 if loop.autopilot == "px4" else 0.0  # as of the flight before
+    flew = flown_by_pilot(replace(drawn, vehicle=vehicle), other, gusts, 0, again, ATTITUDE_ONLY)
+    highest = said.replay.highest
+    truth = replay(flew, then, then, np.ones_like, highest).error["flown"][0]
+    assert said.replay.error["then"][0] == pytest.approx(truth, rel=0.03)
+    assert (truth > 1.1 * said.replay.error["flown"][0]).all()

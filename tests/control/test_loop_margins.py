@@ -39,6 +39,19 @@ def known_vehicle(share=0.01, **changes):
     return truth, replace(whole, known=known)
 
 
+def test_a_payload_is_a_point_mass_and_a_low_battery_another_full_thrust():
+    _, vehicle = known_vehicle(cg_x=0.01, cg_y=-0.02)
+    laden = vehicle.changed(0.4, place := np.array([0.1, 0.05, 0.03]), 0.8)
+    whole, own = vehicle["mass"] + 0.4, np.array([0.01, -0.02, 0.0])
+    cg = (vehicle["mass"] * own + 0.4 * place) / whole
+    expected = vehicle.inertia
+    for mass, arm in ((vehicle["mass"], own - cg), (0.4, place - cg)):
+        expected = expected + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    assert laden.inertia == pytest.approx(expected)
+    assert [laden[n] for n in ("mass", "cg_x", "cg_y")] == pytest.approx([whole, *cg[:2]])
+    assert laden["T_max"] == pytest.approx(0.8 * vehicle["T_max"])
+
+
 def test_margins_of_a_known_loop():
     # k / (s (1 + s/10)^2): -180 deg at 10 rad/s, where it is k/20; k = 5 leaves 12.04 dB.
     s = 1j * OMEGA

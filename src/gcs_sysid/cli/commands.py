@@ -22,6 +22,7 @@ from gcs_sysid.argument_types import (
     OneLineParser,
     baud,
     between,
+    change,
     climb,
     count,
     mass,
@@ -668,7 +669,16 @@ COMMANDS = (
                 type=uncertain_delay,
             ),
             JSON.but("write margins and gains; - is stdout"),
-            option("--bode", "FILE.svg", "Bode diagram with the 95 %% band"),
+            option(
+                "--what-if",
+                "CHANGE",
+                "try along the log's rate set-points: payload=KG[@X,Y,Z] (m forward, right, below "
+                "the CG), thrust=SHARE, gains=FILE or gains=proposed (default); may be repeated",
+                type=change,
+                action=AppendNamed,
+                default=[],
+            ),
+            option("--bode", "FILE.svg", "Bode diagram and what-if with the 95 %% band"),
             option(
                 "--to",
                 None,

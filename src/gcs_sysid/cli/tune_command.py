@@ -16,13 +16,16 @@ from typing import Any, cast
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
+from gcs_sysid.control.frequency_response import Replay
 from gcs_sysid.control.loop_margins import check_needs, frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
     BAND,
     LIMITS,
+    Change,
     TuningStudy,
     document_of,
     joined_vehicle,
@@ -47,7 +50,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.drawing import line, picture, polyline, text
+from gcs_sysid.report.drawing import BLUE, INK, PALE, line, picture, polyline, text
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.signals.sampling import SampleBlock
@@ -127,9 +130,22 @@ def _tuned(options: argparse.Namespace, vehicle: ExportedVehicle) -> TuningStudy
             draws=options.draws,
             seed=options.seed,
             flight=flight,
+            change=_change(options, flight),
         )
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
+
+
+def _change(options: argparse.Namespace, flight: list[SampleBlock] | None) -> Change | None:
+    """What is to be tried; None: what is proposed."""
+    if not options.what_if:
+        return None
+    if flight is None:
+        raise InputError("--what-if flies along the set-points of a log: give the LOG")
+    tried = dict(options.what_if)
+    gains, (payload, *place) = tried.get("gains"), tried.get("payload", (0.0, 0.0, 0.0, 0.0))
+    parameters = None if gains == "proposed" else read_parameter_file(Path(gains)) if gains else {}
+    return Change(parameters, payload, tuple(place), tried.get("thrust", 1.0))
 
 
 def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
@@ -247,7 +263,37 @@ def bode_svg(tuning: TuningStudy) -> str:
         parts += _grid(axis)
     for name, loop in tuning.loops.items():
         parts += _curves(tuning, loop, _STROKES[name])
+    if tuning.what_if is not None and (flown := tuning.what_if.replay) is not None:
+        colors = "set-point gray, flown black, modeled as it is orange, then blue"
+        parts.append(_label(_LEFT, height, f"what if: {tuning.what_if.change.words}: {colors}"))
+        height += 30.0
+        for axis in tuning.what_if.axes:
+            parts += _replayed(flown, axis, height)
+        height += _UPPER + 60.0
     return picture((width, height), title, parts, letters=12)
+
+
+def _replayed(flown: Replay, axis: int, top: float) -> Iterator[Markup]:
+    """Rates along the log's liveliest set-points, and the band of what is tried."""
+    shown = {name: np.degrees(values[..., axis]) for name, values in flown.shown.items()}
+    low, high = np.percentile(shown["then"], BAND, axis=0)
+    most = max(float(np.abs(values).max()) for values in shown.values())
+    left, middle = _x(axis, _LOW), top + 0.5 * _UPPER
+    across = left + _COLUMN * flown.t / flown.t[-1]
+
+    def at(values: Array) -> list[tuple[float, float]]:
+        return [
+            *zip(across.tolist(), (middle - 0.5 * _UPPER * values / most).tolist(), strict=True)
+        ]
+
+    yield _rule(left, middle, left + _COLUMN, middle)
+    yield _label(left, top - 6.0, f"{AXES[axis]}, {flown.t[-1]:.0f} s, up to {most:.0f} deg/s")
+    band = " ".join(f"{x:.1f},{y:.1f}" for x, y in at(high) + at(low)[::-1])
+    yield element("polygon", points=band, fill=_STROKES["proposed"], fill_opacity="0.2")
+    strokes = {"setpoint": PALE, "flown": INK, "now": _STROKES["now"], "then": BLUE}
+    for name, stroke in strokes.items():
+        values = shown[name][0] if name == "then" else shown[name]
+        yield polyline(at(values), stroke, 1.0)
 
 
 def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
-from gcs_sysid.control.loop_margins import HoverDynamics, Margins, margins_of
+from gcs_sysid.control.loop_margins import HoverDynamics, Margins, closed_loops, margins_of
 from gcs_sysid.control.rate_loops import RateLoop
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.signals.sampling import SampleBlock
@@ -69,48 +69,61 @@ class FlownSignals:
     """Gapless stretches of flight.
 
     Attributes:
-        stretches: each (n, 9): normalized torques, body rates and rate set-points, rad/s; NaN where
-            no set-point is logged.
+        stretches: each (n, 9) or more: normalized torques, body rates and rate set-points, rad/s;
+            NaN where no set-point is logged. Then the rotors' thrust commands, where known.
         dt: s.
         highest: rad/s, up to which commands and rates are sampled well enough.
+        held: s, that a set-point stands until the next is logged; 0: no longer than `dt`.
     """
 
     stretches: tuple[Array, ...]
     dt: float
     highest: float
+    held: float = 0.0
 
     @property
     def has_setpoints(self) -> bool:
         """Whether set-points are logged all along."""
-        return all(np.isfinite(x[:, 6:]).all() for x in self.stretches)
+        return all(np.isfinite(x[:, 6:9]).all() for x in self.stretches)
+
+    def hold(self, omega: Array) -> Array:
+        """(w,) response of that to the set-point itself, at (w,) rad/s."""
+        half = 0.5 * max(self.held - self.dt, 0.0) * omega  # samples are at the grid's times
+        # Beyond half the rate of logging nothing is known; no division by zero there.
+        return np.exp(-1j * half) * np.sinc(np.minimum(half / np.pi, 0.5))
 
 
 def flown_signals(blocks: Iterable[SampleBlock], loop: RateLoop) -> FlownSignals | None:
-    """What a log holds of commands and rates; None: no flight with commands.
+    """What a log holds of commands and rates; None: no flight.
 
     Args:
-        blocks: of the log, with commands for rotors.
+        blocks: of the log; where none has commands for rotors, torques are NaN.
         loop: whose mixer and thrust curve make commands of normalized torques.
     """
-    gap = np.full((1, 9), np.nan, np.float32)
+    gap = np.full((1, 9 + len(loop.mixer)), np.nan, np.float32)
     kept: list[Array] = []
     dt = interval = 0.0
     inverse = np.linalg.pinv(np.column_stack([loop.mixer, np.ones(len(loop.mixer))]))[:3]
-    for block in blocks:
-        if block.rotors is None or not block.rotors.kind.motors:
-            continue
+    blocks = [*blocks]
+    commanded = [each for each in blocks if each.rotors is not None and each.rotors.kind.motors]
+    for block in commanded or blocks:
         if block.dt != dt:  # estimates are of the last grid, too
             kept, dt = [], block.dt
-        interval = max(block.dt, block.rotors.interval)
+        interval = max(block.dt, block.rotors.interval if commanded and block.rotors else 0.0)
         s = block.samples
         thrust = (1.0 - loop.curve) * s.speeds + loop.curve * s.speeds**2
-        rows = np.column_stack([thrust @ inverse.T, s.gyro, s.setpoint]).astype(np.float32)
+        thrust = thrust if commanded else np.full_like(thrust, np.nan)
+        rows = np.column_stack([thrust @ inverse.T, s.gyro, s.setpoint, thrust]).astype(np.float32)
         kept += [gap, rows] if block.fresh else [rows]
     if not kept:
         return None
     whole = np.concatenate(kept)
-    parts = tuple(whole[part] for part, there in runs(complete_rows(whole[:, :6])) if there)
-    return FlownSignals(parts, dt, 2.0 * np.pi * RULES.sampled / interval) if parts else None
+    needed = complete_rows(whole[:, :6] if commanded else whole[:, 3:6])
+    parts = tuple(whole[part] for part, there in runs(needed) if there)
+    changes = [np.diff(np.flatnonzero((np.diff(x[:, 6:9], axis=0) != 0.0).any(1))) for x in parts]
+    apart = float(np.median(np.concatenate(changes))) if sum(map(len, changes)) else 1.0
+    held = apart * dt if apart > 1.0 else 0.0
+    return FlownSignals(parts, dt, 2.0 * np.pi * RULES.sampled / interval, held) if parts else None
 
 
 @dataclass(frozen=True)
@@ -250,7 +263,7 @@ def measured_response(
     Returns:
         None where gapless flight is too short, or nothing was asked.
     """
-    T = next((T for T in RULES.pieces if _held(flight, T) > 0.5 * _held(flight, flight.dt)), 0.0)
+    T = _piece(flight)
     # Lines of a piece's Fourier transform, the tapers' bandwidth apart.
     apart = round(2.0 * RULES.bandwidth)
     lines = apart * np.arange(1, int(flight.highest * T / (2.0 * np.pi * apart)) + 1)
@@ -269,6 +282,8 @@ def measured_response(
     u, y, z = np.moveaxis(spectra, -1, 0)
     u = u * np.exp(1j * omega * shift * flight.dt)
     y = y * flight.dt / (1.0 - np.exp(-1j * omega * flight.dt)) / gyro(omega)
+    z = z / flight.hold(omega)
+    u = u / flight.hold(omega) if of == "setpoint" else u
     instrument = "rate set-points" if flight.has_setpoints else ""
     if instrument and attitude_gain:
         instrument += " without the attitude loop's answer"
@@ -283,6 +298,8 @@ def measured_response(
     ).T
     at = np.atleast_2d(reference(centers))[0]
     claimed = (coherence.real > RULES.coherence) & (centers > attitude_gain) & bool(instrument)
+    if of == "setpoint":
+        claimed &= centers * flight.held < 2.0 * np.pi * RULES.sampled
     return FrequencyResponse(
         centers,
         at * relative,
@@ -292,6 +309,12 @@ def measured_response(
         claimed,
         instrument,
     )
+
+
+def _piece(flight: FlownSignals) -> float:
+    """S of the longest pieces that hold most of a flight; 0: none does."""
+    whole = _held(flight, flight.dt)
+    return next((T for T in RULES.pieces if _held(flight, T) > 0.5 * whole), 0.0)
 
 
 def _held(flight: FlownSignals, T: float) -> float:
@@ -351,20 +374,21 @@ class SmoothRatio:
     Complex coefficients by weighted least squares: what parts a vehicle from its model is smooth.
 
     Args:
-        one: of an axis.
+        found: measured.
+        model: (N, w) of that, the nominal one first.
     """
 
     FEWEST = 6
     """Frequencies for three coefficients."""
 
-    def __init__(self, one: MeasuredAxis) -> None:
-        found, at = one.torque, one.torque.claimed
+    def __init__(self, found: FrequencyResponse, model: Array) -> None:
+        at = found.claimed
         self._from, self._to = found.omega[at][[0, -1]]
         self.omega = np.geomspace(self._from, self._to, 100)
         weight = np.abs(found.values[at]) / found.std[at]
         X = self._powers(found.omega[at]) * weight[:, None]
         solve = np.linalg.pinv(X) * weight
-        ratios = np.concatenate([found.values[None, at], one.model[1:, at]]) / one.model[0, at]
+        ratios = np.concatenate([found.values[None, at], model[1:, at]]) / model[0, at]
         logs = np.log(np.abs(ratios)) + 1j * np.unwrap(np.angle(ratios), axis=1)
         self._coefficients, *draws = (solve @ row for row in logs)
         own = np.linalg.inv(X.T @ X)
@@ -387,8 +411,11 @@ class SmoothRatio:
         errors = np.hstack([np.zeros((3, 1)), self._root @ (normal[0] + 1j * normal[1])])
         return np.exp(self._powers(self.omega) @ (self._coefficients[:, None] + errors)).T
 
-    def departure(self) -> tuple[float, float, float]:
+    def departure(self, of: Array | float = 1.0) -> tuple[float, float, float]:
         """By how much measured and modeled response part, as a share, where that is surest.
+
+        Args:
+            of: the modeled response at `omega`, for a share of the input; 1: of the response.
 
         Errors of both count; the band holds at all frequencies of all axes together (Scheffe 1959,
         The Analysis of Variance, ch. 3), but for the false-alarm rate.
@@ -403,13 +430,16 @@ class SmoothRatio:
         combined = np.hstack([powers * towards.real[:, None], powers * towards.imag[:, None]])
         std = np.sqrt(np.sum(combined @ self._covariance * combined, axis=1))
         least = size - np.sqrt(chdtri(6, FALSE_ALARM_RATE / len(AXES))) * std
+        size, least = size * np.abs(of), least * np.abs(of)
         at = int(np.argmax(least))
         return float(size[at]), float(least[at]), float(self.omega[at])
 
 
-def smooth_ratio(one: MeasuredAxis) -> SmoothRatio | None:
+def smooth_ratio(found: FrequencyResponse | None, model: Array | None) -> SmoothRatio | None:
     """That of an axis; None where too little is claimed."""
-    return SmoothRatio(one) if one.torque.claimed.sum() >= SmoothRatio.FEWEST else None
+    if found is None or model is None or found.claimed.sum() < SmoothRatio.FEWEST:
+        return None
+    return SmoothRatio(found, model)
 
 
 def measured_margins(
@@ -427,7 +457,7 @@ def measured_margins(
     Returns:
         None where what is claimed does not reach the crossover.
     """
-    smooth = smooth_ratio(one)
+    smooth = smooth_ratio(one.torque, one.model)
     if smooth is None:
         return None
     rate, angle, _ = loop.controllers(smooth.omega)
@@ -435,3 +465,106 @@ def measured_margins(
     own = own * dynamics.first(1).response(smooth.omega, loop.period)[0, :, axis, axis]
     margins = margins_of(smooth.omega, own * smooth.drawn(100, seed))
     return margins if np.isfinite(margins.crossover[0]) else None
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A flight's rate set-points through the loop that flew and through another, of N vehicles.
+
+    What the loop that flew does not answer to set-points, as in gusts, comes once more: behind the
+    other loop it is larger by the ratio of their sensitivities.
+
+    Attributes:
+        seconds: of flight.
+        highest: rad/s, up to which.
+        error: "flown", "now", "then" -> (N, 3) rms of set-points less body rates, rad/s: measured,
+            by the loop that flew without anything but set-points, and by the other. "left": rms
+            of the rates measured less those by the loop that flew.
+        limit: (2, N) share of time with a rotor's command at 0 or full, flown and then; None: the
+            log has no commands.
+        t: (k,) s, of the liveliest piece.
+        shown: "setpoint", "flown", "now" -> (k, 3) rad/s of that; "then" -> (N, k, 3).
+    """
+
+    seconds: float
+    highest: float
+    error: dict[str, Array]
+    limit: Array | None
+    t: Array
+    shown: dict[str, Array]
+
+
+def replay(
+    flight: FlownSignals,
+    now: tuple[HoverDynamics, RateLoop],
+    then: tuple[HoverDynamics, RateLoop],
+    gyro: Callable[[Array], Array],
+    highest: float,
+) -> Replay | None:
+    """Fly the log's rate set-points, disturbed as it was, with another loop or vehicle.
+
+    Args:
+        flight: signals, with set-points.
+        now: vehicles and loop that flew.
+        then: the same vehicles, changed, and the loop to try.
+        gyro: as of `measured_response`.
+        highest: rad/s, up to which motion counts.
+
+    Returns:
+        None where gapless flight is too short.
+    """
+    T, dt = _piece(flight), flight.dt
+    highest = min(highest, flight.highest, 2.0 * np.pi * RULES.sampled / max(flight.held, dt))
+    count = int(highest * T / (2.0 * np.pi))
+    if not count:
+        return None
+    omega = 2.0 * np.pi / T * np.arange(1, count + 1)
+    n, points, size = round(T / dt), 4 * len(omega), len(omega) + 1
+    starts = ((x, i) for x in flight.stretches for i in range(0, len(x) - n + 1, n // 2))
+    pieces = np.array([x[i : i + n] for x, i in starts])
+    # What a piece's Fourier series has before its begin is its end: the middle is free of that.
+    middle = slice(points // 4, 3 * points // 4)
+
+    def in_time(lines: Array) -> Array:
+        whole = np.fft.irfft(np.insert(lines, 0, 0.0, axis=-2), points, axis=-2)
+        return whole[..., middle, :] * (points / n)
+
+    spectra = np.fft.rfft(pieces[:, :, 3:9].astype(np.float64), axis=1)[:, 1:size]
+    passed = gyro(omega)[:, None]
+    spectra[:, np.abs(passed[:, 0]) < RULES.passed] = 0.0  # a notch leaves next to nothing
+    Y, R = spectra[..., :3] / passed, spectra[..., 3:] / flight.hold(omega)[:, None]
+    (T0, S0), (T1, S1) = (closed_loops(*each, omega) for each in (now, then))
+    worse = S1 @ np.linalg.inv(S0)
+    (H0, _, F0), (H1, _, F1) = (loop.controllers(omega) for _, loop in (now, then))
+    places = (np.arange(points)[middle] * n) // points
+    thrust = pieces[:, places, 9:] if pieces.shape[-1] > 9 else np.full((1, 1, 1), np.nan)
+    wanted, flown = in_time(R), in_time(Y)
+    lively = int(np.argmax(np.sum((wanted / (wanted.std((0, 1)) + 1e-9)) ** 2, axis=(1, 2))))
+    # What another weight or battery takes besides, in proportion to the lift at that time.
+    load = (then[0].hover - now[0].hover) / now[0].hover.mean(axis=1, keepdims=True)
+    lift = thrust.mean(axis=-1, keepdims=True)
+    rows, limits, answers, others = [], [], [], []
+    for i in range(len(load)):
+        answer = np.einsum("wij,pwj->pwi", T0[i], R)
+        other = np.einsum("wij,pwj->pwi", T1[i], R)
+        other = other + np.einsum("wij,pwj->pwi", worse[i], Y - answer)
+        more = in_time(F1 * R - H1 * other - F0 * R + H0 * Y) @ then[1].mixer.T
+        first, second = in_time(answer), in_time(other)
+        parts = (wanted - flown, wanted - first, wanted - second, flown - first)
+        rows.append([np.sqrt(np.mean(each**2, axis=(0, 1))) for each in parts])
+        limits.append([_limited(thrust), _limited(thrust + lift * load[i] + more)])
+        answers.append(first[lively])
+        others.append(second[lively])
+    error = dict(
+        zip(("flown", "now", "then", "left"), np.moveaxis(np.array(rows), 1, 0), strict=True)
+    )
+    limit = np.array(limits).T if np.isfinite(thrust).all() else None
+    picture = {"setpoint": wanted[lively], "flown": flown[lively], "now": answers[0]}
+    t = T / points * np.arange(wanted.shape[1])
+    seconds = len(pieces) * 0.5 * T
+    return Replay(seconds, highest, error, limit, t, picture | {"then": np.array(others)})
+
+
+def _limited(thrust: Array) -> float:
+    """Share of time with any of (..., rotors) thrust commands at an end, to rounding."""
+    return float(np.mean(np.any(np.abs(thrust - 0.5) > 0.498, axis=-1)))

@@ -26,6 +26,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.control.rate_loops import HoverPoint, RateLoop
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle, MissingError
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
+from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 
 FLIGHT_FOR = {
@@ -222,7 +223,7 @@ def _one(
     thrust, ratio = _of_each_rotor(v)
     levers = places - cg
     E = np.stack([-levers[:, 1], levers[:, 0], spins * ratio])
-    J = np.array([[v.get(n) or 0.0 for n in row] for row in _ELEMENTS])
+    J = inertia_matrix(np.array([v.get(n) or 0.0 for n in INERTIA]))
     weight = v["mass"] * GRAVITY
     hover = np.linalg.pinv(np.vstack([np.ones(len(spins)), E])) @ [weight, 0.0, 0.0, 0.0]
     # No rotor of a hover gives next to nothing.
@@ -247,9 +248,6 @@ def _one(
     d = [mean if v.get(n) is None else v[n] for n in AXIS_DAMPINGS]
     stick = (1.0 - f) * u + f * u * u
     return B, reaction, inverse * d, v["motor_lag"], stick
-
-
-_ELEMENTS = (("Ixx", "Ixy", "Ixz"), ("Ixy", "Iyy", "Iyz"), ("Ixz", "Iyz", "Izz"))
 
 
 def _of_each_rotor(v: ExportedVehicle) -> tuple[Array, Array]:
@@ -314,6 +312,27 @@ def open_loops(
     difference = np.eye(3) + H[None, :, :, None] * G
     own = np.diagonal(np.linalg.inv(difference), axis1=-2, axis2=-1)
     return 1.0 / own - 1.0
+
+
+def closed_loops(
+    dynamics: HoverDynamics, loop: RateLoop, omega: Array, *, attitude: bool = False
+) -> tuple[Array, Array]:
+    """(N, w, 3, 3) response of each axis to set-points of each, and to disturbances of its own.
+
+    Args:
+        dynamics: of N vehicles.
+        loop: around them.
+        omega: (w,) rad/s.
+        attitude: whether set-points are those of the attitude; else those of body rates.
+
+    Returns:
+        Body rates over set-points; body rates over what they were without any loop.
+    """
+    G = dynamics.response(omega, loop.period)
+    rate, angle, reference = loop.controllers(omega)
+    H = rate + angle / (1j * omega[:, None]) if attitude else rate
+    sensitivity = np.linalg.inv(np.eye(3) + G * H[None, :, None, :])
+    return sensitivity @ G * (angle if attitude else reference)[None, :, None, :], sensitivity
 
 
 def margins_of(omega: Array, loops: Array) -> Margins:
@@ -399,14 +418,9 @@ def step_response(
     )
     w = omega[used]
     attitude = of == "attitude"
-    rate, angle, reference = loop.controllers(w)
-    G = dynamics.response(w, loop.period)
-    s = 1j * w[:, None]
-    H = rate + angle / s if attitude else rate
-    closed = np.linalg.inv(np.eye(3) + G * H[None, :, None, :]) @ G
-    shape = closed[:, :, axis, axis] * (angle if attitude else reference)[:, axis]
+    shape = closed_loops(dynamics, loop, w, attitude=attitude)[0][:, :, axis, axis]
     if attitude:
-        shape = shape / s[:, 0]
+        shape = shape / (1j * w)
     out = np.zeros((len(dynamics), len(omega)), complex)
     out[:, used] = shape * spectrum[used]
     out[:, 0] = spectrum[0]

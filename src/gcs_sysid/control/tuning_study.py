@@ -9,7 +9,8 @@ covariance: with the rate loop alone (Acro) and with the attitude loop. I, D and
 follow the crossover in fixed proportions, so that what is chosen is one number and the lead D/P.
 """
 
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,10 +18,14 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.control.frequency_response import (
+    FlownSignals,
     MeasuredAxis,
+    Replay,
     flown_signals,
     measured_axes,
     measured_margins,
+    measured_response,
+    replay,
     smooth_ratio,
 )
 from gcs_sysid.control.loop_margins import (
@@ -28,6 +33,7 @@ from gcs_sysid.control.loop_margins import (
     Margins,
     StepResponse,
     check_needs,
+    closed_loops,
     frequencies,
     hover_dynamics,
     hover_point,
@@ -382,6 +388,54 @@ class AxisStudy:
 
 
 @dataclass(frozen=True)
+class Change:
+    """What is tried on a vehicle.
+
+    Attributes:
+        gains: parameters of the autopilot that are others than now, by name; None: those proposed.
+        payload: kg.
+        place: m, as of `ExportedVehicle.changed`.
+        thrust: at full command over the usual, as of a low battery.
+    """
+
+    gains: Mapping[str, float] | None
+    payload: float = 0.0
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    thrust: float = 1.0
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        parts = (
+            ["the gains proposed"] if self.gains is None else ["other gains"] if self.gains else []
+        )
+        parts += [f"{self.payload:g} kg besides"] if self.payload else []
+        parts += [f"{100.0 * self.thrust:.0f} % of the thrust"] if self.thrust != 1.0 else []
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """A change flown along the log's rate set-points.
+
+    Attributes:
+        change: tried.
+        replay: None: nothing is claimed.
+        axes: that are answered for, by their numbers.
+        overshoot: axis -> (N,) of a step then, as in `AxisStudy.attitude`.
+        objections: to the loop that flew, as modeled.
+        why: what else stands against an answer.
+    """
+
+    change: Change
+    replay: Replay | None
+    axes: tuple[int, ...]
+    overshoot: tuple[Array, ...]
+    objections: tuple[Objection, ...]
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class TuningStudy:
     """Margins of the gains that a vehicle has and of those proposed.
 
@@ -398,6 +452,7 @@ class TuningStudy:
         objections: to model and speeds by what was flown; no gains are proposed then.
         measured: axis -> what the flight itself shows; empty where it was not given.
         leave: why the gains are to be left as they are; empty where others are proposed.
+        what_if: what is tried, or was proposed, along the log; None: neither.
     """
 
     vehicle: ExportedVehicle
@@ -412,6 +467,7 @@ class TuningStudy:
     objections: tuple[Objection, ...] = ()
     measured: Mapping[str, MeasuredAxis] = field(default_factory=dict)
     leave: str = ""
+    what_if: WhatIf | None = None
 
     @property
     def loops(self) -> dict[str, RateLoop]:
@@ -429,6 +485,7 @@ def study(
     draws: int = 100,
     seed: int = 1,
     flight: Iterable[SampleBlock] | None = None,
+    change: Change | None = None,
 ) -> TuningStudy:
     """Judge the gains that a vehicle has, and propose gains.
 
@@ -442,6 +499,7 @@ def study(
         seed: of the draws.
         flight: samples of a log with commands, whose response is compared with the model; None:
             there is no log.
+        change: to be tried along that log; None: what is proposed.
 
     Raises:
         MissingError: the result does not carry gains; says which flight would help.
@@ -455,12 +513,13 @@ def study(
     dynamics = hover_dynamics(vehicles, loop, late, seed, traded=origin == IDENTIFIED_DELAY)
     notes = [*dynamics.notes, *loop.notes]
     measured: dict[str, MeasuredAxis] = {}
+    signals = None
+    # PX4 logs the gyro before its filters, the others behind.
+    gyro = np.ones_like if autopilot == "px4" else loop.gyro_response
     if flight is None:  # rotors of an octocopter that turn alike may be swapped, and fit as well
         notes.append("no flight is held against the model: give its log before you load gains")
     else:
         signals = flown_signals(flight, loop)
-        # PX4 logs the gyro before its filters, the others behind.
-        gyro = np.ones_like if autopilot == "px4" else loop.gyro_response
         if signals is not None:
             measured = measured_axes(signals, dynamics, loop, gyro)
         if not measured:
@@ -470,7 +529,7 @@ def study(
                 "no rate set-points in the log: the response is biased by feedback, and is not "
                 "compared with the model (log vehicle_rates_setpoint, or RATE)"
             )
-    smooth = {name: smooth_ratio(one) for name, one in measured.items()}
+    smooth = {name: smooth_ratio(one.torque, one.model) for name, one in measured.items()}
     few = [name for name, one in smooth.items() if one is None and measured[name].torque.instrument]
     if few:
         notes.append(
@@ -491,13 +550,87 @@ def study(
         for name, one in loops.items()
         if one is not None
     }
+    change = change or Change(None)
+    if proposed is None and change.gains is None:
+        change = replace(change, gains={})
+    tried = None
+    if flight is not None and change.words:
+        gains = change.gains
+        if gains is None and proposed is not None:
+            gains = proposed.as_parameters()
+        laden = [v.changed(change.payload, np.array(change.place), change.thrust) for v in vehicles]
+        settings = {**parameters, **(gains or {})}
+        other = read_loop(autopilot, settings, vehicle.rotors, hover_point(laden[0]))
+        changed = hover_dynamics(laden, other, late, seed, traded=origin == IDENTIFIED_DELAY)
+        why = ("the flight contradicts the model: see below",) if objections else ()
+        both = (dynamics, loop), (changed, other)
+        tried = what_if(change, None if why else signals, gyro, *both, why)
     filters = sorted(set(loop.assumed) - set(loop.as_parameters()))
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
     return TuningStudy(
         vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
-        measured, "" if proposed is not None else "; ".join(said),
+        measured, "" if proposed is not None else "; ".join(said), tried,
     )  # fmt: skip
+
+
+def what_if(
+    change: Change,
+    flight: FlownSignals | None,
+    gyro: Callable[[Array], Array],
+    now: tuple[HoverDynamics, RateLoop],
+    then: tuple[HoverDynamics, RateLoop],
+    why: tuple[str, ...] = (),
+) -> WhatIf:
+    """Fly a change along a log's set-points, where the loop that flew answers as it is modeled.
+
+    Args:
+        change: tried.
+        flight: signals; None: there are none to go by.
+        gyro: response of the filters that the logged gyro has passed.
+        now: vehicles and loop that flew.
+        then: the same, changed.
+        why: nothing is claimed, as far as that is known before.
+    """
+    departures, unclear = {}, []
+    for axis, name in enumerate(AXES):
+        modeled = functools.partial(_answer, *now, axis)
+        own = now[1].gains[axis].attitude, gyro
+        found = flight and measured_response(flight, axis, *own, reference=modeled, of="setpoint")
+        smooth = smooth_ratio(found, modeled(found.omega)) if found else None
+        if smooth is None:
+            unclear.append(name)
+        else:
+            departures[name] = smooth.departure(modeled(smooth.omega)[0])
+    objections = tuple(parted(departures, LIMITS.unmodeled, "answer to set-points"))
+    said = {axis for objection in objections for axis in objection.evidence}
+    axes = tuple(i for i, name in enumerate(AXES) if name in departures and name not in said)
+    if unclear and not why:
+        why = (
+            f"the log shows too little of how {', '.join(unclear)} answers to rate set-points for "
+            "the loop that flew to be checked",
+        )
+    omega = frequencies(then[1])
+    loops = [open_loops(*then, omega, attitude=attitude) for attitude in (False, True)]
+    margins = [margins_of(omega, each[:, :, axis]) for each in loops for axis in range(3)]
+    unstable = np.any([each.phase <= 0.0 for each in margins], axis=0)
+    if unstable.any() and axes:
+        why, axes = (f"unstable with {unstable.sum()} of {len(unstable)} vehicles drawn",), ()
+    # Where hardly a tenth of the motion comes back, no loop acts.
+    highest = 10.0 * float(np.nanmax([each.crossover for each in margins]))
+    flown = replay(flight, now, then, gyro, highest) if flight and axes else None
+    of = "attitude" if then[1].holds_attitude else "rate"
+    few = then[0].first(LIMITS.draws)
+    overshoot = [
+        step_response(few, then[1], axis, of=of).overshoot
+        for axis in range(3 * (flown is not None))
+    ]
+    return WhatIf(change, flown, axes, tuple(overshoot), objections, why)
+
+
+def _answer(dynamics: HoverDynamics, loop: RateLoop, axis: int, omega: Array) -> Array:
+    """(N, w) rate of an axis over its set-point."""
+    return closed_loops(dynamics, loop, omega)[0][:, :, axis, axis]
 
 
 def misread_speeds(vehicle: ExportedVehicle) -> tuple[Objection, ...]:
@@ -622,10 +755,75 @@ def document_of(tuning: TuningStudy) -> dict[str, Any]:
             }
             for name, one in tuning.measured.items()
         },
+        "what_if": None if tuning.what_if is None else _tried(tuning.what_if),
         "leave": tuning.leave or None,
         "objections": [objection.as_json() for objection in tuning.objections],
         "notes": list(tuning.notes),
     }
+
+
+def _tried(tried: WhatIf) -> dict[str, Any]:
+    change, flown = tried.change, tried.replay
+    out: dict[str, Any] = {
+        "change": {
+            "gains": "proposed" if change.gains is None else dict(change.gains),
+            "payload_kg": change.payload, "place_m": list(change.place), "thrust": change.thrust,
+        },
+        "objections": [objection.as_json() for objection in tried.objections],
+        "why": list(tried.why),
+    }  # fmt: skip
+    if flown is None:
+        return out
+    axes = {}
+    for axis in tried.axes:
+        lines = {name: values[..., axis] for name, values in flown.shown.items()}
+        low, high = np.percentile(lines["then"], BAND, axis=0)
+        lines |= {"then": lines["then"][0], "then_low": low, "then_high": high}
+        axes[AXES[axis]] = {
+            "error_rad_s": {name: _banded(each[:, axis]) for name, each in flown.error.items()},
+            "overshoot": _banded(tried.overshoot[axis]),
+            "shown_rad_s": {name: values.tolist() for name, values in lines.items()},
+        }
+    limit = (
+        None
+        if flown.limit is None
+        else dict(zip(("flown", "then"), map(_banded, flown.limit), strict=True))
+    )
+    return out | {
+        "seconds": flown.seconds, "highest_rad_s": flown.highest, "axes": axes,
+        "rotor_limit_share": limit, "shown_s": flown.t.tolist(),
+    }  # fmt: skip
+
+
+def _tried_table(tried: WhatIf | None) -> list[str]:
+    """Errors along the log's set-points with a change, or why nothing is claimed."""
+    if tried is None:
+        return []
+    where = f"{tried.change.words}, along the rate set-points of the log"
+    flown = tried.replay
+    where += "" if flown is None else f", {flown.seconds:.0f} s, up to {flown.highest:.0f} rad/s"
+    lines = wrapped(where, "what if: ")
+    if flown is not None:
+        lines += [
+            f"{'':6}{'set-point less rate, deg/s rms':>43}{'not by':>14}{'overshoot':>12}",
+            f"{'axis':6}{'flown':>9}{'model':>9}{'then (95 %)':>25}{'set-points':>14}{'then':>12}",
+        ]
+        for axis in tried.axes:
+            error = {name: np.degrees(each[:, axis]) for name, each in flown.error.items()}
+            lines.append(
+                f"{AXES[axis]:6}{error['flown'][0]:>9.2f}{error['now'][0]:>9.2f}"
+                f"{_interval(error['then'], 2):>25}{error['left'][0]:>14.2f}"
+                f"{100.0 * tried.overshoot[axis][0]:>10.0f} %"
+            )
+        if flown.limit is not None:
+            before, after = 100.0 * flown.limit
+            lines.append(
+                f"a rotor at its limit: {before[0]:.1f} % of the time as flown, "
+                f"{_interval(after, 1)} % then"
+            )
+    for said in (*(each.words for each in tried.objections), *tried.why):
+        lines += wrapped(said, "nothing is claimed: ")
+    return [*lines, ""]
 
 
 def response_csv(tuning: TuningStudy) -> str:
@@ -696,6 +894,7 @@ def tuning_text(tuning: TuningStudy) -> str:
                     f"{'':10}{'  flown':7}{own.crossover[0]:>11.1f}{_interval(own.phase, 0):>20}"
                 )
     lines += ["", *_response_table(tuning), *_gain_table(tuning)]
+    lines += _tried_table(tuning.what_if)
     lines += wrapped(tuning.leave, "leave it: ") if tuning.leave else []
     for note in tuning.notes:
         lines += wrapped(note, "note: ")

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -183,6 +183,28 @@ class ExportedVehicle:
     def inertia_flu(self) -> Array:
         """The same with axes forward, left, up: Ixy and Ixz change sign."""
         return FLU @ self.inertia @ FLU
+
+    def changed(self, payload: float, place: Array, full: float) -> Self:
+        """The vehicle with a point mass besides, and another full thrust of its rotors.
+
+        Args:
+            payload: kg.
+            place: (3,) m forward and right of the geometric center, and below the CG.
+            full: thrust at full command over the usual.
+        """
+        known, mass = dict(self.known), self["mass"]
+        cg = np.array([self.get("cg_x") or 0.0, self.get("cg_y") or 0.0, 0.0])
+        share, arm = payload / (mass + payload), place - cg
+        inertia = rb.inertia_matrix(np.array([self.get(name) or 0.0 for name in INERTIA]))
+        # About the CG of both, which is that share of the way.
+        inertia = inertia + mass * share * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        elements = inertia[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        values = dict(zip(INERTIA, elements.tolist(), strict=True))
+        values |= dict(zip(("cg_x", "cg_y"), (cg + share * arm)[:2].tolist(), strict=True))
+        values |= {"mass": mass + payload, "T_max": full * self["T_max"]}
+        for name, value in values.items():
+            known[name] = replace(known.get(name, KnownEstimate(0.0, None)), value=value)
+        return replace(self, known=known)
 
     @property
     def cg_flu(self) -> Array:

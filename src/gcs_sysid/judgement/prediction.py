@@ -255,7 +255,7 @@ def misplaced(evidence: Evidence) -> Iterator[Objection]:
 
 
 def parted(
-    departures: Mapping[str, tuple[float, float, float]], allowed: float
+    departures: Mapping[str, tuple[float, float, float]], allowed: float, what: str = "response"
 ) -> Iterator[Objection]:
     """A measured frequency response that parts from the identified model's.
 
@@ -264,11 +264,12 @@ def parted(
     Args:
         departures: axis -> share of the response, its lower bound, and the frequency, rad/s.
         allowed: share.
+        what: departs, in words.
     """
     for axis, (share, least, omega) in departures.items():
         if least > allowed:
             yield Objection(
-                f"the measured response departs from the model's on {axis} by {_percent(share)} at "
+                f"the measured {what} departs from the model's on {axis} by {_percent(share)} at "
                 f"{omega:.0f} rad/s, surely by {_percent(least)}: the model lacks something there",
                 evidence={axis: share},
                 how="check mass, thrust curve, delay and layout, or analyze this flight",
