@@ -333,7 +333,7 @@ def _parameters(found: Inspection, width: int) -> list[str]:
         own = {name: v for name, v in found.parameters.items() if group_of(name) == group}
         if own:
             lines += _entry(
-                f"  {group}", ", ".join(f"{n}{_TIE}{v:.6g}" for n, v in own.items()), width
+                f"  {group}", ", ".join(f"{n}{_TIE}{v:.7g}" for n, v in own.items()), width
             )
     return lines
 

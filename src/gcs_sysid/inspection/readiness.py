@@ -78,12 +78,13 @@ def _faster(found: Inspection) -> str:
     known = found.parameters
     changes = []
     if found.kind == "ulog":
-        changes = _with_bits("SDLOG_PROFILE", known.get("SDLOG_PROFILE", 1.0), _PROFILES)
+        changes = _with_bits("SDLOG_PROFILE", known, _PROFILES)
     elif found.kind == "dataflash":
         changes = _limited_rates(known)
         # LOG_FILE_BUFSIZE came when LOG_BITMASK grew beyond 16 bits.
-        bits = {k: v for k, v in _BITS.items() if k < 16 or "LOG_FILE_BUFSIZE" in known}
-        changes += _with_bits("LOG_BITMASK", known.get("LOG_BITMASK", 176126.0), bits)
+        wide = "LOG_FILE_BUFSIZE" in known or "LOG_BITMASK" not in known
+        bits = {k: v for k, v in _BITS.items() if k < 16 or wide}
+        changes += _with_bits("LOG_BITMASK", known, bits)
         if known.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
             changes.append(
                 f"SERVO_BLH_TRATE = {_ESC_RATE} (now {known['SERVO_BLH_TRATE']:.0f}) if the ESCs "
@@ -104,14 +105,14 @@ def _limited_rates(known: Mapping[str, float]) -> list[str]:
     ]
 
 
-def _with_bits(name: str, now: float, wanted: Mapping[int, str]) -> list[str]:
-    """A mask with the bits that it lacks; of a negative one, which is 16 bits, these alone."""
-    mask = int(now)
+def _with_bits(name: str, known: Mapping[str, float], wanted: Mapping[int, str]) -> list[str]:
+    """A mask with the bits that it lacks; of one not recorded or negative (16 bits) these alone."""
+    mask = int(known.get(name, 0.0))
     lacking = {bit: words for bit, words in wanted.items() if not mask >> bit & 1}
     if not lacking:
         return []
     bits = " and ".join(f"bit {bit} ({words})" for bit, words in lacking.items())
-    if mask < 0:
+    if mask < 0 or name not in known:
         return [f"{bits} of {name}"]
     return [f"{name} = {mask | sum(1 << bit for bit in lacking)} (now {mask}), for {bits}"]
 
@@ -179,7 +180,7 @@ def _rotors(found: Inspection) -> Iterator[Objection]:
         yield _blocks(
             f"no rotor input that can be used: {why}" if why else "no rotor input at all",
             _faster(found)
-            if why
+            if why or found.kind == "dataflash"
             else "enable rpm telemetry of the ESCs, or record the "
             "actuator outputs (gcs-sysid live requests both)",
         )
