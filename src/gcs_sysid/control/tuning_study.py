@@ -604,11 +604,16 @@ def what_if(
             departures[name] = smooth.departure(modeled(smooth.omega)[0])
     objections = tuple(parted(departures, LIMITS.unmodeled, "answer to set-points"))
     said = {axis for objection in objections for axis in objection.evidence}
+    # Intervals so wide that they allow for a departure do not narrow what is claimed then.
+    unclear += [
+        n for n, (share, *_) in departures.items() if share > LIMITS.unmodeled and n not in said
+    ]
+    said.update(unclear)
     axes = tuple(i for i, name in enumerate(AXES) if name in departures and name not in said)
     if unclear and not why:
         why = (
-            f"the log shows too little of how {', '.join(unclear)} answers to rate set-points for "
-            "the loop that flew to be checked",
+            f"log and model are not sure enough of how {', '.join(unclear)} answers to rate "
+            "set-points for the loop that flew to be checked",
         )
     omega = frequencies(then[1])
     loops = [open_loops(*then, omega, attitude=attitude) for attitude in (False, True)]
