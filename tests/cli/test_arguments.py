@@ -117,7 +117,7 @@ CASES = {
     "nowhere to ask": (["airframe", "new", "--arm", "0.2"], "no terminal"),
     "airframe over a file": (
         ["airframe", "new", "--layout", "px4-quad-x", "--arm", "1", "-o", "truth.json"],
-        "not overwritten",
+        "--force overwrites it",
     ),
     "own layout of one": (["airframe", "new", "--rotor", "cw:0,1", "-o", "x.toml"], "four"),
     "check of nothing": (["airframe", "check", "no.toml"], "no.toml"),
