@@ -67,9 +67,11 @@ def noisy(samples):
 def test_inertia_is_right_though_there_is_no_gyroscopic_torque(truth, untwisted_flight):
     fit = estimator_of(truth, noisy(untwisted_flight), EstimatorTuning()).fit()
     assert fit.rigid_body_test.contradicted
-    # Rows of one step tell the share to 0.15: at most 1.4 of that off in five seeds.
-    assert np.all(fit.rigid_body_test.std < 0.2)
-    assert np.all(np.abs(fit.rigid_body_test.share) < 3.0 * fit.rigid_body_test.std)
+    # Rows of one step tell the share to 0.15: at most 1.4 of that off in five seeds. Held to that
+    # torque, a fit may explain nothing of yaw, whose share then says nothing.
+    share, std = fit.rigid_body_test.share[:2], fit.rigid_body_test.std[:2]
+    assert np.all(std < 0.2)
+    assert np.all(np.abs(share) < 3.0 * std)
     # Held to that torque, the fit would bend Izz by 44 %, with an interval of 2 %. Without it the
     # rotors' own torques, on all axes, tell it to 0.2 %.
     off = np.abs(fit.rotation.theta - truth.theta)

@@ -21,8 +21,9 @@ def test_the_result_is_the_same_with_and_without(report, paper_flight, tmp_path,
     truth = ("--truth", str(paper_flight.truth_file))
     assert run(["analyze", str(paper_flight.tlog), *PAPER, *truth, "--json", str(path)]) == 0
     without = json.loads(path.read_text())
-    # Blocks of samples end elsewhere, which rounds otherwise.
-    assert numbers_of(without) == pytest.approx(numbers_of(report.result), rel=1e-6, abs=1e-15)
+    # Blocks of samples end elsewhere, which rounds otherwise; a search ends within 3e-4 standard
+    # deviations, and a p-value of whiteness goes with it.
+    assert numbers_of(without) == pytest.approx(numbers_of(report.result), rel=1e-4, abs=1e-15)
     assert words_of(without) == words_of(report.result)
 
 
