@@ -562,9 +562,11 @@ def study(
         settings = {**parameters, **(gains or {})}
         other = read_loop(autopilot, settings, vehicle.rotors, hover_point(laden[0]))
         changed = hover_dynamics(laden, other, late, seed, traded=origin == IDENTIFIED_DELAY)
-        why = ("the flight contradicts the model: see below",) if objections else ()
-        both = (dynamics, loop), (changed, other)
-        tried = what_if(change, None if why else signals, gyro, *both, why)
+        if objections:
+            why = ("the flight contradicts the model: see below",)
+            tried = WhatIf(change, None, (), (), (), why)
+        else:
+            tried = what_if(change, signals, gyro, (dynamics, loop), (changed, other))
     filters = sorted(set(loop.assumed) - set(loop.as_parameters()))
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
@@ -580,7 +582,6 @@ def what_if(
     gyro: Callable[[Array], Array],
     now: tuple[HoverDynamics, RateLoop],
     then: tuple[HoverDynamics, RateLoop],
-    why: tuple[str, ...] = (),
 ) -> WhatIf:
     """Fly a change along a log's set-points, where the loop that flew answers as it is modeled.
 
@@ -590,9 +591,9 @@ def what_if(
         gyro: response of the filters that the logged gyro has passed.
         now: vehicles and loop that flew.
         then: the same, changed.
-        why: nothing is claimed, as far as that is known before.
     """
     departures, unclear = {}, []
+    why: tuple[str, ...] = ()
     for axis, name in enumerate(AXES):
         modeled = functools.partial(_answer, *now, axis)
         own = now[1].gains[axis].attitude, gyro
@@ -610,7 +611,7 @@ def what_if(
     ]
     said.update(unclear)
     axes = tuple(i for i, name in enumerate(AXES) if name in departures and name not in said)
-    if unclear and not why:
+    if unclear:
         why = (
             f"log and model are not sure enough of how {', '.join(unclear)} answers to rate "
             "set-points for the loop that flew to be checked",

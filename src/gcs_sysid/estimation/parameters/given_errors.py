@@ -91,6 +91,7 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
             continue
         if p.theta:
             by_thrust = p.scale == "thrust"
+            unit = (scale.thrust or 0.0) if by_thrust else 1.0
             effect = entry.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
             effect[_ARM] = arm * entry.value
             at = rb.THETA.index(p.theta)
@@ -98,8 +99,8 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
                 axis = int(at == rb.CG_Y)
                 effect[_CENTER + axis] = center[axis]
             if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
-                effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
-            out[name] = effect - (scale.thrust or 0.0 if by_thrust else 1.0) * held[at]
+                effect[_CANT] = arm * airframe.cant * unit
+            out[name] = effect - unit * held[at]
         elif p.fit in ("scale", "translation"):
             out[name] = entry.value * (of_mass if p.scale == "mass" else of_thrust)
     return out
