@@ -140,7 +140,8 @@ def test_what_cannot_be_given_together_is_named_and_no_scale_comes_of_it(airfram
 def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
     known, streams = airframe.with_anchor("mass", 1.5), streams_of(flight(), airframe, "px4", {})
     streams = replace(streams, speeds=replace(streams.speeds, source="eRPM"))
-    for parameters, is_assumed in (({}, True), ({"motor_poles": 14.0}, False)):
+    for poles, is_assumed in ((None, True), (14.0, True), (12.0, False)):
+        parameters = {} if poles is None else {"motor_poles": poles}
         guess = GuessedAirframe(known, "given")
         health = health_of(streams, guess, HealthOptions(known), parameters)
         assert any("14 poles" in text for text in health.assumptions) is is_assumed

@@ -129,7 +129,7 @@ def test_the_arm_of_a_layout_is_a_placeholder():
         ({"mass": 1500.0}, "a mass of 1500 kg is implausible for an arm of 0.25 m"),  # grams
         ({"mass": 0.0015}, "is implausible for an arm of 0.25 m"),  # tonnes
         ({"k_T": 1.25e-5 * (30.0 / math.pi) ** 2 * 100.0}, "check mass (kg), arm (m) and the unit"),
-        ({"k_T": 1e-9}, "check mass (kg), arm (m) and the unit"),
+        ({"k_T": 1.25e-5 / 49.0}, "0.095 m whose tips move at 181 m/s; check the unit"),
         ({"moment_ratio": 0.04}, "torque over thrust is 0.04 m, expected 0.0076 to 0.033 m"),
         ({"moment_ratio": 0.004}, "check motor order, spin and tilt of the rotors"),
         ({"Ixx": 0.2}, "Ixx is 2.1 of mass x arm^2, expected 0.01 to 1"),
@@ -157,7 +157,7 @@ def test_what_the_documentation_says_of_a_wrong_mass():
     page = Path(__file__).parents[2] / "docs" / "intervals.md"
     text = " ".join(page.read_text("utf-8").split())
     as_wide_as_the_arm = 0.1 * 1.225 / (4.0 * math.pi**2)  # C_T rho D^4 / (4 pi^2 arm^4)
-    factor = RANGES.rotor[1] / as_wide_as_the_arm
+    factor = RANGES.rotor / as_wide_as_the_arm
     said = f"at {4.0 * factor:.0f} times the true mass of a quadrotor, and at {factor:.0f} times of"
     assert said in text
 

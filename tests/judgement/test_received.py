@@ -34,7 +34,8 @@ def explaining(share, *, still=False):
     rotation = replace(rotation, r_squared=np.array([0.9, share, 0.9]))
     window = 1e6 * (not still) * np.eye(rb.N_SIGNALS + 3)
     moments = FitMoments(window[None], window, 1000)
-    return replace(NOTHING, fit=Fit(rotation, None, 30.0, running=True, moments=moments))
+    fit = Fit(rotation, None, 30.0, running=True, moments=moments)
+    return replace(NOTHING, fit=fit, turning=1.0)
 
 
 def by(evidence, producer):

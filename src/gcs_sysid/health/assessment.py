@@ -31,7 +31,7 @@ from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits, of_turning
+from gcs_sysid.judgement.plausibility import misfits, of_turning, too_fast, unseen_scale
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
@@ -297,9 +297,10 @@ def health_of(
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     unfit = tuple(_misfits(health, guess))
-    assumed = assumed_unit(source.source, source.range, parameters)
-    if assumed:
-        health = replace(health, assumptions=(*health.assumptions, assumed))
+    seen = health.turning is not None
+    assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
+    if said := assumed or unseen_scale(rotor_input, health.turning, parameters):
+        health = replace(health, assumptions=(*health.assumptions, said))
     otherwise = tuple(of_turning(health.turning))
     # What is in proportion to it is no number.
     if unfit or assumed or (otherwise and not rotor_input.motors):
@@ -317,6 +318,7 @@ def _misfits(health: Health, guess: GuessedAirframe) -> Iterator[Objection]:
     if health.known_mass is not None:
         known["mass"] = health.known_mass
     yield from misfits(known, guess.airframe, health.rotor_input, guess.arm_std)
+    yield from too_fast(known, guess.airframe)
 
 
 def beside_analysis(health: Health, result: Result) -> Health:

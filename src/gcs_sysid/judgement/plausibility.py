@@ -22,6 +22,7 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_readings import AGE, APART
+from gcs_sysid.signals.rotor_units import is_simulated
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -34,10 +35,12 @@ class PlausibleRanges:
     density: Range = (10.0, 2500.0)
     """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
     quad with ducts: 898."""
-    rotor: Range = (1e-5, 0.00625)
-    """k_T, kg/m^3, over the fourth power of the arm at least, of the distance between neighbors at
-    most: C_T rho D^4 / (4 pi^2) for thrust coefficients of 0.06 to 0.16, and diameters of 0.3 arms
-    to 1.06 times that distance."""
+    rotor: float = 0.00625
+    """k_T, kg/m^3, over the fourth power of the distance between neighbors, at most: C_T rho D^4 /
+    (4 pi^2) for a thrust coefficient of 0.16 and a diameter of 1.06 times that distance."""
+    tip: float = 150.0
+    """Speed of propeller tips in hover, m/s, at most. Makers allow 140 to 190 at full thrust; with
+    the diameter that k_T has at C_T = 0.1, vehicles have 41 to 116."""
     thrust_to_weight: Range = (1.05, 30.0)
     """Full thrust of all rotors over weight: below it does not climb; racers reach 15."""
     roll_pitch: Range = (0.01, 1.0)
@@ -103,6 +106,25 @@ def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
     names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
     for found in of_turning(evidence.turning):
         yield replace(found, parameters=names, cap="weak", verdict="partial")
+    unseen = unseen_scale(evidence.rotor_input, evidence.turning, evidence.parameters)
+    claimed = evidence.received is not None and names & _known(evidence).keys()
+    if unseen and claimed and not evidence.assumed:
+        yield Objection(unseen, names, verdict="identified", how=_COUNT, by="poles")
+
+
+_COUNT = "compare the magnets of a motor with the pole count of its ESC or autopilot"
+
+
+def unseen_scale(
+    rotor_input: RotorInput, turning: float | None, parameters: Mapping[str, float]
+) -> str:
+    """That nothing checks by what speeds are all off, in words; empty where something does."""
+    if rotor_input.motors or turning is not None or is_simulated(parameters):
+        return ""
+    return (
+        "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
+        "is in proportion to its inverse square"
+    )
 
 
 def of_turning(factor: float | None) -> Iterator[Objection]:
@@ -128,7 +150,10 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
         parameters = _BY_SCALE if speeds else _BY_SCALE | {"thrust_curve", "cg_x", "cg_y"}
         if speeds and evidence.anchor != "k_T":
             parameters = _BY_SPEED
-        yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial")
+        how = "give [command] min and max in the airframe file, or record the parameters"
+        if speeds:
+            how = "count the magnets of a motor, and record the IMU faster: at 500 Hz it shows them"
+        yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial", how=how)
 
 
 def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
@@ -273,6 +298,9 @@ def implausible(evidence: Evidence) -> Iterator[Objection]:
         found.pop("mass", None)
     if own:  # and no propeller's size follows from what is per kg
         found.pop("k_T", None)
+    by_speed = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
+    for fast in too_fast(found, airframe):
+        yield replace(fast, parameters=by_speed, cap="weak")
     found_wrong = [(each, frozenset(INERTIA)) for each in _inertia(found, airframe.arm)]
     # The propeller's size is by the speeds: as well as the torque, their unit may be wrong.
     by_spin = _BY_SPIN if evidence.rotor_input.motors else _BY_SPIN | _BY_SPEED
@@ -347,8 +375,7 @@ def misfits(
     thrust = found.get(name)
     if thrust is None or thrust <= 0.0 or arm_std:
         return
-    low, high = RANGES.rotor[0] * arm**4, RANGES.rotor[1] * _apart(airframe) ** 4
-    if not rotor_input.motors and not _within(thrust, (low, high)):
+    if not rotor_input.motors and thrust > RANGES.rotor * _apart(airframe) ** 4:
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield _of_sizes(
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
@@ -361,6 +388,26 @@ def misfits(
             f"full thrust is {ratio:.2g} times the weight, expected "
             f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}",
             "check mass (kg), T_max (N a rotor) and the range of the commands",
+        )
+
+
+def too_fast(found: Mapping[str, float], airframe: Airframe) -> Iterator[Objection]:
+    """Speeds at which tips would move as no propeller's do in hover, whatever the arm.
+
+    That goes with the root of the speeds, and the fourth root of the mass: it is their unit.
+    """
+    mass, k_T = found.get("mass"), found.get("k_T")
+    if mass is None or k_T is None or k_T <= 0.0:
+        return
+    speed, diameter = math.sqrt(mass * GRAVITY / (len(airframe.rotors) * k_T)), _diameter(k_T)
+    tip = 0.5 * diameter * speed
+    if tip > RANGES.tip:
+        yield Objection(
+            f"hovering {mass:.3g} kg at {30.0 / math.pi * speed:.0f} rpm takes propellers of "
+            f"{diameter:.2g} m whose tips move at {tip:.0f} m/s",
+            verdict="partial",
+            how="check the unit of the rotor speeds: eRPM are half the pole count times rpm",
+            by="units",
         )
 
 
@@ -406,7 +453,7 @@ def _spins(
     ratio, k_T = found.get("moment_ratio"), found.get("k_T")
     low, high = RANGES.moment_ratio
     if not rotor_input.motors and k_T is not None and k_T > 0.0:
-        diameter = (4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25
+        diameter = _diameter(k_T)
     else:
         # The largest that do not touch their neighbors.
         diameter, low = _apart(airframe), 0.0
@@ -424,10 +471,14 @@ def _spins(
     )
 
 
+def _diameter(k_T: float) -> float:
+    """M, of a propeller with a thrust coefficient in the middle of those that there are."""
+    return float((4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25)
+
+
 _FEW = 4
 _C_T, _AIR = 0.1, 1.225
-"""Thrust coefficient in the middle of those of `PlausibleRanges.rotor`, of whose fourth root the
-diameter depends; kg/m^3."""
+"""Thrust coefficient of 0.06 to 0.16, on whose fourth root the diameter depends; kg/m^3."""
 _TRIANGLE = 1.05
 """A flat vehicle has Izz = Ixx + Iyy; identified moments scatter by up to 5 %."""
 

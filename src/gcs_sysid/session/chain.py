@@ -705,13 +705,19 @@ class Findings:
         return replace(
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
-            assumed="" if source is None else chain.rotor_selector.assumed(source),
+            assumed=self._assumed,
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale != 1.0,
             clock=None if chain.origin is None else chain.origin.clock_doubt,
             confirmed=chain.origin is not None and chain.origin.confirms(chain.airframe),
         )
+
+    @property
+    def _assumed(self) -> str:
+        chain = self.chain
+        seen = chain.rotor_lines.factor is not None
+        return "" if chain.rotors is None else chain.rotor_selector.assumed(chain.rotors, seen=seen)
 
     @property
     def _scale(self) -> AbsoluteScale:
@@ -821,8 +827,7 @@ class Findings:
     def _assumptions(self) -> Iterator[dict[str, Any]]:
         """What neither the log nor the user gives."""
         source, airframe = self.chain.rotors, self.chain.airframe
-        words = "" if source is None else self.chain.rotor_selector.assumed(source)
-        if source is not None and words:
+        if source is not None and (words := self._assumed):
             what = "motor_poles" if source.range is None else f"range of {source.name}"
             value = MOTOR_POLES if source.range is None else [source.range.low, source.range.high]
             yield {"what": what, "value": value, "source": words}

@@ -255,9 +255,9 @@ class RotorSourceSelector:
         found = command_range(source.name, command, self.autopilot, self.parameters, seen)
         return source.range if isinstance(found, str) else found
 
-    def assumed(self, source: RotorSource) -> str:
-        """What is still assumed of the unit of a source, in words; empty where it is known."""
-        return assumed_unit(source.name, self._range_now(source), self.parameters)
+    def assumed(self, source: RotorSource, *, seen: bool = False) -> str:
+        """What is still assumed of the unit of a source, as of `assumed_unit`."""
+        return assumed_unit(source.name, self._range_now(source), self.parameters, seen=seen)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""
@@ -308,7 +308,7 @@ class RotorSourceSelector:
             name = self.choice.name
             gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
-            assumed = self.assumed(chosen)
+            assumed = self.assumed(chosen, seen=True)  # what the IMU shows comes later
             why = gone + chosen.why + (f" ({assumed})" if assumed else "")
             chosen = replace(chosen, why=why, refused=refused, order=self.order)
         self.choice, self.refused = chosen, refused

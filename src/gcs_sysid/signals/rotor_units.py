@@ -212,12 +212,26 @@ def are_pulses(values: Array) -> Mask:
     return (values >= _LEAST_PULSE) & (values <= 2400.0)
 
 
-def assumed_unit(source: str, range_: Range | None, parameters: Parameters) -> str:
-    """What is assumed of the unit of a rotor stream, in words; empty where it is known."""
+def assumed_unit(
+    source: str, range_: Range | None, parameters: Parameters, *, seen: bool = False
+) -> str:
+    """What is assumed of the unit of a rotor stream, in words; empty where it is known.
+
+    Args:
+        source: as in `Record`.
+        range_: of commands.
+        parameters: known so far.
+        seen: whether the IMU shows how fast the rotors turn.
+    """
     if range_ is not None:
         return f"{source}: {range_.origin}" if range_.assumed else ""
-    if source == "eRPM" and not parameters.get("motor_poles", 0.0) >= 2.0:
+    if source != "eRPM" or seen:
+        return ""
+    poles = parameters.get("motor_poles", 0.0)
+    if not poles >= 2.0:
         return f"eRPM without motor_poles in the log: {MOTOR_POLES:g} poles assumed"
+    if poles == MOTOR_POLES:  # it says so whether or not anyone has counted
+        return f"eRPM by Betaflight's default of motor_poles: {MOTOR_POLES:g} poles assumed"
     return ""
 
 
