@@ -232,12 +232,12 @@ def change(text: str) -> tuple[str, str | float | tuple[float, ...]]:
     name, _, value = text.partition("=")
     if name == "gains" and value:
         return name, value
+    if name == "thrust" and 0.2 <= number(value) <= 1.5:
+        return name, number(value)
     mass, _, place = value.partition("@")
-    numbers = tuple(map(number, [mass, *(place.split(",") if place else ())]))
-    if name == "thrust" and 0.2 <= numbers[0] <= 1.5 and len(numbers) == 1:
-        return name, numbers[0]
-    if name == "payload" and numbers[0] >= 0.0 and len(numbers) in (1, 4):
-        return name, (*numbers, 0.0, 0.0, 0.0)[:4]
+    numbers = tuple(map(number, place.split(",") if place else ()))
+    if name == "payload" and len(numbers) in (0, 3):
+        return name, (measured(positive, MASSES)(mass), *(numbers or (0.0, 0.0, 0.0)))
     raise argparse.ArgumentTypeError(
         f"must be gains=FILE, payload=KG[@X,Y,Z] or thrust=SHARE (0.2 to 1.5), got {text!r}"
     )

@@ -149,12 +149,11 @@ def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
 def test_lines_for_a_cli(name, gain, files, capsys):
     own = ["--autopilot", name, "--to", f"{name}-cli", "-o", "g.txt"]
     assert run(["tune", "command.json", *own, *FEW]) == 0
-    lines = (files / "g.txt").read_text().splitlines()
-    settings = dict(line[4:].split(" = ") for line in lines if line.startswith("set "))
+    settings = read_parameter_file(files / "g.txt")
     assert {gain.format(x, axis) for x in "pid" for axis in ("roll", "pitch")} <= settings.keys()
-    assert all(value.isdigit() for value in settings.values())
-    assert settings[gain.format("d", "yaw")] == "0"
-    assert lines[-1] == "save"
+    assert all(value.is_integer() for value in settings.values())
+    assert settings[gain.format("d", "yaw")] == 0.0
+    assert (files / "g.txt").read_text().endswith("\nsave\n")
     out = capsys.readouterr().out
     assert f"{name}, rate loop {8000 if name == 'betaflight' else 2000} Hz" in out
     assert "rotor_inertia" not in out or "rotor inertia is not identified" in out
@@ -163,8 +162,7 @@ def test_lines_for_a_cli(name, gain, files, capsys):
 @pytest.mark.slow
 def test_adrc_has_the_slope_of_the_acceleration_and_bandwidths_that_keep_the_margins(files, capsys):
     assert run(["tune", "command.json", "--to", "betaflight-adrc", "-o", "a.txt", *FEW]) == 0
-    lines = [line for line in (files / "a.txt").read_text().splitlines() if line[:4] == "set "]
-    found = {name: float(value) for name, value in (line[4:].split(" = ") for line in lines)}
+    found = read_parameter_file(files / "a.txt")
     # A quad X: a PID sum of 1000 on roll is a command of one on each rotor, up or down.
     u, rotors = found["adrc_hover_throttle"] / 100.0, load_airframe("paper").rotors
     torque = sum(abs(r.y) for r in rotors) * 10.0 * (0.7 + 0.6 * u)
@@ -177,8 +175,11 @@ def test_adrc_has_the_slope_of_the_acceleration_and_bandwidths_that_keep_the_mar
 def test_a_flight_that_parts_from_the_model_gets_no_gains(files, shared_log, capsys):
     log = str(shared_log("px4-sih-default.ulg"))  # of another vehicle
     write = ("--json", "tune.json", "--bode", "loops.svg", "-o", "new.params", "--to", "px4-params")
-    assert run(["tune", "command.json", log, *write, "--what-if", "thrust=0.8", *FEW]) == 1
+    tried = ("--what-if", "gains=now.params", "--what-if", "thrust=0.8", "--what-if", "payload=10g")
+    assert run(["tune", "command.json", log, *write, *tried, *FEW]) == 1
     out, err = capsys.readouterr()
+    assert "what if: MC_ROLLRATE_P = 0.09, MC_ROLLRATE_D = 0.002, MC_ROLL_P = 6.5" in out
+    assert "more, 0.01 kg besides, 80 % of the thrust, along" in " ".join(out.split())
     assert "leave it: the measured response departs from the model's on roll" in out
     assert "nothing is claimed: the flight contradicts the model" in out
     assert "flown" in out
@@ -269,6 +270,8 @@ def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, 
         (["command.json", "--delay", "7"], "0 to 0.2 s"),
         (["command.json", "now.params", "--what-if", "thrust=0.8"], "give the LOG"),
         (["command.json", "--what-if", "payload=1@2"], "payload=KG[@X,Y,Z]"),
+        (["command.json", "--what-if", "payload=0"], "must be positive"),
+        (["command.json", "--to", "indi", "-o", "-", "--what-if", "thrust=0.8"], "apply to gains"),
         (["speed.json", "--with", "other.json"], "Ixx = 0.0165 and 0.033"),
     ],
 )  # fmt: skip

@@ -218,3 +218,7 @@ def test_an_emulated_vehicle_flies_as_was_said_with_other_gains_payload_and_batt
     truth = replay(flew, then, then, np.ones_like, highest).error["flown"][0]
     assert said.replay.error["then"][0] == pytest.approx(truth, rel=0.03)
     assert (truth > 1.1 * said.replay.error["flown"][0]).all()
+    weak = hover_dynamics([laden.changed(0.0, place, 0.2)], other, (DELAY, 0.0)), other
+    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), weak)
+    assert said.replay is None
+    assert said.why == ("a hover takes more than full thrust with 1 of 1 vehicles drawn",)

@@ -146,6 +146,8 @@ def test_betaflight_gains_by_its_header_and_back():
     loop = read_loop("betaflight", header, QUAD)
     gains = loop.as_parameters()
     assert [gains[name] for name in ("p_roll", "i_roll", "d_roll")] == [50, 65, 30]
+    held = read_loop("betaflight", {**header, "d_roll": 40.0, "d_min_roll": 0.0}, QUAD)
+    assert held.as_parameters()["d_roll"] == 40
     # 50 * 0.032029 per deg/s, of a PID sum of 1000.
     assert pytest.approx(50.0 * 0.032029 * math.degrees(1.0) / 1000.0) == loop.gains[0].P
     assert loop.gains_known

@@ -19,11 +19,10 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
-from gcs_sysid.control.frequency_response import Replay
+from gcs_sysid.control.frequency_response import BAND, Replay
 from gcs_sysid.control.loop_margins import check_needs, frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
-    BAND,
     LIMITS,
     Change,
     TuningStudy,
@@ -145,7 +144,10 @@ def _change(options: argparse.Namespace, flight: list[SampleBlock] | None) -> Ch
     tried = dict(options.what_if)
     gains, (payload, *place) = tried.get("gains"), tried.get("payload", (0.0, 0.0, 0.0, 0.0))
     parameters = None if gains == "proposed" else read_parameter_file(Path(gains)) if gains else {}
-    return Change(parameters, payload, tuple(place), tried.get("thrust", 1.0))
+    wanted = Change(parameters, payload, tuple(place), tried.get("thrust", 1.0))
+    if not wanted.words:
+        raise InputError("--what-if changes nothing: full thrust is that of the result already")
+    return wanted
 
 
 def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
@@ -170,8 +172,8 @@ def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
 
 def _effectiveness(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
     """What INDI has in place of gains, where it is as sure as these."""
-    if options.json is not None or options.bode is not None:
-        raise InputError("--json and --bode apply to gains: leave them out with INDI")
+    if options.json is not None or options.bode is not None or options.what_if:
+        raise InputError("--json, --bode and --what-if apply to gains: leave them out with INDI")
     check_needs(vehicle)
     if vehicle.get("rotor_inertia") is None or vehicle.get("k_T") is None:
         raise MissingError(
@@ -219,6 +221,13 @@ def _parameters(
     airframe = Airframe("result", vehicle.rotors) if named is None else named
     # The loop by the autopilot's parameters makes torques of the log's commands.
     samples = [*aligned_samples(log, replace(airframe, rotor_input=RotorInput.COMMAND))]
+    own = vehicle.result.vehicle.get("sysid")
+    others = {each.system for each in log.systems if each != log.vehicle}
+    if options.vehicle is None and log.vehicle and own != log.vehicle.system and own in others:
+        raise InputError(
+            f"{path}: the result is of vehicle {own}, and the log begins with "
+            f"{log.vehicle.system}: give --vehicle"
+        )
     if not log.parameters:
         raise InputError(
             f"{path}: holds no parameters of the autopilot: give a .params or .param file saved "
@@ -275,8 +284,7 @@ def bode_svg(tuning: TuningStudy) -> str:
 
 def _replayed(flown: Replay, axis: int, top: float) -> Iterator[Markup]:
     """Rates along the log's liveliest set-points, and the band of what is tried."""
-    shown = {name: np.degrees(values[..., axis]) for name, values in flown.shown.items()}
-    low, high = np.percentile(shown["then"], BAND, axis=0)
+    shown = {name: np.degrees(values) for name, values in flown.lines(axis).items()}
     most = max(float(np.abs(values).max()) for values in shown.values())
     left, middle = _x(axis, _LOW), top + 0.5 * _UPPER
     across = left + _COLUMN * flown.t / flown.t[-1]
@@ -288,12 +296,12 @@ def _replayed(flown: Replay, axis: int, top: float) -> Iterator[Markup]:
 
     yield _rule(left, middle, left + _COLUMN, middle)
     yield _label(left, top - 6.0, f"{AXES[axis]}, {flown.t[-1]:.0f} s, up to {most:.0f} deg/s")
-    band = " ".join(f"{x:.1f},{y:.1f}" for x, y in at(high) + at(low)[::-1])
+    outline = at(shown["then_high"]) + at(shown["then_low"])[::-1]
+    band = " ".join(f"{x:.1f},{y:.1f}" for x, y in outline)
     yield element("polygon", points=band, fill=_STROKES["proposed"], fill_opacity="0.2")
     strokes = {"setpoint": PALE, "flown": INK, "now": _STROKES["now"], "then": BLUE}
     for name, stroke in strokes.items():
-        values = shown[name][0] if name == "then" else shown[name]
-        yield polyline(at(values), stroke, 1.0)
+        yield polyline(at(shown[name]), stroke, 1.0)
 
 
 def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup]:

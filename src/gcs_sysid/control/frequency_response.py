@@ -62,6 +62,8 @@ class SpectralRules:
 
 
 RULES = SpectralRules()
+BAND = (2.5, 97.5)
+"""Percentiles of the draws, shown as the band."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ class MeasuredAxis:
         columns = {"magnitude": (size[0], size), "phase": (phase, phase + turn)}
         out = {}
         for name, (value, drawn) in columns.items():
-            low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
+            low, high = np.percentile(drawn, BAND, axis=0)
             for part, numbers in (("", value), ("_low", low), ("_high", high)):
                 out[f"model_{name}{part}"] = numbers.tolist()
         return out
@@ -492,6 +494,14 @@ class Replay:
     limit: Array | None
     t: Array
     shown: dict[str, Array]
+
+    def lines(self, axis: int) -> dict[str, Array]:
+        """What is shown of an axis by name, each (k,): "then" of the nominal vehicle, and its
+        band, "then_low" and "then_high".
+        """
+        lines = {name: values[..., axis] for name, values in self.shown.items()}
+        low, high = np.percentile(lines["then"], BAND, axis=0)
+        return lines | {"then": lines["then"][0], "then_low": low, "then_high": high}
 
 
 def replay(

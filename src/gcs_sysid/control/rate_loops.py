@@ -472,7 +472,8 @@ def _by_cli_name(autopilot: Autopilot, parameters: Mapping[str, float]) -> dict[
             value = parameters.get(f"{line}[{place}]")
             if value is not None:
                 out.setdefault(names[gain].format(axis), value)
-        least, D = parameters.get(f"d_min[{i}]", 0.0), names["D"].format(axis)
+        least = parameters.get(f"d_min_{axis}", parameters.get(f"d_min[{i}]", 0.0))
+        D = names["D"].format(axis)
         if 0.0 < least < out.get(D, 0.0):
             out[D] = least
     return out

@@ -18,6 +18,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.control.frequency_response import (
+    BAND,
     FlownSignals,
     MeasuredAxis,
     Replay,
@@ -364,8 +365,6 @@ IDENTIFIED_DELAY = "identified, from command to rotor"
 _ALIKE = ("mass", "Ixx", "Iyy", "Izz")
 _APART = 0.1
 """Relative difference beyond which two results are not of one flight."""
-BAND = (2.5, 97.5)
-"""Percentiles of the draws, shown as the band."""
 
 
 @dataclass(frozen=True)
@@ -407,8 +406,11 @@ class Change:
     def words(self) -> str:
         """What it is."""
         parts = (
-            ["the gains proposed"] if self.gains is None else ["other gains"] if self.gains else []
+            ["the gains proposed"]
+            if self.gains is None
+            else [f"{name} = {value:g}" for name, value in self.gains.items()]
         )
+        parts[4:] = [f"{len(parts) - 4} more"] if len(parts) > 5 else parts[4:]
         parts += [f"{self.payload:g} kg besides"] if self.payload else []
         parts += [f"{100.0 * self.thrust:.0f} % of the thrust"] if self.thrust != 1.0 else []
         return ", ".join(parts)
@@ -506,6 +508,9 @@ def study(
         InputError: parameters make no sense.
     """
     loop = read_loop(autopilot, parameters, vehicle.rotors, hover_point(vehicle))
+    change = change or Change(None)
+    if change.gains:
+        change = replace(change, gains=_others(change.gains, parameters, loop))
     # What is missing is named before anything is drawn.
     check_needs(vehicle)
     late, origin = _delay(vehicle, loop, delay)
@@ -550,7 +555,6 @@ def study(
         for name, one in loops.items()
         if one is not None
     }
-    change = change or Change(None)
     if proposed is None and change.gains is None:
         change = replace(change, gains={})
     tried = None
@@ -574,6 +578,26 @@ def study(
         vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
         measured, "" if proposed is not None else "; ".join(said), tried,
     )  # fmt: skip
+
+
+def _others(
+    gains: Mapping[str, float], parameters: Mapping[str, float], loop: RateLoop
+) -> dict[str, float]:
+    """Those of the gains to try that a vehicle has, with another value.
+
+    Raises:
+        InputError: there are none.
+    """
+    unknown = dict.fromkeys([*loop.assumed, *(name for name, _ in loop.besides)], np.nan)
+    present = {**replace(loop, besides=()).as_parameters(), **unknown, **parameters}
+    # A log holds single precision.
+    out = {n: v for n, v in gains.items() if n in present and not np.isclose(v, present[n], 1e-6)}
+    if not out:
+        raise InputError(
+            f"--what-if: none of the {len(gains)} parameters to try differs from what "
+            f"{loop.autopilot} has now"
+        )
+    return out
 
 
 def what_if(
@@ -620,8 +644,10 @@ def what_if(
     loops = [open_loops(*then, omega, attitude=attitude) for attitude in (False, True)]
     margins = [margins_of(omega, each[:, :, axis]) for each in loops for axis in range(3)]
     unstable = np.any([each.phase <= 0.0 for each in margins], axis=0)
-    if unstable.any() and axes:
-        why, axes = (f"unstable with {unstable.sum()} of {len(unstable)} vehicles drawn",), ()
+    heavy = then[0].hover.max(axis=1) >= 1.0
+    for what, those in (("unstable", unstable), ("a hover takes more than full thrust", heavy)):
+        if those.any():
+            why, axes = (f"{what} with {those.sum()} of {len(those)} vehicles drawn",), ()
     # Where hardly a tenth of the motion comes back, no loop acts.
     highest = 10.0 * float(np.nanmax([each.crossover for each in margins]))
     flown = replay(flight, now, then, gyro, highest) if flight and axes else None
@@ -782,13 +808,10 @@ def _tried(tried: WhatIf) -> dict[str, Any]:
         return out
     axes = {}
     for axis in tried.axes:
-        lines = {name: values[..., axis] for name, values in flown.shown.items()}
-        low, high = np.percentile(lines["then"], BAND, axis=0)
-        lines |= {"then": lines["then"][0], "then_low": low, "then_high": high}
         axes[AXES[axis]] = {
             "error_rad_s": {name: _banded(each[:, axis]) for name, each in flown.error.items()},
             "overshoot": _banded(tried.overshoot[axis]),
-            "shown_rad_s": {name: values.tolist() for name, values in lines.items()},
+            "shown_rad_s": {name: line.tolist() for name, line in flown.lines(axis).items()},
         }
     limit = (
         None

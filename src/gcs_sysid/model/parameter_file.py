@@ -1,8 +1,8 @@
 """Files of autopilot parameters as ground stations write them.
 
 QGroundControl: vehicle, component, name, value and MAV_PARAM_TYPE between tabs (.params). Mission
-Planner and MAVProxy: name and value between a comma or blanks (.param, .parm). Lines that begin
-with # are comments.
+Planner and MAVProxy: name and value between a comma or blanks (.param, .parm). Betaflight and INAV:
+"set name = value". Lines that begin with # are comments.
 """
 
 import math
@@ -20,7 +20,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 
 
 def read_parameter_file(path: Path) -> dict[str, float]:
-    """Name -> value of a .params, .param or .parm file.
+    """Name -> value of a .params, .param or .parm file, or of lines for a CLI.
 
     Raises:
         InputError: it cannot be read, or a line in it is no parameter.
@@ -28,9 +28,9 @@ def read_parameter_file(path: Path) -> dict[str, float]:
     found: dict[str, float] = {}
     for number, line in enumerate(read_text(path, "the parameters").splitlines(), 1):
         text = line.strip()
-        if not text or text.startswith("#"):
+        if not text or text.startswith("#") or text == "save":
             continue
-        words = re.split(r"[\s,]+", text)
+        words = re.split(r"[\s,=]+", text.removeprefix("set "))
         name, value = words[2:4] if len(words) == 5 else (words[0], words[1:2] and words[1])
         if not _NAME.fullmatch(name) or not value:
             raise InputError(f"{path}: line {number} is not a parameter: {text[:60]!r}")
