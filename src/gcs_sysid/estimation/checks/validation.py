@@ -18,7 +18,7 @@ from scipy.special import stdtr
 from gcs_sysid.arrays import Array, Mask, by_parts, runs
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
 from gcs_sysid.estimation.fit.priors import Prior
-from gcs_sysid.estimation.fit.problem import N_X, axis_power, residual_maker
+from gcs_sysid.estimation.fit.problem import N_X, axis_power, own_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import find_shocks, fit_whitened
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined, slower
@@ -71,7 +71,7 @@ def judge_prediction(
 
     Args:
         rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates; or
-            (3, WIDTH, WIDTH) where each axis has its own.
+            (1 or 3, WIDTH, WIDTH) where each axis has its own.
         fit: to the others.
         held_out: (n, 2) as of `Validation`.
         whiteness: (3,) of what it leaves.
@@ -122,6 +122,7 @@ def predict_held_out(
     basis: ActuatorDynamics,
     choice: DeviationChoice | None,
     prior: Prior | None,
+    leak: int | None = None,
 ) -> Validation | None:
     """Fit parts of a flight, predict the rest; whiteness of innovations.
 
@@ -133,6 +134,7 @@ def predict_held_out(
         basis: of the elements.
         choice: of deviations from the model.
         prior: what else is known.
+        leak: as of `fit_whitened`.
     """
     ends = np.cumsum(data.counts) * data.time
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
@@ -146,7 +148,7 @@ def predict_held_out(
         stretch = (ends[-1] * passed - 1e-9) // _HELD_OUT % 5
         masks = [np.isin(stretch, held_out) for held_out in folds]
         found = found or [
-            fold for mask in masks if (fold := _predicted(data, basis, choice, mask, prior))
+            fold for mask in masks if (fold := _predicted(data, basis, choice, mask, prior, leak))
         ]
     if not found:
         return None
@@ -187,11 +189,12 @@ def _predicted(
     choice: DeviationChoice | None,
     held_out: Mask,
     prior: Prior | None,
+    leak: int | None,
 ) -> _Fold | None:
     """A part of the flight, predicted by a fit to the others."""
     if held_out.all():
         return None
-    found = fit_whitened(data, basis, None, prior, choice=choice, only=~held_out)
+    found = fit_whitened(data, basis, None, prior, choice=choice, only=~held_out, leak=leak)
     if found is None:
         return None
     fit = found.rotation
@@ -209,10 +212,9 @@ def _predicted(
     ends = np.append(0, np.cumsum(data.counts)) / data.counts.sum()
     spans = np.array([ends[[run.start, run.stop]] for run, out in runs(held_out) if out])
     nothing = np.full(3, np.nan)
-    axes = np.arange(3)
     return _Fold(
         judge_prediction(rest, fit, spans, nothing, nothing),
-        rest[axes, axes - 3, axes - 3],
+        own_power(rest),
         _slow_power(data, basis, kept, fit),
     )
 

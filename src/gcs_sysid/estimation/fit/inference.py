@@ -17,6 +17,7 @@ from gcs_sysid.estimation.fit.problem import (
     N_X,
     Evaluation,
     Problem,
+    own_power,
     residual_maker,
 )
 from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along
@@ -29,7 +30,6 @@ _FOLLOWED = 3
 """Iterations of a fit that follows, where it is not near."""
 _ABSURD = -0.5
 """Share of an axis' acceleration explained: less indicates a false minimum."""
-_AXES = np.arange(3)
 
 
 def follow_rotation(
@@ -280,9 +280,7 @@ class Outcome:
     def _explained(self) -> Array:
         """(K, 3) share of each axis' angular acceleration that the model explains."""
         problem = self._problem
-        moments = problem.moments
-        of_axis = _AXES if moments.shape[1] > 1 else 0
-        all_ = moments[:, of_axis, _AXES - 3, _AXES - 3] / problem.rows[:, None]
+        all_ = own_power(problem.moments) / problem.rows[:, None]
         return 1.0 - self._point.variance / np.maximum(all_, 1e-300)
 
     def _moved(self, step: Array) -> Array:

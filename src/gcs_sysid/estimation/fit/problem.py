@@ -125,19 +125,17 @@ class Problem:
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
         self.noise, self.silent = noise, noise is None or not noise.any()
-        self.exact = self.informed = self.moments
-        """As `moments`, without the known noise, and without what of it is no information."""
+        self.exact = self.moments
+        """As `moments`, without the known noise."""
         if noise is not None and not self.silent:
             noise = noise if noise.ndim == 4 else noise[:, None]
-            noise = self.rows[:, None, None, None] * noise
-            self.exact, self.informed = self.moments - noise, self.moments - NOISE_SHARE * noise
+            self.exact = self.moments - self.rows[:, None, None, None] * noise
 
     def part(self, which: Array) -> Self:
         """Some of the hypotheses."""
         some = copy(self)
-        for name in ("moments", "rows", "exact", "informed"):
-            values = getattr(self, name)
-            setattr(some, name, None if values is None else values[which])
+        for name in ("moments", "rows", "exact"):
+            setattr(some, name, getattr(self, name)[which])
         if not self.silent and len(self._usual) > 1:
             some._usual = self._usual[which]
         return some
@@ -228,19 +226,28 @@ class Problem:
         """(K, 1 + f, WIDTH, width) what makes rows [x, y] here, and its derivatives."""
         return self.basis.maps(unknowns[:, COORDINATES])
 
+    def informed(self, moments: Array, exact: Array) -> Array:
+        """What follows linearly from moments, without what of the known noise is no information.
+
+        Args:
+            moments: what follows from them.
+            exact: the same without the known noise.
+        """
+        return moments if self.silent else (1.0 - NOISE_SHARE) * moments + NOISE_SHARE * exact
+
     # ---- cost --------------------------------------------------------------------------------
 
     def evaluate(self, unknowns: Array) -> Evaluation:
         """Cost and its derivatives at (K, N_UNKNOWNS + m), or at (1, N_UNKNOWNS + m) for all."""
         K, n, f = len(self.moments), self.linear, len(self.basis.free)
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
-        moments, exact, informed = self.moments, self.exact, self.informed
+        moments, exact = self.moments, self.exact
         if self.basis is not PLAIN:
             P = self.maps(unknowns)
             first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
-            moments = first @ moments @ turned
-            exact = moments if self.silent else first @ exact @ turned
-            informed = (1.0 - NOISE_SHARE) * moments + NOISE_SHARE * exact
+            mapped = first @ exact
+            exact = mapped @ turned
+            moments = exact if self.silent else first @ moments @ turned
         phi = unknowns[:, N_UNKNOWNS:]
         Q, G = self.deviations.jacobian(unknowns, phi)
         T = residual_maker(Q)
@@ -249,7 +256,7 @@ class Problem:
         WG, by_axis = (np.swapaxes(each, 1, 2) for each in (W[:, None] @ G, G))
         hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
         bend = np.zeros_like(hessian)
-        signals = informed[..., :N_X, :N_X]
+        signals = self.informed(moments, exact)[..., :N_X, :N_X]
         hessian[:, :n, :n] = (WG @ signals @ np.swapaxes(by_axis, -1, -2)).sum(axis=1)
         downhill = WG @ (exact[..., :N_X, :] @ T[..., None])
         gradient[:, :n] = downhill.sum(axis=1)[..., 0]
@@ -263,8 +270,10 @@ class Problem:
         if f:
             # Of residuals, by coordinate: (K, f, 3, width), and with all columns.
             TP = T[:, None] @ P[:, 1:]
-            TPM = times_moments(TP, self.informed)
-            changed = TPM if self.silent else times_moments(TP, self.exact)
+            changed = times_moments(TP, self.exact)
+            TPM = changed
+            if not self.silent:
+                TPM = self.informed(times_moments(TP, self.moments), changed)
             slopes = ((W[:, None] @ changed) * (T @ P[:, 0])[:, None]).sum(axis=(2, 3))
             weighted = (W[:, None] @ TPM).reshape(K, f, -1)
             bends = weighted @ np.swapaxes(TP.reshape(K, f, -1), 1, 2)
@@ -276,7 +285,7 @@ class Problem:
             hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
             hessian[:, n:, n:] = bends + np.diag(self._information)
             if self.basis.twice_delayed is not None:
-                left = W[:, None] @ times_moments((T @ P[:, 0])[:, None], self.exact)
+                left = W[:, None] @ times_moments(T[:, None], mapped)
                 turned = left @ np.swapaxes(P[:, 1:, :N_X], -1, -2)  # (K, f, 3, N_X)
                 both = -(G.reshape(K, n, -1) @ np.swapaxes(turned.reshape(K, f, -1), 1, 2))
                 bend[:, :n, n:], bend[:, n:, :n] = both, np.swapaxes(both, 1, 2)
@@ -335,13 +344,20 @@ def residual_maker(Q: Array) -> Array:
 
 
 def times_moments(left: Array, moments: Array) -> Array:
-    """(K, f, 3, n) of such rows, or (1, f, 3, n), times (K, 1 or 3, n, n) moments of each axis."""
+    """(K, f, 3, m) of (K or 1, f, 3, n) such rows times (K, 1 or 3, n, m) moments of each axis."""
     if moments.shape[1] == 1:
         # In one product each.
         product = left.reshape(len(left), -1, left.shape[-1]) @ moments[:, 0]
-        out: Array = product.reshape(len(product), *left.shape[1:])
+        out: Array = product.reshape(len(product), *left.shape[1:-1], -1)
         return out
     out = np.swapaxes(np.swapaxes(left, 1, 2) @ moments, 1, 2)
+    return out
+
+
+def own_power(moments: Array) -> Array:
+    """(..., 3) of y itself, of (..., 1 or 3, n, n) moments of rows that end with it."""
+    axes = np.arange(3)
+    out: Array = moments[..., axes if moments.shape[-3] > 1 else 0, axes - 3, axes - 3]
     return out
 
 

@@ -10,7 +10,6 @@ motion, are left out (`shocks_in`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,10 @@ from gcs_sysid.estimation.fit.disturbance import RULES
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import (
-    NOISE_SHARE,
     Evaluation,
     Problem,
     axis_power,
+    own_power,
     residual_maker,
     times_moments,
 )
@@ -42,7 +41,8 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _OWN = 0.5
 """Share of a batch's motion that the fit does not explain, up to which it is no shock."""
-_AXES = np.arange(3)
+_ONE = (0, 0, 0)
+"""Whiteners of the axes where there is but one."""
 _MOST_SHOCKS = 0.25
 """Share of the rows; what happens more often is no shock. Batches get longer as they get older."""
 _JUDGED_ALIKE = 12
@@ -75,11 +75,11 @@ def find_shocks(TP: Array, variance: Array, batches: Array, counts: NDArray[np.i
     Args:
         TP: (3, width) what makes innovations of rows of elements, by a fit.
         variance: (3,) of them.
-        batches: (k, 3, width, width) with its whiteners.
+        batches: (k, 1 or 3, width, width) with its whiteners.
         counts: (k,) rows in each.
     """
     relative = _relative(TP, variance, batches, counts)
-    motion = (batches[:, _AXES, _AXES - 3, _AXES - 3] / counts[:, None] / variance).mean(axis=1)
+    motion = (own_power(batches) / counts[:, None] / variance).mean(axis=1)
     # What rotors explain for the most part, they did: most of a flight may be far calmer.
     shocks: Mask = relative > np.maximum(SHOCK * np.median(relative), _OWN * motion)
     few = counts[shocks].sum() <= _MOST_SHOCKS * counts.sum()
@@ -166,7 +166,7 @@ class WhitenedFit:
 
     Attributes:
         rotation: the fit.
-        left_out: (3, width, width) moments of batches with shocks, as each axis' whitener made
+        left_out: (1 or 3, width, width) moments of batches with shocks, as each axis' whitener made
             them.
         rows_left_out: in them.
         cost: nats a row, summed over the axes; the less, the better.
@@ -192,6 +192,7 @@ def fit_whitened(
     *,
     scatter: bool = True,
     others: bool = True,
+    leak: int | None = None,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -207,6 +208,7 @@ def fit_whitened(
         scatter: whether standard deviations count how far batches scatter; else, at three quarters
             of the cost, they are the bound.
         others: whether deviations are chosen beside those given.
+        leak: of the window's rows, the one that is right for the flight; None: each is tried.
 
     Returns:
         The fit, or None while the data cannot even start one.
@@ -217,33 +219,39 @@ def fit_whitened(
     bank = BankProblem(data, basis, prior, wanted, deviations)
     if bank.is_short:
         return None
-    solved = []
-    if start is None:
-        trial = bank.scanned()
-        if trial is None:
-            return None
-        if data.of_steps:
-            solved.append((bank, bank.solve_from(trial)))
-        else:
-            # Rows of the window share samples: what a leak leaves of them is not which is best.
-            for i in data.own[:1] or range(len(data.whiteners)):
-                own = (i,) * len(_AXES)
-                alone = replace(bank, data=replace(data, own=own))
-                solved.append((alone, alone.solve(own, trial.unknowns[[i]])))
-    else:
+    settled = [
+        _settled(*one, wanted, choice if others else None) for one in _solved(bank, start, leak)
+    ]
+    if not settled:
+        return None
+    finishing = _Finishing(data, wanted, choice, doubt, hover, only is None, scatter)
+    return most_certain([finishing.finished(*one) for one in settled])
+
+
+def _solved(
+    bank: BankProblem, start: RotationFit | None, leak: int | None
+) -> list[tuple[BankProblem, AxisFit]]:
+    """Where the search ends: each axis with its whitener, or all with one leak after the other.
+
+    Rows of the window share samples: what a leak leaves of them is not which is best.
+    """
+    data, unknowns = bank.data, None
+    if start is not None:
         assert start.warm_start is not None
         unknowns = start.warm_start.unknowns
         pick = tuple(i for i in find_whiteners(start.whiteners, data.whiteners) if i is not None)
-        if len(pick) == len(_AXES):
+        if len(pick) == len(_ONE):
             if not data.of_steps:
-                bank = replace(bank, data=replace(data, own=pick))
-            solved.append((bank, bank.solve(pick, unknowns[None])))
-        else:
-            solved.append((bank, bank.solve_from(bank.tried(unknowns))))
-    chosen = choice if others else None
-    settled = [_settled(*one, wanted, chosen) for one in solved]
-    finish = partial(_finished, data, wanted, choice, doubt, hover, only, scatter)
-    return most_certain([finish(*one) for one in settled])
+                bank, pick = bank.under(pick[0]), _ONE
+            return [(bank, bank.solve(pick, unknowns[None]))]
+    trial = bank.scanned() if unknowns is None else bank.tried(unknowns)
+    if trial is None:
+        return []
+    if data.of_steps:
+        return [(bank, bank.solve_from(trial))]
+    leaks = range(len(data.whiteners)) if leak is None else (leak,)
+    under = [(bank.under(i), trial.unknowns[[i]]) for i in leaks]
+    return [(one, one.solve(_ONE, starts)) for one, starts in under]
 
 
 def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
@@ -291,113 +299,103 @@ def _settled(
     return bank, solved
 
 
-def _finished(
-    data: WhitenedMoments,
-    wanted: Mask,
-    choice: DeviationChoice | None,
-    doubt: float,
-    hover: float,
-    only: Mask | None,
-    scatter: bool,
-    bank: BankProblem,
-    solved: AxisFit,
-) -> WhitenedFit:
-    """The fit with its intervals."""
-    kept = wanted if bank.kept is None else bank.kept
-    outcome = Outcome(solved.problem, solved.point)
-    p = solved.problem.p
-    # With the standard deviations that white innovations of the whole model would have.
-    bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged])[0]
-    fit = bound
-    if scatter:
-        apart = None if bank.basis.motors else choice
-        fit = _with_scatter(bank, solved, outcome, doubt, hover, only, apart)
-        if data.judges:
-            r_squared = _explained(solved, data.total(kept), data.judges)
-            fit = replace(fit, r_squared=r_squared)
-    fit = replace(
-        fit,
-        whiteners=tuple(data.whiteners[i] for i in solved.pick),
-        of_steps=data.of_steps,
-        disturbance=solved.trial.detected,
-        deviating=bank.deviations,
-    )
-    without = wanted & ~kept
-    return WhitenedFit(
-        fit,
-        data.of_axes(solved.pick)[without].sum(axis=0),
-        int(data.counts[without].sum()),
-        solved.cost,
-        bound.std,
-    )
+@dataclass(frozen=True)
+class _Finishing:
+    """What a fit is completed with, wherever its search ended.
 
-
-def _with_scatter(
-    bank: BankProblem,
-    solved: AxisFit,
-    outcome: Outcome,
-    doubt: float,
-    hover: float,
-    only: Mask | None,
-    apart: DeviationChoice | None,
-) -> RotationFit:
-    """The fit with standard deviations from the scatter of its batches, and what that hides.
-
-    Args:
-        bank: of the batches kept.
-        solved: with its whiteners.
-        outcome: of the same.
-        doubt: as of `fit_whitened`.
+    Attributes:
+        data: moments, of every whitener.
+        wanted: (k,) batches that were to be fitted.
+        choice: as of `fit_whitened`.
+        doubt: likewise.
         hover: likewise.
-        only: likewise.
-        apart: of rotors that may not be read together; None: they are.
+        of_all: whether these are all batches.
+        scatter: as of `fit_whitened`.
     """
-    data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
-    noise = NOISE_SHARE * data.noise[list(solved.pick)]
-    batches = data.of_axes(solved.pick)
-    scores, inverse_root = bank.scores(outcome, batches), outcome.roots[1][0]
-    spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
-    disturbed = solved.trial.detected.max() > RULES.detected
-    if disturbed or bank.deviations.shown:
-        # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
-        # all scatter counts, proved or not.
-        spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
-    spread = spread[None]
-    counts = data.counts[:, None]
-    shares = outcome.shares(0, batches) - counts * outcome.shares(0, noise[None])
-    widening = student_factor(bank.joined(shares), REACH, by_scatter)[None]
-    if data.is_whole:
-        # Whiteness of innovations is based on all rows, not on the scatter of few batches.
-        widening = np.ones_like(widening)
-    if doubt:
-        raw = Problem(
-            problem.moments, bank.rows, basis, bank.prior, np.zeros_like(noise)[None],
-            bank.deviations,
-        )  # fmt: skip
-        pull = raw.evaluate(point.unknowns).gradient - point.gradient
-        spread = spread + outcome.spread_of(doubt * pull)
-    # First from scatter, which also gives the contrasts' standard deviations.
-    fit = outcome.fits(spread, widening, [solved.converged])[0]
-    fit, ways = replace(fit, deviating=bank.deviations), []
-    for error in solved.trial.systematic(fit, hover):
-        way = np.zeros(problem.p)
-        way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
-        ways.append(way)
-    shaken = 1.0 if disturbed or not data.of_steps else 0.0
-    ways += list(fit.imitated_turns(shaken)[:, problem.free] / widening[0])
-    if disturbed and basis.motors and only is None:
-        rows = data.counts if bank.kept is None else bank.kept * data.counts
-        ways.append(curve_scatter(problem, fit, batches, rows, noise) / widening[0])
-    if apart is not None and Unknown.DELAY in problem.free:
-        excess = float(np.trace(spread[0])) / problem.p
-        way, delays = unlike_delays(problem, point, apart.older, excess)
-        fit = replace(fit, ages=apart.of_rotors(delays))
-        ways.append(way / widening[0])
-    for way in ways:
-        spread = spread + outcome.spread_of(way[None] @ point.hessian[0])
-    if not ways:
-        return fit
-    return replace(outcome.fits(spread, widening, [solved.converged])[0], ages=fit.ages)
+
+    data: WhitenedMoments
+    wanted: Mask
+    choice: DeviationChoice | None
+    doubt: float
+    hover: float
+    of_all: bool
+    scatter: bool
+
+    def finished(self, bank: BankProblem, solved: AxisFit) -> WhitenedFit:
+        """The fit with its intervals, of the batches kept with their whiteners."""
+        kept = self.wanted if bank.kept is None else bank.kept
+        outcome = Outcome(solved.problem, solved.point)
+        p = solved.problem.p
+        # With the standard deviations that white innovations of the whole model would have.
+        bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [solved.converged])[0]
+        fit = bound
+        if self.scatter:
+            fit = self._with_scatter(bank, solved, outcome)
+            if self.data.judges:
+                r_squared = _explained(solved, self.data.total(kept), self.data.judges)
+                fit = replace(fit, r_squared=r_squared)
+        fit = replace(
+            fit,
+            whiteners=tuple(bank.data.whiteners[i] for i in solved.pick),
+            of_steps=self.data.of_steps,
+            disturbance=solved.trial.detected,
+            deviating=bank.deviations,
+        )
+        # As they came, not as they are weighed.
+        came = self.data if self.data.of_steps else bank.data
+        without = self.wanted & ~kept
+        return WhitenedFit(
+            fit,
+            came.of_axes(solved.pick)[without].sum(axis=0),
+            int(came.counts[without].sum()),
+            solved.cost,
+            bound.std,
+        )
+
+    def _with_scatter(self, bank: BankProblem, solved: AxisFit, outcome: Outcome) -> RotationFit:
+        """The fit with standard deviations from the scatter of its batches, and what that hides."""
+        data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
+        noise, batches = bank.noise(solved.pick), data.of_axes(solved.pick)
+        scores, inverse_root = bank.scores(outcome, batches), outcome.roots[1][0]
+        spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
+        disturbed = solved.trial.detected.max() > RULES.detected
+        if disturbed or bank.deviations.shown:
+            # What disturbs is hardly stationary, and who deviates in one way may do so in others:
+            # there all scatter counts, proved or not.
+            spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
+        spread = spread[None]
+        counts = data.counts[:, None]
+        shares = outcome.shares(0, batches) - counts * outcome.shares(0, noise[None])
+        widening = student_factor(bank.joined(shares), REACH, by_scatter)[None]
+        if data.is_whole:
+            # Whiteness of innovations is based on all rows, not on the scatter of few batches.
+            widening = np.ones_like(widening)
+        if self.doubt:
+            raw = Problem(problem.moments, bank.rows, basis, bank.prior, deviations=bank.deviations)
+            pull = raw.evaluate(point.unknowns).gradient - point.gradient
+            spread = spread + outcome.spread_of(self.doubt * pull)
+        # First from scatter, which also gives the contrasts' standard deviations.
+        fit = outcome.fits(spread, widening, [solved.converged])[0]
+        fit, ways = replace(fit, deviating=bank.deviations), []
+        for error in solved.trial.systematic(fit, self.hover):
+            way = np.zeros(problem.p)
+            way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
+            ways.append(way)
+        shaken = 1.0 if disturbed or not data.of_steps else 0.0
+        ways += list(fit.imitated_turns(shaken)[:, problem.free] / widening[0])
+        if disturbed and basis.motors and self.of_all:
+            rows = data.counts if bank.kept is None else bank.kept * data.counts
+            ways.append(curve_scatter(problem, fit, batches, rows, noise) / widening[0])
+        if self.choice is not None and not basis.motors and Unknown.DELAY in problem.free:
+            excess = float(np.trace(spread[0])) / problem.p
+            way, delays = unlike_delays(problem, point, self.choice.older, excess)
+            fit = replace(fit, ages=self.choice.of_rotors(delays))
+            ways.append(way / widening[0])
+        for way in ways:
+            spread = spread + outcome.spread_of(way[None] @ point.hessian[0])
+        if not ways:
+            return fit
+        return replace(outcome.fits(spread, widening, [solved.converged])[0], ages=fit.ages)
 
 
 def curve_scatter(
@@ -415,9 +413,9 @@ def curve_scatter(
     Args:
         problem: that was solved.
         fit: its solution.
-        batches: (k, 3, width, width) moments, in time order, with its whiteners.
+        batches: (k, 1 or 3, width, width) moments, in time order, with its whiteners.
         counts: (k,) rows in each; 0: it is left out.
-        noise: (3, width, width) to be taken out of each row.
+        noise: (1 or 3, width, width) to be taken out of each row.
     """
     nothing = np.zeros(problem.p)
     if Unknown.CURVE not in problem.free or len(counts) < _STRETCHES:
@@ -435,8 +433,7 @@ def curve_scatter(
         rows,
         problem.basis,
         problem.prior,
-        np.zeros((1, *batches.shape[1:])),
-        problem.deviations,
+        deviations=problem.deviations,
     )
     unknowns = np.concatenate([fit.unknowns, fit.deviations])
     point, _ = minimize(others, np.tile(unknowns, (_STRETCHES, 1)), _STEPS)
@@ -460,7 +457,8 @@ def unlike_delays(
         excess: variance over that of white innovations.
     """
     P = problem.maps(point.unknowns)[0]
-    T, W, moments = residual_maker(point.Q[0]), np.diag(point.W[0]), problem.informed
+    moments = problem.informed(problem.moments, problem.exact)
+    T, W = residual_maker(point.Q[0]), np.diag(point.W[0])
     at = 1 + problem.basis.free.index(Unknown.DELAY - rb.N_THETA)
     late = T[:, :4] @ older @ P[at, :4]  # (k, 3, width)
     weighted = W[:, None] * times_moments(late[None], moments)[0]
@@ -507,4 +505,4 @@ def _explained(solved: AxisFit, total: Array, judges: tuple[int, ...]) -> Array:
     point = solved.point
     moments = solved.problem.basis.moments_at(total[list(judges)], point.unknowns[0, COORDINATES])
     left = axis_power(residual_maker(point.Q[0]), moments)
-    return 1.0 - left / np.maximum(moments[_AXES, _AXES - 3, _AXES - 3], 1e-300)
+    return 1.0 - left / np.maximum(own_power(moments), 1e-300)

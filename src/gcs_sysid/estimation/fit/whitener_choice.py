@@ -21,6 +21,7 @@ from gcs_sysid.estimation.fit.problem import (
     Evaluation,
     Problem,
     axis_power,
+    own_power,
     residual_maker,
 )
 from gcs_sysid.estimation.fit.search import first_guess
@@ -100,11 +101,27 @@ class BankProblem:
         """Whether there are too few rows for as many unknowns."""
         return self.rows < 3 * rb.N_THETA
 
-    def axes(self, pick: tuple[int, ...]) -> Problem:
-        """The problem with one whitener for each axis."""
-        places = list(pick)
+    def under(self, i: int) -> "BankProblem":
+        """The same with one of the whiteners alone."""
+        return replace(self, data=self.data.under(i))
+
+    def axes(self, pick: tuple[int, ...], deviations: Deviations | None = None) -> Problem:
+        """The problem with one whitener for each axis; with these deviations, or others."""
+        places = self._places(pick)
         moments, noise = self.total[places][None], self.data.noise[places][None]
-        return Problem(moments, self.rows, self.basis, self.prior, noise, self.deviations)
+        if deviations is None:
+            deviations = self.deviations
+        return Problem(moments, self.rows, self.basis, self.prior, noise, deviations)
+
+    def noise(self, pick: tuple[int, ...]) -> Array:
+        """(3, width, width) of what is known of it, as far as it is no information; (1, ...) where
+        there is but one whitener.
+        """
+        out: Array = NOISE_SHARE * self.data.noise[self._places(pick)]
+        return out
+
+    def _places(self, pick: tuple[int, ...]) -> list[int]:
+        return list(pick if len(self.data.whiteners) > 1 else pick[:1])
 
     def joined(self, values: Array) -> Array:
         """(g, ...) sums of (k, ...) values of the batches, of those kept that count as one."""
@@ -158,10 +175,9 @@ class BankProblem:
         point, _ = minimize(problem, problem.extended(unknowns), limit)
         known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
         alike = self._alike(point, noise, known)
-        # An axis' noise is its own; of the window's rows power does not choose.
-        others = self.data.own if self.data.of_steps else range(len(alike))
-        for axis, own in enumerate(self.data.own):
-            alike[[i for i in others if i != own], axis] = np.inf
+        # An axis' noise is its own.
+        for axis, own in enumerate(self.data.likeliest):
+            alike[[i for i in self.data.likeliest if i != own], axis] = np.inf
         found = point.unknowns.copy()
         if self.basis.motors:
             found[:, COORDINATES] = at  # plain rows have none
@@ -244,19 +260,7 @@ class BankProblem:
         point = fit.point
         every = choice.every(point.unknowns[0])
         n, m = rb.N_THETA, len(every.std)
-        places = list(fit.pick)
-
-        def axes(std: Array) -> Problem:
-            return Problem(
-                self.total[places][None],
-                self.rows,
-                self.basis,
-                self.prior,
-                self.data.noise[places][None],
-                replace(every, std=std),
-            )
-
-        free = axes(np.full(m, np.inf))
+        free = self.axes(fit.pick, replace(every, std=np.full(m, np.inf)))
         unknowns = free.extended(point.unknowns[:, :N_UNKNOWNS])
         # The fit in terms of all deviations: the same torque, the same turn.
         effect = point.unknowns[0, N_UNKNOWNS:] @ self.deviations.effects
@@ -274,7 +278,8 @@ class BankProblem:
         score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
         scatter = 1.0
         if batches is not None:
-            bounded = axes(choice.largest(point.unknowns[0]))
+            largest = replace(every, std=choice.largest(point.unknowns[0]))
+            bounded = self.axes(fit.pick, largest)
             outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
             root = outcome.roots[1][0]
             spread = root @ meat(self.scores(outcome, batches), REACH) @ root
@@ -309,5 +314,5 @@ def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None
     if trial is None:
         return None
     places = list(trial.pick)
-    power = problem.total[places, _AXES - 3, _AXES - 3] / problem.rows
+    power = own_power(problem.total[places]) / problem.rows
     return 1.0 - trial.variance[places, _AXES] / np.maximum(power, 1e-300)

@@ -375,9 +375,9 @@ class WhitenedMoments:
         gains: (bank,) variance of a row over that of white noise of the gyro, where rows are the
             window's, which share samples; None: they are of one step.
         muted: columns that are taken as zero.
-        own: places of those that each axis takes, and no other axis. Of rows of one step these are
-            the likeliest of the whole record: their innovations are as white as they can be, and
-            rows count by how strong these are in their batch. Empty: any.
+        likeliest: of each axis, that of the whole record, and no other axis takes it: innovations
+            are as white as they can be, and rows count by how strong these are in their batch.
+            Empty: the flight may go on.
         judges: of each axis, those used for how much of the motion is explained and predicted: of
             offline estimates the online one's, with which its bounds were found; of rows of the
             window no leak. Empty: those of the fit.
@@ -392,7 +392,7 @@ class WhitenedMoments:
     grouped: int
     gains: Array | None = None
     muted: tuple[int, ...] = ()
-    own: tuple[int, ...] = ()
+    likeliest: tuple[int, ...] = ()
     judges: tuple[int, ...] = ()
     weights: Array | None = None
     _latest: dict[tuple[int, ...], Array] = field(init=False, default_factory=dict, repr=False)
@@ -406,7 +406,7 @@ class WhitenedMoments:
     @property
     def is_whole(self) -> bool:
         """Whether the flight is over, and its likeliest whiteners are known."""
-        return bool(self.own) and self.of_steps
+        return bool(self.likeliest)
 
     @property
     def edges(self) -> NDArray[np.int64]:
@@ -429,8 +429,23 @@ class WhitenedMoments:
             out += np.tensordot(weights[start : start + len(part)], part, 1)
         return self._mute(out)
 
+    def under(self, i: int) -> "WhitenedMoments":
+        """The same with one of the whiteners alone."""
+        one = slice(i, i + 1)
+        return replace(
+            self,
+            parts=tuple(part[:, one] for part in self.parts),
+            noise=self.noise[one],
+            whiteners=self.whiteners[one],
+            gains=None if self.gains is None else self.gains[one],
+            judges=(),
+        )
+
     def of_axes(self, pick: Sequence[int]) -> Array:
-        """(k, 3, width, width) of each axis' whitener; not to be written to."""
+        """(k, 3, width, width) of each axis' whitener; not to be written to.
+
+        (k, 1, ...) where there is but one.
+        """
         key = tuple(pick)
         if key not in self._latest:
             self._latest.clear()
@@ -438,11 +453,12 @@ class WhitenedMoments:
         return self._latest[key]
 
     def _of_axes(self, pick: tuple[int, ...]) -> Array:
-        some = [part[:, list(pick)] for part in self.parts]
+        alone = len(self.whiteners) == 1
+        some = [part if alone else part[:, list(pick)] for part in self.parts]
         every = some[0] if len(some) == 1 else np.concatenate(some)
         if self.weights is not None:
-            every *= self.weights[:, None, None, None]
-        return self._mute(every)
+            every = every * self.weights[:, None, None, None]
+        return self._mute(every.copy() if alone and self.muted else every)
 
     def weighed(self, power: Array) -> "WhitenedMoments":
         """The same, where rows of a batch count by the inverse of its innovations' power.

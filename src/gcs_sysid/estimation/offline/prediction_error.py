@@ -80,7 +80,7 @@ class Whitened:
         Speeds from a simulator are not rounded. Taken out all the same, noise of that size made
         moments of inertia up to 12 standard deviations too small.
         """
-        own = list(self.data.own)
+        own = list(self.data.likeliest)
         left = self.power(fit, self.total[own]) / self.data.counts.sum()
         if (self.power(fit, self.data.noise[own]) <= left).all():
             return self
@@ -263,7 +263,7 @@ def _whitened(
         whiteners,
         rows.time,
         size,
-        own=tuple(whiteners.index(whitener) for whitener in own),
+        likeliest=tuple(whiteners.index(whitener) for whitener in own),
     )
     return Whitened(data, basis, runs, rows.time)
 

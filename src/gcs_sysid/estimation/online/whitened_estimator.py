@@ -141,10 +141,9 @@ class WhitenedEstimator:
     def validate(self, prior: Prior | None, fit: RotationFit) -> Validation | None:
         """Fit a part, predict the rest; whiteness of innovations."""
         data = self._data
-        if not data.of_steps:
-            # By the leak that is right for the flight: each of several costs a fit.
-            data = replace(data, own=tuple(self._white.places(fit.whiteners)))
-        return predict_held_out(data, self.basis, self._choice, prior)
+        # By the leak that is right for the flight: each of several costs a fit.
+        leak = None if data.of_steps else self._white.places(fit.whiteners)[0]
+        return predict_held_out(data, self.basis, self._choice, prior, leak)
 
     def other_layout(self) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
@@ -178,7 +177,7 @@ class WhitenedEstimator:
         pick = self._white.places(fit.whiteners)
         P = self.basis.map_at(fit.coordinates)
         rows = by_parts(lambda some: P @ some @ P.T, data.of_axes(pick))
-        rows -= data.counts[:, None, None, None] * (P @ data.noise[pick] @ P.T)
+        rows = rows - data.counts[:, None, None, None] * (P @ data.noise[pick] @ P.T)
         return judge_rigid_body(joined(rows, data.counts, data.grouped), fit.Q)
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
