@@ -18,6 +18,7 @@ from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import UNCERTAIN, Airframe, Rotor, ScaleReference
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.model.rotor_input import RotorInput
 from tests.estimation.rows_fit import fit_rows
 from tests.known_theta import prior_of, theta_from
@@ -71,22 +72,31 @@ def test_all_lengths_go_with_the_arm():
 def test_shares_of_what_was_given():
     told = QUAD.with_uncertainty({"rotor_position": 0, "arm": "3%", "mass": "4%"}, "here")
     fit = fit_of(told)
-    names = ("mass", "k_T", "Ixx", "k_M", "moment_ratio", "cg_x", "linear_drag")
-    values = {name: Estimate(2.0, 0.01, status="identified") for name in names}
     anchor = ScaleReference("mass", 1.5, given=told.uncertainty.scale_share("mass", 1.5))
-    stds = given_stds(values, fit, Given(told, anchor, RotorInput.SPEED, {}))
+
+    def shares(anchor, thrust, **priors):
+        """Of each value, where k_T is `thrust`."""
+        values = dict.fromkeys(("mass", "k_T", "linear_drag"), 2.0)
+        for name in ("Ixx", "k_M", "moment_ratio", "cg_x"):
+            p = PARAMETERS[name]
+            unit = thrust if p.scale == "thrust" else 1.0
+            values[name] = unit * fit.rotation.theta[rb.THETA.index(p.theta)]
+        entries = {name: Estimate(value, 0.01) for name, value in values.items()}
+        stds = given_stds(entries, fit, Given(told, anchor, RotorInput.SPEED, priors))
+        return {name: std / abs(values[name]) for name, std in stds.items()}
+
     expected = {"mass": 4, "k_T": 4, "Ixx": 5, "k_M": 5, "moment_ratio": 3, "cg_x": 3}
-    for name, percent in (expected | {"linear_drag": 4}).items():
-        assert stds[name] == pytest.approx(0.02 * percent), name
+    assert shares(anchor, 1.5 * MOTION.kappa) == pytest.approx(
+        {name: 0.01 * percent for name, percent in (expected | {"linear_drag": 4}).items()}
+    )
     # Known k_T instead: the mass goes with it.
-    by_thrust = ScaleReference("k_T", 2e-4, given=0.02)
-    stds = given_stds(values, fit, Given(told, by_thrust, RotorInput.SPEED, {}))
-    assert stds["mass"] == pytest.approx(0.04)
-    assert stds["Ixx"] == pytest.approx(2.0 * math.hypot(0.02, 0.03))
+    found = shares(ScaleReference("k_T", 2e-4, given=0.02), 2e-4)
+    assert found["mass"] == pytest.approx(0.02)
+    assert found["Ixx"] == pytest.approx(math.hypot(0.02, 0.03))
     # A prior that tells k_T far better than the mass does leaves little of the mass' error.
-    known = {"k_T": (MOTION.kappa * 1.5, MOTION.kappa * 1.5 * 0.004)}
-    stds = given_stds(values, fit, Given(told, anchor, RotorInput.SPEED, known))
-    assert stds["k_T"] == pytest.approx(0.08 * 0.004**2 / (0.004**2 + 0.04**2), rel=1e-3)
+    known = MOTION.kappa * 1.5, MOTION.kappa * 1.5 * 0.004
+    found = shares(anchor, 1.5 * MOTION.kappa, k_T=known)
+    assert found["k_T"] == pytest.approx(0.04 * 0.004**2 / (0.004**2 + 0.04**2), rel=1e-3)
 
 
 def ratio_known(shift=0.0):

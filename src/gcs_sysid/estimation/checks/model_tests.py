@@ -120,12 +120,7 @@ def find_other_layout(
         geometry: (3, rotors) given.
     """
     few = [i for i, w in enumerate(data.whiteners) if w.name in _WHITENERS or not data.of_steps]
-    small = replace(
-        data,
-        parts=tuple(part[:, few] for part in data.parts),
-        noise=data.noise[few],
-        whiteners=tuple(data.whiteners[i] for i in few),
-    )
+    small = data.under(few)
     # Of the same rows: by others, gusts count for less or for more.
     own, found = _left(small, basis), []
     if (own - _least(small, basis)).sum() <= -np.log(_CONVINCING):

@@ -198,7 +198,7 @@ def _predicted(
     if found is None:
         return None
     fit = found.rotation
-    own = data.of_axes([data.whiteners.index(whitener) for whitener in fit.whiteners])
+    own = data.of_axes(data.places(fit.whiteners))
     P = basis.map_at(fit.coordinates)
     # Collisions and landings are not predicted by anybody.
     shocks = find_shocks(
@@ -231,11 +231,7 @@ def _slow_power(
     with W_b one for which what is slow counts more. NaN where there is none.
     """
     # How white is what a fit leaves; of the window's rows not by how it weighed them.
-    own_places = (
-        [data.whiteners.index(whitener) for whitener in fit.whiteners]
-        if data.of_steps
-        else list(data.judges)
-    )
+    own_places = data.places(fit.whiteners) if data.of_steps else list(data.judges)
     references = [slower(data.whiteners, i) for i in own_places]
     TP = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
     omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES

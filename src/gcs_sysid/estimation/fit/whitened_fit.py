@@ -301,16 +301,11 @@ def _settled(
 
 @dataclass(frozen=True)
 class _Finishing:
-    """What a fit is completed with, wherever its search ended.
+    """What a fit is completed with, wherever its search ended: arguments of `fit_whitened`.
 
     Attributes:
-        data: moments, of every whitener.
         wanted: (k,) batches that were to be fitted.
-        choice: as of `fit_whitened`.
-        doubt: likewise.
-        hover: likewise.
-        of_all: whether these are all batches.
-        scatter: as of `fit_whitened`.
+        of_all: whether these are all.
     """
 
     data: WhitenedMoments

@@ -103,7 +103,7 @@ class BankProblem:
 
     def under(self, i: int) -> "BankProblem":
         """The same with one of the whiteners alone."""
-        return replace(self, data=self.data.under(i))
+        return replace(self, data=self.data.under([i]))
 
     def axes(self, pick: tuple[int, ...], deviations: Deviations | None = None) -> Problem:
         """The problem with one whitener for each axis; with these deviations, or others."""

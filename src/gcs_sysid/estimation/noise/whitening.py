@@ -429,17 +429,21 @@ class WhitenedMoments:
             out += np.tensordot(weights[start : start + len(part)], part, 1)
         return self._mute(out)
 
-    def under(self, i: int) -> "WhitenedMoments":
-        """The same with one of the whiteners alone."""
-        one = slice(i, i + 1)
+    def under(self, some: Sequence[int]) -> "WhitenedMoments":
+        """The same with some of the whiteners alone; of a single one, views."""
+        at = slice(some[0], some[0] + 1) if len(some) == 1 else list(some)
         return replace(
             self,
-            parts=tuple(part[:, one] for part in self.parts),
-            noise=self.noise[one],
-            whiteners=self.whiteners[one],
-            gains=None if self.gains is None else self.gains[one],
+            parts=tuple(part[:, at] for part in self.parts),
+            noise=self.noise[at],
+            whiteners=tuple(self.whiteners[i] for i in some),
+            gains=None if self.gains is None else self.gains[at],
             judges=(),
         )
+
+    def places(self, whiteners: Sequence[Whitener]) -> list[int]:
+        """Where whiteners are in the bank."""
+        return [self.whiteners.index(whitener) for whitener in whiteners]
 
     def of_axes(self, pick: Sequence[int]) -> Array:
         """(k, 3, width, width) of each axis' whitener; not to be written to.

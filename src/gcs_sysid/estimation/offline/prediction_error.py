@@ -109,7 +109,7 @@ class PredictionErrorFit:
     def cost(self) -> float:
         """Nats of all rows, shocks included: what is left out differs from one to another."""
         data, fit = self.whitened.data, self.fit.rotation
-        places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
+        places = data.places(fit.whiteners)
         rows = int(data.counts.sum())
         power = self.whitened.power(fit, self.whitened.total[places]) / rows
         return 0.5 * rows * float(np.log(power).sum())
@@ -119,7 +119,7 @@ class PredictionErrorFit:
         if online is None:
             return None
         data, fit = self.whitened.data, self.fit.rotation
-        places = [data.whiteners.index(whitener) for whitener in fit.whiteners]
+        places = data.places(fit.whiteners)
         total = self.whitened.total[places] - self.fit.left_out
         rows = data.counts.sum() - self.fit.rows_left_out
         without = self.whitened.basis.moments_at(total - rows * data.noise[places], fit.coordinates)

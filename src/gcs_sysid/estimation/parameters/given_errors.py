@@ -72,35 +72,31 @@ def given_effects(values: Mapping[str, Estimate], fit: Fit, given: Given) -> dic
     center = np.hypot(middle, unseen_shift(airframe))
     of_mass, of_thrust = np.zeros((2, len(CAUSES)))
     of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
-    held = np.zeros((rb.N_THETA, len(CAUSES)))
-    if fit.rotation is not None and not given.anchor.origin:
-        # A prior does not move with the arm; relative to k_T it does with the scale. One from
-        # before a change in flight moves as this fit does.
+    of_theta = np.zeros((rb.N_THETA, len(CAUSES)))
+    # As long as the arms are wrong, so is what cant adds.
+    of_theta[rb.MOMENT_RATIO, _CANT] = arm * airframe.cant
+    of_theta[rb.CG_X, _CENTER], of_theta[rb.CG_Y, _CENTER + 1] = center
+    if fit.rotation is not None:
         theta = fit.rotation.theta
-        held[:, _ARM] = arm * theta
-        held[rb.MOMENT_RATIO, _CANT] = arm * airframe.cant
-        held[rb.CG_X, _CENTER], held[rb.CG_Y, _CENTER + 1] = center
-        scaled = [rb.THETA.index(p.theta) for n in given.priors
-                  if (p := PARAMETERS.get(n)) and p.theta and p.scale == "thrust"]  # fmt: skip
-        held[scaled, _SCALE] = scale.thrust_given * theta[scaled]
-        held = fit.rotation.by_prior @ held
+        of_theta[:, _ARM] = arm * theta
+        if not given.anchor.origin:
+            # A prior does not move with the arm; relative to k_T it does with the scale. One from
+            # before a change in flight moves as this fit does.
+            held = of_theta.copy()
+            scaled = [rb.THETA.index(p.theta) for n in given.priors
+                      if (p := PARAMETERS.get(n)) and p.theta and p.scale == "thrust"]  # fmt: skip
+            held[scaled, _SCALE] = scale.thrust_given * theta[scaled]
+            of_theta -= fit.rotation.by_prior @ held
     out = {}
     for name, entry in values.items():
         p = PARAMETERS.get(name)
         if p is None or entry.value is None:
             continue
         if p.theta:
-            by_thrust = p.scale == "thrust"
-            unit = (scale.thrust or 0.0) if by_thrust else 1.0
-            effect = entry.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
-            effect[_ARM] = arm * entry.value
-            at = rb.THETA.index(p.theta)
-            if p.mean_torque:
-                axis = int(at == rb.CG_Y)
-                effect[_CENTER + axis] = center[axis]
-            if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
-                effect[_CANT] = arm * airframe.cant * unit
-            out[name] = effect - unit * held[at]
+            effect = of_theta[rb.THETA.index(p.theta)]
+            if p.scale == "thrust":
+                effect = entry.value * of_thrust + (scale.thrust or 0.0) * effect
+            out[name] = effect
         elif p.fit in ("scale", "translation"):
             out[name] = entry.value * (of_mass if p.scale == "mass" else of_thrust)
     return out
