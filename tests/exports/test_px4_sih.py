@@ -131,13 +131,28 @@ def test_what_hover_does_not_show_is_still_asked_for(result, ratio):
         FORMATS["px4-sih"].write(vehicle)
 
 
-def test_hexacopters_have_their_type():
+HEXA = {
+    # Of roll, pitch (over sqrt(3) / 2) and yaw: what rotors 0 to 5 add, as sih.cpp has them.
+    "px4-sih-1.17": [(-.5, -1, -.5, .5, 1, .5), (1, 0, -1, -1, 0, 1), (1, -1, 1, -1, 1, -1)],
+    "px4-sih": [(-1, 1, .5, -.5, -.5, .5), (0, 0, 1, -1, 1, -1), (-1, 1, -1, 1, 1, -1)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*HEXA])
+def test_a_hexacopter_is_allocated_as_sih_of_its_version_flies(name):
     airframe = load_airframe("px4-hexa-x").with_arm(0.4).as_json()
     vehicle = assemble(speed_result(airframe=airframe), given={"T_max": 9.0})
-    found = parameters(FORMATS["px4-sih"].write(vehicle))
+    found = parameters(FORMATS[name].write(vehicle))
     assert found["SIH_VEHICLE_TYPE"] == 4
-    assert found["SIH_L_ROLL"] == pytest.approx(0.4)
-    assert found["SIH_L_PITCH"] == pytest.approx(0.4)
+    assert found["SIH_L_ROLL"] == found["SIH_L_PITCH"] == pytest.approx(0.4)
+    assert found["THR_MDL_FAC"] == (name == "px4-sih")
+    x, y, spin = (
+        np.array([found[f"CA_ROTOR{i}_{of}"] for i in range(6)]) for of in ("PX", "PY", "KM")
+    )
+    roll, pitch, yaw = np.array(HEXA[name])
+    assert -y / 0.4 == pytest.approx(roll)
+    assert x / 0.4 == pytest.approx(math.sqrt(0.75) * pitch)
+    assert np.sign(spin).tolist() == yaw.tolist()
 
 
 @pytest.mark.parametrize("change", ["order", "spins", "lopsided"])
@@ -153,7 +168,10 @@ def test_layouts(result, change):
     changed = speed_result(airframe={"name": "mine", "rotors": rotors})
     vehicle = assemble(changed, given={"T_max": 9.0})
     if change == "order":  # SIH has its own
-        assert parameters(FORMATS["px4-sih"].write(vehicle))["SIH_VEHICLE_TYPE"] == 0
+        usual = assemble(result, given={"T_max": 9.0})
+        assert parameters(FORMATS["px4-sih"].write(vehicle)) == parameters(
+            FORMATS["px4-sih"].write(usual)
+        )
     else:
         with pytest.raises(InputError, match="px4-sih"):
             FORMATS["px4-sih"].write(vehicle)

@@ -299,8 +299,8 @@ ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-d
 """Names of `estimation.record.article_estimator.METHODS`; these and the next three are not
 imported, to start fast (tests compare)."""
 EXPORT_TARGETS = (
-    "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
-    "indiflight", "paparazzi",
+    "px4-sih", "px4-sih-1.17", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl",
+    "crazyflow", "l2f", "indiflight", "paparazzi",
 )  # fmt: skip
 """Names of `exports.FORMATS`."""
 LAYOUTS = (

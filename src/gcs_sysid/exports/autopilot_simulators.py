@@ -7,7 +7,8 @@ its sign:
     J w' = M - SIH_KDW w - w x J w,   m v' = -SIH_T_MAX sum u z - SIH_KDV v + m g
     M = (SIH_L_ROLL SIH_T_MAX ..., SIH_L_PITCH SIH_T_MAX ..., SIH_Q_MAX ...)
 
-with u the output, 0 to 1, behind a lag of SIH_T_TAU.
+with u the output, 0 to 1, behind a lag of SIH_T_TAU. From PX4 1.18 on, u of a hexa is squared, and
+its rotors are in the order of PX4's airframe 6001; before, they went round from the front right.
 
 SITL's is the JSON that `Frame::load_frame_params` reads (`SIM_Frame.cpp`), flown by
 `sim_vehicle.py --model quad:FILE.json`. Its parser drops the text after a #, and that before the
@@ -21,10 +22,12 @@ Inertia is diagonal there and rotors have no lag. A rotor's torque goes with u t
 slope over u in hover is made that of moment_ratio times thrust.
 """
 
+import functools
 import math
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number
@@ -40,16 +43,18 @@ _HALF, _FRONT = 0.5, math.sqrt(3.0) / 2.0
 _SIH_LAYOUTS = {
     0: ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
     4: (
-        (_FRONT, _HALF, 1), (0, 1, -1), (-_FRONT, _HALF, 1),
-        (-_FRONT, -_HALF, -1), (0, -1, 1), (_FRONT, -_HALF, -1),
+        (0, 1, -1), (0, -1, 1), (_FRONT, -_HALF, -1),
+        (-_FRONT, _HALF, 1), (_FRONT, _HALF, 1), (-_FRONT, -_HALF, -1),
     ),
 }  # fmt: skip
 """SIH_VEHICLE_TYPE -> its rotors: x over SIH_L_PITCH, y over SIH_L_ROLL, spin."""
+_HEXA, _ROUND = 4, [4, 0, 3, 5, 1, 2]
+"""Its type, and these rotors as SIH before 1.18 counts them."""
 
 
-def _sih_text(vehicle: ExportedVehicle, head: list[str]) -> str:
-    """The parameters as a .params file."""
-    kind, roll_arm, pitch_arm = _sih_layout(vehicle)
+def _sih_text(old: bool, vehicle: ExportedVehicle, head: list[str]) -> str:
+    """The parameters as a .params file, of PX4 before 1.18 or not."""
+    kind, roll_arm, pitch_arm, order = _sih_layout(vehicle)
     values = {
         "SIH_MASS": vehicle["mass"],
         **{f"SIH_{name.upper()}": vehicle[name] for name in INERTIA},
@@ -62,7 +67,12 @@ def _sih_text(vehicle: ExportedVehicle, head: list[str]) -> str:
         value = vehicle.get(name)
         if value is not None:
             values[sih] = value
-    values |= _allocation(vehicle)
+    values["THR_MDL_FAC"] = float(kind == _HEXA and not old)
+    # As SIH counts them: it flies its own rotors, whatever the vehicle's are called.
+    for i, at in enumerate(order[_ROUND] if kind == _HEXA and old else order):
+        rotor = vehicle.rotors[at]
+        values[f"CA_ROTOR{i}_PX"], values[f"CA_ROTOR{i}_PY"] = rotor.x, rotor.y
+        values[f"CA_ROTOR{i}_KM"] = rotor.spin * vehicle["moment_ratio"]
     whole = {"SIH_VEHICLE_TYPE": kind, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotors)}
     # PX4 holds single precision; QGroundControl writes 18 decimals.
     rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{REAL32}\n" for n, v in sorted(values.items())]
@@ -70,17 +80,8 @@ def _sih_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     return commented([*head, "", "Vehicle-Id Component-Id Name Value Type"], "#") + "".join(rows)
 
 
-def _allocation(vehicle: ExportedVehicle) -> dict[str, float]:
-    """CA_*: the rotors as PX4's control allocation has them, from the center as SIH flies them."""
-    out: dict[str, float] = {"THR_MDL_FAC": 0.0}
-    for i, rotor in enumerate(vehicle.rotors):
-        out[f"CA_ROTOR{i}_PX"], out[f"CA_ROTOR{i}_PY"] = rotor.x, rotor.y
-        out[f"CA_ROTOR{i}_KM"] = rotor.spin * vehicle["moment_ratio"]
-    return out
-
-
-def _sih_layout(vehicle: ExportedVehicle) -> tuple[int, float, float]:
-    """SIH's vehicle type, roll and pitch arm in m."""
+def _sih_layout(vehicle: ExportedVehicle) -> tuple[int, float, float, Array]:
+    """SIH's vehicle type, roll and pitch arm in m, and which rotor is at each of its places."""
     own = np.array([[r.x, r.y, r.spin] for r in vehicle.rotors])
     arm = float(np.hypot(own[:, 0], own[:, 1]).mean())
     for kind, layout in _SIH_LAYOUTS.items():
@@ -89,42 +90,52 @@ def _sih_layout(vehicle: ExportedVehicle) -> tuple[int, float, float]:
             continue
         pitch_arm, roll_arm = np.abs(own[:, :2]).max(axis=0) / np.abs(unit[:, :2]).max(axis=0)
         wanted = unit * [pitch_arm, roll_arm, 1.0]
-        # The order of motors is SIH's own. A rotor off by more than 2 % of the arm is not flown.
+        # A rotor off by more than 2 % of the arm is not flown.
         apart = np.abs(own[:, None] - wanted).max(axis=2)
         if (apart.min(axis=0) < 0.02 * arm).all():
-            return kind, float(roll_arm), float(pitch_arm)
+            return kind, float(roll_arm), float(pitch_arm), apart.argmin(axis=0)
     raise InputError(
         "px4-sih: SIH flies a symmetrical quad X (front right turns counter-clockwise) or hexa "
         f"only, not the {len(own)} rotors of this airframe"
     )
 
 
-def _sih_remarks(vehicle: ExportedVehicle) -> list[str]:
+def _sih_remarks(old: bool, vehicle: ExportedVehicle) -> list[str]:
     out = []
+    squared = len(vehicle.rotors) == len(_ROUND) and not old
+    curve = "the square of" if squared else "linear in"
     kept = [f"{sih} ({name})" for sih, name in _SIH_OPTIONAL.items() if vehicle.get(name) is None]
     if kept:
         out.append(f"unknown, left unchanged: {', '.join(kept)}")
     little = 0.05
-    if abs(vehicle.get("thrust_curve") or 0.0) > little:
-        out.append("SIH's thrust is linear in the output, this vehicle's is not")
+    if abs((vehicle.get("thrust_curve") or 0.0) - squared) > little:
+        out.append(f"SIH's thrust is {curve} the output, this vehicle's is not")
     elif not vehicle.result.rotor_input.motors:
-        out.append("SIH's thrust is linear in the output: THR_MDL_FAC is 0 here")
+        out.append(f"SIH's thrust is {curve} the output: THR_MDL_FAC is {squared:d} here")
+    if squared:
+        out.append(
+            "rotors are in the order of PX4's airframe 6001: where CA_ROTOR0_PX of your release's "
+            "10044_sihsim_hex is not 0, take px4-sih-1.17 with THR_MDL_FAC = 1"
+        )
     out.append(
-        "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them: on the vehicle itself "
-        "they count from the CG"
+        "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them, and in its order: on "
+        "the vehicle itself they count from the CG, and in the order of its motors"
     )
     return out
 
 
-PX4_SIH = Format(
-    "px4-sih",
-    "parameters of PX4's SIH simulator",
-    ".params",
-    "SIH has",
-    needs=("mass", *INERTIA, "T_max", "moment_ratio"),
-    uses=tuple(_SIH_OPTIONAL.values()),
-    text=_sih_text,
-    remarks=_sih_remarks,
+PX4_SIH, PX4_SIH_1_17 = (
+    Format(
+        "px4-sih-1.17" if old else "px4-sih",
+        f"parameters of the SIH simulator of PX4 {'up to 1.17' if old else '1.18 and later'}",
+        ".params",
+        "SIH has",
+        needs=("mass", *INERTIA, "T_max", "moment_ratio"),
+        uses=tuple(_SIH_OPTIONAL.values()),
+        text=functools.partial(_sih_text, old),
+        remarks=functools.partial(_sih_remarks, old),
+    )
+    for old in (False, True)
 )
 
 
