@@ -11,6 +11,7 @@ from gcs_sysid.coach.information import predicted_information, prior_noise, prio
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
+from gcs_sysid.estimation.record import command_record
 from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.tuning import COMMANDS
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
@@ -122,6 +123,16 @@ def test_quick_samples_are_averaged(truth, samples):
         record.tune(None, float(commands.mean()))
         totals.append(record.white.total)
     np.testing.assert_allclose(totals[1], totals[0], rtol=1e-9, atol=1e-9 * totals[0].max())
+
+
+def test_what_lags_is_asked_again_at_every_look(commands, monkeypatch):
+    monkeypatch.setattr(command_record, "_SURE", 0.0)
+    now = commands._now
+    assert now.basis.lag_place.of == "speed"
+    commands._now = commands._converged(now.basis.at, "command", now.maker.hover, now)
+    assert commands._now.basis.lag_place.of == "command"
+    commands.tune(None, now.maker.hover)
+    assert commands._now.basis.lag_place.of == "speed"
 
 
 def record_about(estimator, share):

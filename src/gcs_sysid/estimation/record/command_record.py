@@ -256,6 +256,7 @@ class CommandRecord:
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
         self._apart = np.zeros(N_UNKNOWNS)
+        """By which estimates differ from those of the symmetric window."""
         self._to_compare: tuple[FitWindow, Array] | None = None
         """The window and estimates of the latest look, until it is asked how they differ."""
         self._settled: tuple[int, TunedRows, Array] | None = None
@@ -398,7 +399,9 @@ class CommandRecord:
             # Where slow motion is the air's, as in fast flight, quick motion may be the rotors'.
             starts.append((COORDINATE_MEAN, LAGS_OF[0]))
         last = seconds >= LAST
-        found = self._found(starts, hover, LAGS_OF if sought or last else ())
+        if last:
+            self._compare_with_window()
+        found = self._found(starts, hover)
         if found is not None:
             self._now, self.doubt = found
             rotation = self._now.fit.rotation
@@ -426,7 +429,8 @@ class CommandRecord:
                 start = (COORDINATE_MEAN, LAGS_OF[0])
                 if before is not None:
                     start, hover = self._start_from(before), before.maker.hover
-                found = self._found([start], hover, LAGS_OF)
+                self._compare_with_window()
+                found = self._found([start], hover)
                 if before is None and found is not None and not found[0].is_believed:
                     found = None
                 self._settled = (self._samples, *(found or (before, doubt)))
@@ -436,17 +440,16 @@ class CommandRecord:
         finally:
             self._now, self.doubt = before, doubt
 
-    def _apart_from_window(self) -> Array:
-        """(N_UNKNOWNS,) by which estimates differ from those of the symmetric window."""
+    def _compare_with_window(self) -> None:
+        """Find by how much the latest look's estimates differ from those of the window."""
         if self._to_compare is not None:
             (fit, unknowns), self._to_compare = self._to_compare, None
             slow = fit()
             if slow is not None:
                 self._apart = unknowns - slow.unknowns
-        return self._apart
 
     def _found(
-        self, starts: Sequence[tuple[Array, LagOf]], hover: float, places: Sequence[LagOf]
+        self, starts: Sequence[tuple[Array, LagOf]], hover: float
     ) -> tuple[TunedRows, Array] | None:
         """Rows about the likeliest motors, and what the other places of the lag, if any, differ by.
 
@@ -464,10 +467,8 @@ class CommandRecord:
         )
         if first is None:
             return None
-        if not places:
-            return self._with_all_whiteners(first, hover), self.doubt
         found, start = [first], first.fit.rotation.coordinates
-        for other in places:
+        for other in LAGS_OF:
             if other != first.basis.lag_place.of:
                 tuned = self._converged(start, other, hover, first, rival=True)
                 if tuned is not None:
@@ -486,7 +487,7 @@ class CommandRecord:
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt += np.outer(found[best].away, found[best].away)
-        apart = self._apart_from_window()
+        apart = self._apart
         doubt[_TIMING, _TIMING] += (0.5 * apart[_TIMING]) ** 2
         if self._dt > _BETWEEN:
             doubt += np.outer(apart, apart)
