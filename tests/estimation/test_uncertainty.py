@@ -90,7 +90,7 @@ def test_a_watched_mean_stays_within_its_interval():
     times = np.arange(3.0, 60.0, 0.1)
     steps = rng.standard_normal((4000, len(times))) * np.sqrt(np.diff(times, prepend=0.0))
     off = np.abs(np.cumsum(steps, axis=1)) / np.sqrt(times)
-    factors = np.array([watched_factor(t) for t in times])
+    factors = np.array([watched_factor(t / 3.0) for t in times])
     plain, watched = ((off > 1.96 * wide).any(axis=1).mean() for wide in (1.0, factors))
     assert 0.25 < plain < 0.40
     assert 0.005 < watched < 0.05

@@ -71,7 +71,7 @@ def values_of(
     are then wide enough to hold at all times.
     """
     if fit.running:
-        fit = _widened(fit, watched_factor(fit.seconds))
+        fit = _widened(fit, watched_factor(fit.seconds / MIN_SECONDS))
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
     return physical_parameters(

@@ -161,7 +161,7 @@ def student_factor(
     return stdtrit(freedom, 0.975) / Z95
 
 
-def watched_factor(seconds: float) -> float:
+def watched_factor(time: float) -> float:
     """Factor that makes 1.96 standard deviations a 95 % interval under continuous monitoring.
 
     An interval that holds at 95 % of instants is left at some instant by every third estimate:
@@ -171,18 +171,14 @@ def watched_factor(seconds: float) -> float:
 
         sqrt((1 + 1 / t) (ln(1 + t) - 2 ln 0.05))
 
-    with t in units of the flight after which something is claimed: 3.6 times at first, 3.1 to 3.2
-    from the third such unit to the sixtieth, slowly more for ever.
+    with t in units of the flight after which something is claimed: 3.7 times at first, 3.0 to 3.2
+    from the fourth such unit to the fiftieth, slowly more for ever.
 
     Args:
-        seconds: flight time of the estimate.
+        time: flight time of the estimate, t.
 
     Returns:
         Factor on its standard deviation.
     """
-    t = max(seconds / _FIRST_LOOK, 1.0)
+    t = max(time, 1.0)
     return float(np.sqrt((1.0 + 1.0 / t) * (np.log1p(t) - 2.0 * np.log(0.05)))) / Z95
-
-
-_FIRST_LOOK = 1.0
-"""s; the first estimates have hardly more. A larger value widens later intervals."""
