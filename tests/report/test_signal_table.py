@@ -113,6 +113,6 @@ def test_the_command_writes_a_table_once(paper_flight, tmp_path, capsys):
     target = str(tmp_path / "a.csv")
     command = ["export", str(paper_flight.tlog), "--signals", target, "--airframe", "paper"]
     assert run([*command, "--mass", "1.5"]) == 0
-    assert "rows of 31 columns" in capsys.readouterr().out
+    assert "rows of 34 columns" in capsys.readouterr().out
     assert run([*command, "--mass", "1.5"]) == 2
     assert "--force overwrites it" in capsys.readouterr().err

@@ -250,7 +250,7 @@ def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> P
     until = min((t for t in failures if t > since), default=float("inf"))
     held_out = np.empty((0, 2)) if validation is None else validation.held_out
     pieces = (
-        RotationSamples(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 18:])
+        RotationSamples(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 21:])
         for rows in recorder.rows()
     )
     return predict(pieces, recorder.dt, model, since, until, held_out, result.rotor_input)
@@ -260,6 +260,7 @@ Table = Mapping[str, Array]
 _FIXED = (
     "t", "gyro_x", "gyro_y", "gyro_z", "rate_x", "rate_y", "rate_z", "force_x", "force_y",
     "force_z", "q_w", "q_x", "q_y", "q_z", "v_north", "v_east", "v_down", "flying",
+    "setpoint_x", "setpoint_y", "setpoint_z",
 )  # fmt: skip
 
 

@@ -144,8 +144,8 @@ class FlightRecorder:
         flies = block.rotors is not None and bool(np.isfinite(s.gyro).any())
         if flies and (block.dt != self.dt or block.rotors is not self._source):
             self.dt, self._source, self._flights = block.dt, block.rotors, []
-        signals = s.gyro, s.rates, s.force, s.attitude, s.velocity, block.flying, s.speeds
-        rows = np.column_stack([block.t, *signals]).astype(float)
+        signals = s.gyro, s.rates, s.force, s.attitude, s.velocity, block.flying, s.setpoint
+        rows = np.column_stack([block.t, *signals, s.speeds]).astype(float)
         self._width = rows.shape[1]
         if block.fresh:
             self._file.write(np.full(self._width, np.nan).tobytes())
@@ -176,8 +176,8 @@ class FlightRecorder:
             at_once: rows of a piece at most.
 
         Yields:
-            (n, 18 + rotors) in SI: time, gyro, rates without bias, specific force, attitude,
-            velocity, whether it flies, rotors. A row without any number is a gap.
+            (n, 21 + rotors) in SI: time, gyro, rates without bias, specific force, attitude,
+            velocity, whether it flies, rate set-points, rotors. A row without any number is a gap.
         """
         self._file.seek(0 if whole or not self._flights else self._flights[0][0])
         while data := self._file.read(8 * self._width * at_once):
@@ -212,7 +212,7 @@ class FlightRecorder:
                 room -= len(pieces[-1])
         x = np.concatenate(pieces)
         t = x[:, 0]
-        rotors = _acting(t, x[:, 18:], self.dt, self._delay, self._cutoff)
+        rotors = _acting(t, x[:, 21:], self.dt, self._delay, self._cutoff)
         # A motor's past is forgotten after five time constants, that of the gyro's low-pass after
         # one and a half periods of its cutoff.
         settling = 5.0 * motor_lag if self._rotor_input.motors else 0.0
