@@ -22,7 +22,7 @@ from gcs_sysid.control.loop_margins import (
     open_loops,
 )
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.control.tuning_study import Change, propose, what_if
+from gcs_sysid.control.tuning_study import Change, answers, parted_answers, propose, what_if
 from gcs_sysid.exports.exported_vehicle import drawn_vehicles
 from gcs_sysid.model.parameters import INERTIA
 from gcs_sysid.signals.recursions import lfilter
@@ -177,6 +177,11 @@ def test_an_emulated_flight_shows_its_vehicle_and_phase_margin_and_objects_to_an
     assert all(abs(measured - true) < 3.0 for measured, _, true in found["margins"])
     assert len(found["margins"]) == 3
     assert found["objections"] == [False, True]
+    double = loop.with_gains(0, replace(loop.gains[0], P=2.0 * loop.gains[0].P))
+    parts = [answers(signals, np.ones_like, (both[0], one)) for one in (loop, double)]
+    assert not parted_answers(parts[0])
+    (objection,) = parted_answers(parts[1])
+    assert "roll" in objection.evidence
 
 
 class Logged:
@@ -204,7 +209,8 @@ def test_an_emulated_vehicle_flies_as_was_said_with_other_gains_payload_and_batt
     for axis, gains in enumerate(loop.gains):
         other = other.with_gains(axis, replace(gains, P=0.7 * gains.P, I=0.5 * gains.I))
     then = hover_dynamics([laden], other, (DELAY, 0.0)), other
-    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), then)
+    flown = answers(signals, np.ones_like, (dynamics, loop))
+    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), then, flown)
     assert said.axes == (0, 1, 2)
     for axis, gains in enumerate(other.gains):  # set-points are those of the log
         other = other.with_gains(axis, replace(gains, attitude=0.0))
@@ -219,6 +225,6 @@ def test_an_emulated_vehicle_flies_as_was_said_with_other_gains_payload_and_batt
     assert said.replay.error["then"][0] == pytest.approx(truth, rel=0.03)
     assert (truth > 1.1 * said.replay.error["flown"][0]).all()
     weak = hover_dynamics([laden.changed(0.0, place, 0.2)], other, (DELAY, 0.0)), other
-    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), weak)
+    said = what_if(Change({}), signals, np.ones_like, (dynamics, loop), weak, flown)
     assert said.replay is None
     assert said.why == ("a hover takes more than full thrust with 1 of 1 vehicles drawn",)

@@ -451,7 +451,7 @@ class TuningStudy:
         proposed: loops with the proposed gains; None: the gains are to be left as they are.
         studies: name ("now", "proposed") -> roll, pitch, yaw.
         notes: what was assumed.
-        objections: to model and speeds by what was flown; no gains are proposed then.
+        objections: to model, speeds and loop by what was flown; no gains are proposed then.
         measured: axis -> what the flight itself shows; empty where it was not given.
         leave: why the gains are to be left as they are; empty where others are proposed.
         what_if: what is tried, or was proposed, along the log; None: neither.
@@ -544,8 +544,11 @@ def study(
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
     objections = (*misread_speeds(vehicle), *parted(departures, LIMITS.unmodeled))
     now = replace(loop, besides=()) if loop.gains_known else None
-    proposed, said = None, tuple(each.words for each in objections)
-    if not objections:
+    answered = answers(signals, gyro, (dynamics, loop)) if signals is not None and now else {}
+    # A loop that does not answer as modeled is another than its margins are of.
+    misjudged = (*objections, *parted_answers(answered))
+    proposed, said = None, tuple(each.words for each in misjudged)
+    if not misjudged:
         proposed, said = sure_proposal(dynamics, loop, now, measured)
     if proposed is not None:
         notes += said
@@ -570,12 +573,12 @@ def study(
             why = ("the flight contradicts the model: see below",)
             tried = WhatIf(change, None, (), (), (), why)
         else:
-            tried = what_if(change, signals, gyro, (dynamics, loop), (changed, other))
+            tried = what_if(change, signals, gyro, (dynamics, loop), (changed, other), answered)
     filters = sorted(set(loop.assumed) - set(loop.as_parameters()))
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
     return TuningStudy(
-        vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), objections,
+        vehicle, dynamics, late, origin, now, loop, proposed, studies, tuple(notes), misjudged,
         measured, "" if proposed is not None else "; ".join(said), tried,
     )  # fmt: skip
 
@@ -606,6 +609,7 @@ def what_if(
     gyro: Callable[[Array], Array],
     now: tuple[HoverDynamics, RateLoop],
     then: tuple[HoverDynamics, RateLoop],
+    departures: Mapping[str, tuple[float, float, float]],
 ) -> WhatIf:
     """Fly a change along a log's set-points, where the loop that flew answers as it is modeled.
 
@@ -615,19 +619,11 @@ def what_if(
         gyro: response of the filters that the logged gyro has passed.
         now: vehicles and loop that flew.
         then: the same, changed.
+        departures: as of `answers`.
     """
-    departures, unclear = {}, []
+    unclear = [name for name in AXES if name not in departures]
     why: tuple[str, ...] = ()
-    for axis, name in enumerate(AXES):
-        modeled = functools.partial(_answer, *now, axis)
-        own = now[1].gains[axis].attitude, gyro
-        found = flight and measured_response(flight, axis, *own, reference=modeled, of="setpoint")
-        smooth = smooth_ratio(found, modeled(found.omega)) if found else None
-        if smooth is None:
-            unclear.append(name)
-        else:
-            departures[name] = smooth.departure(modeled(smooth.omega)[0])
-    objections = tuple(parted(departures, LIMITS.unmodeled, "answer to set-points"))
+    objections = parted_answers(departures)
     said = {axis for objection in objections for axis in objection.evidence}
     # Intervals so wide that they allow for a departure do not narrow what is claimed then.
     unclear += [
@@ -658,6 +654,36 @@ def what_if(
         for axis in range(3 * (flown is not None))
     ]
     return WhatIf(change, flown, axes, tuple(overshoot), objections, why)
+
+
+def answers(
+    flight: FlownSignals, gyro: Callable[[Array], Array], now: tuple[HoverDynamics, RateLoop]
+) -> dict[str, tuple[float, float, float]]:
+    """Axis -> by how much its answer to set-points parts from that of the loop that flew.
+
+    As shares of the set-point, `SmoothRatio.departure`; without those that are not measured.
+
+    Args:
+        flight: signals.
+        gyro: response of the filters that the logged gyro has passed.
+        now: vehicles and loop that flew.
+    """
+    departures = {}
+    for axis, name in enumerate(AXES):
+        modeled = functools.partial(_answer, *now, axis)
+        own = now[1].gains[axis].attitude, gyro
+        found = measured_response(flight, axis, *own, reference=modeled, of="setpoint")
+        smooth = smooth_ratio(found, modeled(found.omega)) if found else None
+        if smooth is not None:
+            departures[name] = smooth.departure(modeled(smooth.omega)[0])
+    return departures
+
+
+def parted_answers(
+    departures: Mapping[str, tuple[float, float, float]],
+) -> tuple[Objection, ...]:
+    """Objections to a loop by its answers to set-points."""
+    return tuple(parted(departures, LIMITS.unmodeled, "answer to set-points"))
 
 
 def _answer(dynamics: HoverDynamics, loop: RateLoop, axis: int, omega: Array) -> Array:
