@@ -225,12 +225,12 @@ def _stream_row(parts: Sequence[StreamFacts]) -> str:
     return (
         f"  {_STREAMS.get(first.stream, first.stream):<{_NAME - 2}}{message:<22}{rate:>10}"
         f"{gaps:>6}{longest:>9}"
-        f"{_percent(max(part.missing_percent for part in parts)):>9}"
+        f"{_percent(first.missing_percent):>9}"
         f"{_percent(min(part.repeats_percent for part in parts)):>9}"
     )
 
 
-def _percent(value: float) -> str:
+def _percent(value: float | None) -> str:
     return f"{value:.1f} %" if value else "-"
 
 

@@ -38,8 +38,9 @@ class StreamFacts:
     gaps: int
     longest_gap: float
     """s; 0.0 without gaps."""
-    missing_percent: float
-    """Samples skipped one by one, by the stamps: lost or never sent."""
+    missing_percent: float | None
+    """Samples lost or never sent, by the stamps; None of others than the IMU, which come when the
+    autopilot finds time."""
     repeats_percent: float
     """Samples that repeat the values of the one before under a later stamp."""
 

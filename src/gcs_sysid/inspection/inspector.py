@@ -203,7 +203,7 @@ class Inspector:
         if key[0] in _ROTORS:
             self._rotors.setdefault(key, RotorWatch()).add_values(values)
         elif key[0] is Stream.IMU and len(t) > 1:
-            self._motion.add_rates(t, values[:, :3], watch.usual_step)
+            self._motion.add_rates(t, values[:, :3])
 
     def finish(
         self,
@@ -302,13 +302,13 @@ def _used(rotor: RotorFacts) -> bool:
 
 def _in_table_order(entry: tuple[Key, StreamWatch]) -> tuple[int, int, int]:
     (stream, _, offset), watch = entry
-    return list(Stream).index(stream), -watch.tally.samples, offset
+    return list(Stream).index(stream), -watch.tally.counts.received, offset
 
 
 def _stream_facts(key: Key, watch: StreamWatch, messages: Mapping[str, int]) -> StreamFacts:
     stream, source, offset = key
-    tally = watch.tally
-    samples = watch.flight.samples + watch.ground.samples
+    tally, counts = watch.tally, watch.tally.counts
+    samples = watch.flight.counts.received + watch.ground.counts.received
     candidates = [name for name in _MESSAGES.get(stream, ()) if name in messages]
     # The best that comes is taken, and a message makes at most one sample.
     enough = [name for name in candidates if messages[name] >= samples]
@@ -316,11 +316,11 @@ def _stream_facts(key: Key, watch: StreamWatch, messages: Mapping[str, int]) -> 
         stream=stream,
         message=source or next(iter(enough or candidates), str(stream)),
         offset=offset,
-        samples=tally.samples,
+        samples=counts.received,
         rate=tally.rate,
-        gaps=tally.gaps,
-        longest_gap=tally.longest_gap,
-        missing_percent=tally.missing_percent,
+        gaps=counts.gaps,
+        longest_gap=counts.longest_gap,
+        missing_percent=100.0 * counts.share if stream is Stream.IMU else None,
         repeats_percent=tally.repeats_percent,
     )
 

@@ -7,7 +7,7 @@ from gcs_sysid.inspection.facts import ONBOARD, Inspection, Obtainable, RotorMes
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.prediction import is_still
-from gcs_sysid.judgement.received import NO_ATTITUDE, TOO_MUCH_LOSS
+from gcs_sysid.judgement.received import NO_ATTITUDE, loss_of
 from gcs_sysid.judgement.status import level_of, on_sound_data
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES
@@ -299,15 +299,9 @@ def _is_by_commands(found: Inspection) -> bool:
 
 def _losses(found: Inspection) -> Iterator[Objection]:
     imu = found.stream(Stream.IMU)
-    lost = float(found.telemetry.get("lost_percent", 0.0))
-    skipped = imu.missing_percent if imu else 0.0
-    # What is missing limits an estimate, whatever it was lost by.
-    level = _limits if 0.01 * skipped >= TOO_MUCH_LOSS else _note
-    if lost > LIMITS.loss_named:
-        advice = "" if found.kind in ONBOARD else "fly closer, or request less (--rate)"
-        yield level(f"{lost:.0f} % of the messages were lost", advice)
-    elif imu and skipped > LIMITS.loss_named:
-        yield level(f"{skipped:.0f} % of {imu.message} was never sent, by its timestamps")
+    advice = "" if found.kind in ONBOARD else "fly closer, or request less (--rate)"
+    for objection in loss_of(0.01 * ((imu and imu.missing_percent) or 0.0)):
+        yield replace(objection, how=advice)
     if imu and imu.gaps:
         text = f"{imu.gaps} gaps in {imu.message}, the longest {imu.longest_gap:.1f} s"
         yield _note(text)

@@ -5,7 +5,7 @@ Samples are gathered in chunks and looked at as arrays, because a log has a mill
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.clock import JUMP_BACK
-from gcs_sysid.telemetry.monitor import Monitor
+from gcs_sysid.telemetry.monitor import Counts, SampleLoss
 
 
 class FlightWatch:
@@ -166,9 +166,6 @@ def assumed_airframe(rotors: int) -> Airframe:
 
 CHUNK = 4096
 """Samples gathered before they are looked at."""
-SKIPPED_FROM = 1.7
-"""Usual steps from which a step has skipped samples: ArduPilot's 250 Hz are steps of 2.5 and
-5 ms, 1.25 times the usual 4 ms."""
 UNWATCHED = (Stream.IN_AIR, Stream.ARMED, Stream.RATE_SETPOINT)
 """Of which no rate is shown: nothing needs them."""
 BIN = 0.1
@@ -198,26 +195,20 @@ def set_back(t: Array, newest: float) -> list[int]:
 class Tally:
     """Counts of one stream."""
 
-    samples: int = 0
-    steps: int = 0
-    """Between neighboring samples, gaps apart."""
-    seconds: float = 0.0
-    """In these steps."""
-    gaps: int = 0
-    longest_gap: float = 0.0
-    missing: int = 0
+    loss: SampleLoss = field(default_factory=SampleLoss)
     compared: int = 0
     repeats: int = 0
 
     @property
-    def rate(self) -> float | None:
-        """Hz between gaps, counting what is missing; None until two samples came."""
-        return self.steps / self.seconds if self.seconds > 0.0 else None
+    def counts(self) -> Counts:
+        """By the stamps."""
+        return self.loss.counts
 
     @property
-    def missing_percent(self) -> float:
-        """Samples skipped, as a part of all that belong between the gaps."""
-        return 100.0 * self.missing / max(self.steps + self.missing, 1)
+    def rate(self) -> float | None:
+        """Hz between gaps, counting what is missing; None until two samples came."""
+        counts = self.counts
+        return counts.steps / counts.seconds if counts.seconds > 0.0 else None
 
     @property
     def repeats_percent(self) -> float:
@@ -244,14 +235,13 @@ class StreamWatch:
         self._room = CHUNK
         self._last: float | None = None
         self._last_values: Array | None = None
-        self.usual_step = 0.0
-        """s between samples, as they come mostly; 0 before two came."""
 
     def begin(self, *, flying: bool, boot: int) -> None:
         """What comes next is of flight or not, and of a boot: nothing joins on over a reboot."""
         if boot != self.boot:
             self._last = self._last_values = None
         self.flying, self.boot = flying, boot
+        (self.flight if flying else self.ground).loss.restart()
 
     def add(self, t: Array, values: Array) -> int:
         """Add (n,) s and (n, width) values until there are enough to look at; how many it took."""
@@ -269,7 +259,7 @@ class StreamWatch:
     @property
     def tally(self) -> Tally:
         """The counts that matter: those in flight, where there was flight."""
-        return self.flight if self.flight.samples > 1 else self.ground
+        return self.flight if self.flight.counts.received > 1 else self.ground
 
     def cut_chunk(self) -> tuple[Array, Array]:
         """Look at what was gathered; the samples that came in rising time, (n,) s and values.
@@ -289,30 +279,11 @@ class StreamWatch:
         if not len(t):
             return t, values
         tally = self.flight if self.flying else self.ground
-        tally.samples += len(t)
-        self._count_steps(tally, np.diff(t) if self._last is None else np.diff(t, prepend=before))
+        tally.loss.add_times(t)
         self._count_repeats(tally, values)
         self._last = float(t[-1])
         self._last_values = values[-1].copy()
         return t, values
-
-    def _count_steps(self, tally: Tally, steps: Array) -> None:
-        if not len(steps):
-            return
-        median = float(np.median(steps))
-        if len(steps) < 16 and self.usual_step:
-            median = self.usual_step
-        near = steps[steps < 2.5 * median]
-        if len(near):
-            self.usual_step = float(near.mean())
-        gap = steps > max(Monitor.GAP, 5.0 * self.usual_step)
-        tally.gaps += int(gap.sum())
-        tally.longest_gap = max(tally.longest_gap, float(steps[gap].max(initial=0.0)))
-        steps = steps[~gap]
-        tally.steps += len(steps)
-        tally.seconds += float(steps.sum())
-        skipped = steps[steps > SKIPPED_FROM * self.usual_step]
-        tally.missing += int((np.round(skipped / self.usual_step) - 1.0).sum())
 
     def _count_repeats(self, tally: Tally, values: Array) -> None:
         if self._last_values is not None and len(self._last_values) == values.shape[1]:
@@ -374,9 +345,9 @@ class MotionWatch:
         self._rate_power = np.zeros(3)
         self._acceleration_power = np.zeros(3)
 
-    def add_rates(self, t: Array, gyro: Array, usual_step: float) -> None:
+    def add_rates(self, t: Array, gyro: Array) -> None:
         """Take (n,) times in s and (n, 3) rates in rad/s of one stretch of flight."""
-        width = max(BIN, 4 * usual_step)
+        width = max(BIN, 4.0 * float(np.median(np.diff(t))))
         place = ((t - t[0]) / width).astype(int)
         if place[-1] > 10 * len(t):  # a hole of many minutes: empty bins beyond all measure
             return

@@ -18,7 +18,6 @@ class Thresholds:
         short: s of flight, below which little is obtainable.
         too_short: s of flight, below which nothing can: what the estimator needs for the scale.
         acceleration: rad/s^2 rms of each axis, five times what a hover in light wind shows.
-        loss_named: percent of the IMU's samples, or of all messages, from which losses are named.
         garbage: bytes; a few are usual where a recording began or ended.
         vehicles_named: other vehicles that are named; a hostile sender can make up hundreds.
         explained: share of roll or pitch acceleration that rotors explain over tenths of a second,
@@ -42,7 +41,6 @@ class Thresholds:
     acceleration: dict[str, float] = field(
         default_factory=lambda: {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
     )
-    loss_named: float = 2.0
     garbage: int = 1000
     vehicles_named: int = 8
     explained: float = 0.2

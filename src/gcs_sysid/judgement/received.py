@@ -122,11 +122,16 @@ def problems(evidence: Evidence) -> Iterator[Objection]:
 
 def lost_samples(evidence: Evidence) -> Iterator[Objection]:
     """IMU samples that are missing by the vehicle's own stamps."""
-    share, longest = missing_share(evidence.imu_loss)
+    yield from loss_of(*missing_share(evidence.imu_loss))
+
+
+def loss_of(share: float, longest: float = 0.0) -> Iterator[Objection]:
+    """The same of a share that is missing, for so many s at most where that is known."""
+    most = f", for {longest:.2f} s at most" if longest else ""
     yield from _unused(
         share,
-        f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
-        f"{longest:.2f} s at most: the estimate uses the rest",
+        f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps{most}: the "
+        "estimate uses the rest",
     )
 
 

@@ -379,6 +379,7 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
     if needed and (rate is None or rate < 0.9 * needed):
         sign = element("span", "○", class_="sign", aria_hidden="true")
         got = element("span", sign, f"{got}, slow", class_="status weak")
+    missing = stream["missing_percent"]
     offset = f" from rotor {stream['offset'] + 1}" if stream["offset"] else ""
     return [
         _STREAMS.get(kind, kind) + offset,
@@ -387,7 +388,7 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
         got,
         str(stream["gaps"]),
         f"{PAGE.fixed(stream['longest_gap'], 2)} s" if stream["gaps"] else PAGE.nothing,
-        f"{PAGE.fixed(stream['missing_percent'], 1)} %",
+        PAGE.nothing if missing is None else f"{PAGE.fixed(missing, 1)} %",
         f"{PAGE.fixed(stream['repeats_percent'], 1)} %",
     ]
 

@@ -237,7 +237,7 @@ class Intake:
             now[chosens],
             frames.validity[chosens] == BAD_CRC,
         )
-        self.monitor.watch_imu_times(taken.imu_times)
+        self.monitor.imu_loss.add_times(taken.imu_times)
         states = np.logical_or.reduce([frames.message_id == number for number in _STATES])
         rows = np.flatnonzero(good & states & (chosens | (frames.message_id == _HEARTBEAT)))
         end = clock.now

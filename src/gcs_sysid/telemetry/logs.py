@@ -15,8 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import (
@@ -31,7 +29,7 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.log_formats import BY_NAME, format_of, unpack, usual_endings
-from gcs_sysid.telemetry.monitor import Monitor
+from gcs_sysid.telemetry.monitor import Counts, SampleLoss
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
@@ -123,7 +121,7 @@ class OnboardLog:
             "damaged": recording.damaged,
             "lost": recording.lost,
             "lost_percent": 100.0 * recording.lost / max(entries + recording.lost, 1),
-            "imu_gaps": self._gaps(),
+            **self._imu_loss().as_dict(),
             "dropouts": {
                 "count": len(recording.dropouts),
                 "seconds": sum(length for _, length in recording.dropouts),
@@ -140,18 +138,12 @@ class OnboardLog:
             float(track.t[-1]) for track in tracks
         )
 
-    def _gaps(self) -> dict[str, Any]:
-        """Pauses of the IMU, by the rule of `Monitor`."""
+    def _imu_loss(self) -> Counts:
+        loss = SampleLoss()
         for track in self._recording.tracks:
-            if track.stream is Stream.IMU and len(track.t) > 1:
-                steps = np.diff(track.t)
-                long = np.flatnonzero(steps > max(Monitor.GAP, 5.0 * float(np.median(steps))))
-                last = [
-                    {"t": float(track.t[i]), "length": float(steps[i])}
-                    for i in long[-Monitor.GAPS_KEPT :].tolist()
-                ]
-                return {"count": len(long), "last": last}
-        return {"count": 0, "last": []}
+            if track.stream is Stream.IMU:
+                loss.add_times(track.t)
+        return loss.counts
 
 
 Telemetry = Intake | OnboardLog

@@ -3,7 +3,7 @@
 Everything is counted by the vehicle's clock, so that a live session and the analysis of its
 recording show the same figures.
 
-Missing IMU samples show by the vehicle's own stamps. Sequence numbers count modulo 256, so that a
+Missing samples show by the vehicle's own stamps. Sequence numbers count modulo 256, so that a
 burst of any length looks like a short one, and they do not show what the autopilot never sent: PX4
 skips 0.4 to 2 % of its samples with no packet lost. Stamps show both: steps of several usual
 intervals have samples missing in them.
@@ -29,15 +29,39 @@ class Counts(NamedTuple):
     missing: int = 0
     longest: float = 0.0
     """s, the longest step with samples missing in it."""
+    steps: int = 0
+    """Between neighboring samples, gaps apart."""
+    seconds: float = 0.0
+    """In these steps."""
+    gaps: int = 0
+    longest_gap: float = 0.0
+    """s."""
+    latest_gaps: tuple[tuple[float, float], ...] = ()
+    """(t, length) in s."""
 
     @property
     def share(self) -> float:
         """`missing` as a part of what was to come."""
         return self.missing / max(self.received + self.missing, 1)
 
+    def as_dict(self) -> dict[str, Any]:
+        """For the result's `telemetry`, where the samples are the IMU's."""
+        return {
+            "imu_gaps": {
+                "count": self.gaps,
+                "last": [{"t": t, "length": length} for t, length in self.latest_gaps],
+            },
+            "imu_loss": {
+                "received": self.received,
+                "missing": self.missing,
+                "missing_percent": 100.0 * self.share,
+                "longest": self.longest,
+            },
+        }
 
-class ImuLoss:
-    """Counts samples by their stamps.
+
+class SampleLoss:
+    """Counts the samples of a stream by their stamps.
 
     Steps are compared with the shortest interval that some samples in a row have kept. A stream
     that comes evenly at another rate has another one. The counts depend on the order of samples
@@ -46,6 +70,9 @@ class ImuLoss:
 
     PAUSE = 10.0
     """s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
+    GAP = 0.1
+    """s. A pause longer than this, and than five of its usual steps, is a gap."""
+    GAPS_KEPT = 100
     _HELD, _SETTLED = 512, 256
     """Samples that wait for late ones, and how many of them are settled then."""
     _AT_ONCE = 2048
@@ -100,16 +127,6 @@ class ImuLoss:
         t = self._new()
         return self._counted(t, len(t))[0]
 
-    def as_dict(self) -> dict[str, Any]:
-        """For the result's `telemetry`."""
-        counts = self.counts
-        return {
-            "received": counts.received,
-            "missing": counts.missing,
-            "missing_percent": 100.0 * counts.share,
-            "longest": counts.longest,
-        }
-
     def _settle(self, count: int) -> None:
         t = self._new()
         count = min(count, len(t))
@@ -139,7 +156,6 @@ class ImuLoss:
             even = runs.max(axis=1) < self._ALIKE * runs.min(axis=1)
             calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
         interval = self._interval or float(few[min(at, len(few) - 1)])
-        missing, longest = counts.missing, counts.longest
         # Those that are settled together are compared with one interval.
         settled = (
             range(len(before) + self._SETTLED - 1, end, self._SETTLED)
@@ -156,12 +172,26 @@ class ImuLoss:
                 if stop == at:
                     stop, interval = at + 1, float(few[at] if np.isnan(calm[at]) else calm[at])
                 interval = float(few[at:stop].min(initial=interval))
-                ratio = np.round(steps[at:stop] / interval)
-                lost = (ratio > 1.0) & (steps[at:stop] <= self.PAUSE)
-                missing += int((ratio[lost] - 1.0).sum())
-                longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
+                counts = self._with_steps(counts, times[at:stop], steps[at:stop], interval)
                 at = stop
-        return Counts(counts.received, missing, longest), interval
+        return counts, interval
+
+    def _with_steps(self, counts: Counts, t: Array, steps: Array, interval: float) -> Counts:
+        """The counts with (n,) steps in s, from (n,) times on, of one interval."""
+        ratio = np.round(steps / interval)
+        lost = (ratio > 1.0) & (steps <= self.PAUSE)
+        gap = steps > max(self.GAP, 5.0 * interval)
+        return counts._replace(
+            missing=counts.missing + int((ratio[lost] - 1.0).sum()),
+            longest=max(counts.longest, float(steps[lost].max(initial=0.0))),
+            steps=counts.steps + int(np.count_nonzero(~gap)),
+            seconds=counts.seconds + float(steps[~gap].sum()),
+            gaps=counts.gaps + int(np.count_nonzero(gap)),
+            longest_gap=max(counts.longest_gap, float(steps[gap].max(initial=0.0))),
+            latest_gaps=(
+                *counts.latest_gaps, *zip(t[gap].tolist(), steps[gap].tolist(), strict=True)
+            )[-self.GAPS_KEPT :],
+        )  # fmt: skip
 
 
 class SequenceCount:
@@ -248,30 +278,23 @@ class Monitor:
         from_vehicle: frames of the chosen vehicle, repeated ones too.
         bad_crc: frames whose checksum is wrong.
         unknown: frames of unknown types.
-        gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
-        gap_count: how many there were.
+        imu_loss: what is missing of the IMU's samples.
     """
 
     WINDOW = 5.0
     """s of vehicle time that rates are taken over."""
     STEP = 0.5
     """s. Messages are counted in steps of this length."""
-    GAP = 0.1
-    """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
-    GAPS_KEPT = 100
     MOST_UNNAMED = 64
     """Message types without a name that are counted one by one, the first received; a hostile
     sender can make up 16 million."""
-    _NEW_SHARE = 0.02
-    """Of each step of the IMU in what its usual step is believed to be."""
 
     def __init__(self) -> None:
         self.received = 0
         self.from_vehicle = 0
         self.bad_crc = 0
         self.unknown = 0
-        self.gaps: deque[tuple[float, float]] = deque(maxlen=self.GAPS_KEPT)
-        self.gap_count = 0
+        self.imu_loss = SampleLoss()
         self._counts: Counter[int] = Counter()
         self._known = set(NAMED_IDS.tolist())
         self._most_known = len(self._known) + self.MOST_UNNAMED
@@ -283,9 +306,6 @@ class Monitor:
         self._first: float | None = None
         self._spans = 0.0  # s of vehicle time before the last reboot
         self._now: float | None = None
-        self._imu_last: float | None = None
-        self._imu_step = 0.0
-        self._imu_loss = ImuLoss()
 
     def count_frames(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
@@ -366,8 +386,7 @@ class Monitor:
             self._spans += self._now - self._first
             self._first = None
             self._steps.clear()
-            self._imu_last = None
-            self._imu_loss.restart()
+            self.imu_loss.restart()
         if self._first is None:
             self._first = now
 
@@ -379,27 +398,6 @@ class Monitor:
         _, counts, sizes = self._steps[-1]
         counts.update(messages)
         sizes[0] += size
-
-    def watch_imu_times(self, t: Array) -> None:
-        """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
-        self._imu_loss.add_times(t)
-        last, usual = self._imu_last, self._imu_step
-        for time in t.tolist():
-            if last is None:
-                last = time
-                continue
-            step = time - last
-            if step <= 0.0:
-                continue
-            if step > max(self.GAP, 5.0 * usual):
-                if usual:
-                    self.gaps.append((last, step))
-                    self.gap_count += 1
-                usual = usual or step
-            else:
-                usual += self._NEW_SHARE * (step - usual) if usual else step
-            last = time
-        self._imu_last, self._imu_step = last, usual
 
     @property
     def counts(self) -> dict[str, int]:
@@ -432,8 +430,8 @@ class Monitor:
 
     def rates(self) -> dict[str, float]:
         """Messages a second over the last whole steps of the window, by name."""
-        rates: dict[str, float] = self.health()["rates"]
-        return rates
+        counts, _, seconds = self._window()
+        return {message_name(i): n / seconds for i, n in sorted(counts.items())} if seconds else {}
 
     def _window(self) -> tuple[Counter[int], int, float]:
         """Messages by id, bytes, and s of the whole steps in the window."""
@@ -457,17 +455,17 @@ class Monitor:
 
         Garbage counts as one rejection a started 64 bytes.
         """
-        counts, size, seconds = self._window()
-        each = {message_name(i): n / seconds for i, n in sorted(counts.items())} if seconds else {}
+        _, size, seconds = self._window()
+        loss = self.imu_loss.counts
         return {
-            "rates": each,
+            "rates": self.rates(),
             "received": self.received,
             "rejected": self.bad_crc + -(-garbage_bytes // 64),
             "unknown": self.unknown,
             "lost": self.lost,
             "lost_percent": self.lost_percent,
-            "gaps": self.gap_count,
-            "last_gap": self.gaps[-1][1] if self.gaps else None,
+            "gaps": loss.gaps,
+            "last_gap": loss.latest_gaps[-1][1] if loss.gaps else None,
             "bytes_per_second": size / seconds if seconds else 0.0,
         }
 
@@ -487,9 +485,5 @@ class Monitor:
             "garbage_bytes": garbage_bytes,
             "lost": self.lost,
             "lost_percent": self.lost_percent,
-            "imu_gaps": {
-                "count": self.gap_count,
-                "last": [{"t": t, "length": length} for t, length in self.gaps],
-            },
-            "imu_loss": self._imu_loss.as_dict(),
+            **self.imu_loss.counts.as_dict(),
         }
