@@ -155,6 +155,32 @@ def test_vehicle_parameters_and_losses_are_told(path):
     assert log.as_dict()["messages"]["IMU"]["count"] == 600
 
 
+@pytest.mark.parametrize(
+    ("message", "parameters", "kind"),
+    [
+        ("ArduPlane V4.5.1 (abc)", {}, "fixed wing"),
+        ("ArduPlane V4.5.1 (abc)", {"Q_ENABLE": 1.0, "Q_FRAME_CLASS": 2.0}, "hexarotor"),
+        ("ArduRover V4.2.0", {"FRAME_CLASS": 1.0}, "ground rover"),
+        ("ArduSub V4.1.0", {}, "submarine"),
+        ("ArduCopter V4.5.1", {"FRAME_CLASS": 6.0}, "helicopter"),
+    ],
+)
+def test_the_vehicle_is_that_of_firmware_and_frame(
+    tmp_path, dataflash_file, message, parameters, kind
+):
+    log = dataflash_file
+    log.type("MSG", "QZ", "TimeUS,Message")
+    log.type("PARM", "QNf", "TimeUS,Name,Value")
+    log.row("MSG", 1_000_000, message)
+    for name, value in parameters.items():
+        log.row("PARM", 1_000_000, name, value)
+    path = tmp_path / "other.bin"
+    path.write_bytes(log.bytes())
+    vehicle = open_log(path).vehicle
+    assert str(vehicle) == f"ArduPilot {kind} 1:1"
+    assert bool(vehicle.no_multirotor) == (kind != "hexarotor")
+
+
 def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file, of):
     log = dataflash_file
     log.type("IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")

@@ -116,10 +116,13 @@ def of_log(path: Path, options: argparse.Namespace, *, relative: bool = False) -
         return airframe_of(options, relative=relative)
     from gcs_sysid.health.assessment import ReadLog
     from gcs_sysid.session.reported_layout import suggested_airframe
+    from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR
 
     read = ReadLog(path, options.vehicle)
-    layout = read.layout()
-    lacking = _lacking(layout, options, suggested_airframe(read.log.kind, read.log.vehicle))
+    layout, vehicle = read.layout(), read.log.vehicle
+    if vehicle is not None and vehicle.no_multirotor:
+        raise InputError(f"{path}: {vehicle.no_multirotor}: {GIVE_MULTIROTOR}")
+    lacking = _lacking(layout, options, suggested_airframe(read.log.kind, vehicle))
     relative = relative and not _is_scale_given(options)
     if lacking and not (relative and layout is not None):
         what, give = _listed([one.what for one in lacking]), _listed([one.words for one in lacking])

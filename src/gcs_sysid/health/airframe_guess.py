@@ -29,7 +29,7 @@ from gcs_sysid.session.reported_layout import (
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import MavlinkSystem
+from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR, MavlinkSystem
 
 _ROTORS = {
     mavlink.MAV_TYPE_QUADROTOR: "quad",
@@ -121,6 +121,8 @@ def _bare(airframe: Airframe) -> Airframe:
 def _by_type(
     vehicle: MavlinkSystem, parameters: Mapping[str, float], reported: ReportedLayout | None
 ) -> GuessedAirframe:
+    if vehicle.no_multirotor:
+        raise NoAnswerError(vehicle.no_multirotor, GIVE_MULTIROTOR)
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
     if reported is not None:

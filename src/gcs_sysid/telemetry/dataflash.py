@@ -37,10 +37,23 @@ _FRAME_CLASSES = {
     3: mavlink.MAV_TYPE_OCTOROTOR,
     4: mavlink.MAV_TYPE_OCTOROTOR,
     5: mavlink.MAV_TYPE_HEXAROTOR,
+    6: mavlink.MAV_TYPE_HELICOPTER,
     7: mavlink.MAV_TYPE_TRICOPTER,
+    8: mavlink.MAV_TYPE_COAXIAL,
+    9: mavlink.MAV_TYPE_COAXIAL,
+    11: mavlink.MAV_TYPE_HELICOPTER,
     12: mavlink.MAV_TYPE_DODECAROTOR,
+    13: mavlink.MAV_TYPE_HELICOPTER,
+    14: mavlink.MAV_TYPE_DECAROTOR,
 }
 """FRAME_CLASS -> MAV_TYPE."""
+_OTHER_FIRMWARE = (
+    (rb"(?:Ardu|APM:)Plane", mavlink.MAV_TYPE_FIXED_WING),
+    (rb"(?:Ardu|APM:)Rover", mavlink.MAV_TYPE_GROUND_ROVER),
+    (rb"ArduSub", mavlink.MAV_TYPE_SUBMARINE),
+    (rb"Blimp", mavlink.MAV_TYPE_AIRSHIP),
+)
+"""Beginnings of the message that names the firmware, where that is not Copter."""
 _CHANNEL = re.compile(r"(?:C|Ch|Chan)(\d+)")
 
 
@@ -69,7 +82,7 @@ _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
     "EV": {"Id"}, "ARM": {"ArmState"}, "BAT": {"Volt"}, "CTUN": {"ThO"}, "MOTB": {"BatVolt"},
-    "DSF": {"Dp"},
+    "DSF": {"Dp"}, "MSG": {"Message"},
     "GPS": {"GMS", "GWk"},
     **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
     **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},
@@ -125,15 +138,13 @@ class _EntryReader:
         self._latest = {name: value for _, name, value in self._parameters}
 
     def read(self) -> Recording:
-        frame = self._latest.get("FRAME_CLASS", 0.0)
         system = self._latest.get("MAV_SYSID", self._latest.get("SYSID_THISMAV", 1.0))
         lost = self._column("DSF", "Dp")
         recording = Recording(
             tracks=[],
             system=int(system),
             component=mavlink.MAV_COMP_ID_AUTOPILOT1,
-            # Firmware before FRAME_CLASS was made for one frame each, mostly the quadrotor.
-            vehicle_type=_FRAME_CLASSES.get(int(frame), mavlink.MAV_TYPE_QUADROTOR),
+            vehicle_type=self._vehicle_type(),
             autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
             parameters=self._parameters,
             counts=self._log.counts,
@@ -149,6 +160,18 @@ class _EntryReader:
         self._add_battery(recording)
         self._add_clock(recording)
         return recording
+
+    def _vehicle_type(self) -> int:
+        """MAV_TYPE by firmware and frame; a plane that hovers is what carries it then."""
+        messages = self._log.text("MSG", "Message")
+        said = [] if messages is None else messages.tolist()
+        for begins, vehicle_type in _OTHER_FIRMWARE:
+            named = any(re.match(begins, message) for message in said)
+            if named and not self._latest.get("Q_ENABLE", 0.0) > 0.0:
+                return vehicle_type
+        frame = self._latest.get("FRAME_CLASS", self._latest.get("Q_FRAME_CLASS", 0.0))
+        # Firmware before FRAME_CLASS was made for one frame each, mostly the quadrotor.
+        return _FRAME_CLASSES.get(int(frame), mavlink.MAV_TYPE_QUADROTOR)
 
     def _column(self, name: str, *columns: str) -> Array | None:
         """(n,) the first of some columns that the entries of a name have."""

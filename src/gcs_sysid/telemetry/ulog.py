@@ -121,7 +121,7 @@ def recording_of(path: Path, log: TopicLog) -> Recording:
         tracks=[],
         system=_constant(status, "system_id") or int(first.get("MAV_SYS_ID", 1.0)),
         component=_constant(status, "component_id") or 1,
-        vehicle_type=_constant(status, "system_type") or mavlink.MAV_TYPE_GENERIC,
+        vehicle_type=_constant(status, "system_type") or int(first.get("MAV_TYPE", 0.0)),
         autopilot=mavlink.MAV_AUTOPILOT_PX4,
         parameters=parameters,
         counts={

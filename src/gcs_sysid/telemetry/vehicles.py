@@ -51,6 +51,19 @@ _ROTORS: dict[int, int] = {
     mavlink.MAV_TYPE_DODECAROTOR: 12,
 }
 
+_OTHERS = {
+    mavlink.MAV_TYPE_FIXED_WING,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HELICOPTER,
+    mavlink.MAV_TYPE_AIRSHIP,
+    mavlink.MAV_TYPE_GROUND_ROVER,
+    mavlink.MAV_TYPE_SURFACE_BOAT,
+    mavlink.MAV_TYPE_SUBMARINE,
+}
+"""Vehicles that fixed rotors do not carry; a VTOL is one that they do."""
+GIVE_MULTIROTOR = "give a multirotor's log; if this is one, name its --airframe"
+"""What to do about another vehicle's."""
+
 
 def multirotor_type(rotors: int) -> int:
     """MAV_TYPE of a vehicle with so many rotors, where a log holds no more of it."""
@@ -120,6 +133,13 @@ class MavlinkSystem:
     def rotors(self) -> int | None:
         """How many it has by its type; None when unknown."""
         return _ROTORS.get(self.vehicle_type or -1)
+
+    @property
+    def no_multirotor(self) -> str:
+        """Why nothing holds for it, by its type; empty for what may be a multirotor."""
+        if self.vehicle_type is None or self.vehicle_type not in _OTHERS:
+            return ""
+        return f"the vehicle is of type {_type_name(self.vehicle_type)}, and no multirotor"
 
     def __str__(self) -> str:
         words = []
