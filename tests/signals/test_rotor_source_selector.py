@@ -223,7 +223,7 @@ def test_groups_of_one_kind_are_one_source():
     assert judged(first, second, airframe=airframe).choice.name == "ESC_TELEMETRY"
     half = judged(first, airframe=airframe)
     assert half.choice is None
-    assert half.refused == {"ESC_TELEMETRY": "covers 4 of 6 rotors"}
+    assert half.refused == {"ESC_TELEMETRY": "lacks rotor 5 of 6"}
 
 
 @pytest.mark.parametrize(
@@ -437,6 +437,8 @@ def test_a_range_that_the_parameters_leave_open_is_assumed():
     for key, known in (
         ("ardupilot", SPIN | {"MOT_PWM_MIN": 0.0}),
         ("ardupilot", pulses),
+        # One end of a range is lost, as by damage.
+        ("ardupilot", SPIN | {"MOT_PWM_MAX": 0.0, "RC3_MIN": 1100.0, "RC3_MAX": 1900.0}),
         ("px4", px4),
     ):
         found = command_range("RCOU", CommandRange(), key, known, (1600.0, 1600.0))

@@ -214,7 +214,8 @@ def test_the_header_tells_the_range_of_commands():
     assert lost.assumed
     assert "no motorOutput" in lost.origin
     assert not pulses.assumed
-    assert range_of(minthrottle=1070.0, maxthrottle=2000.0, dshot_bidir=1.0).high == 2047.0
+    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, dshot_bidir=1.0)
+    assert (lost.high, lost.assumed) == (2047.0, True)
     assert "3D mode" in range_of(features=4096.0)
 
 

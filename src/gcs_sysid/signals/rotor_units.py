@@ -38,6 +38,7 @@ MOTOR_POLES = 14.0
 """Betaflight's default."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
 """Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
+_NO_MOTOR_OUTPUT = " assumed: the log has no motorOutput"
 _REVERSIBLE = 1 << 12
 """Bit of Betaflight's features: motors turn either way."""
 _STOPPED = -0.05
@@ -166,6 +167,8 @@ def _pulses_of_ardupilot(parameters: Parameters) -> Range:
     low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
     if 0.0 < low < high:
         return Range(low, high, "MOT_PWM_*")
+    if low > 0.0:  # its other end is lost
+        return _CONVENTION
     channel = int(parameters.get("RCMAP_THROTTLE", 3.0)) if "MOT_PWM_MIN" in parameters else 3
     low, high = (parameters.get(f"RC{channel}_{end}", 0.0) for end in ("MIN", "MAX"))
     if 0.0 < low < high:
@@ -180,14 +183,14 @@ def _of_blackbox(parameters: Parameters) -> Range | None:
         parameters.get("dshot_bidir") == 1.0
         or parameters.get("motor_pwm_protocol") in _DSHOT_PROTOCOLS
     )
-    if high == _DSHOT[1] or (high is None and digital):
-        return Range(*_DSHOT, "DShot is 48..2047")
-    # Firmware that knows DShot writes motorOutput; older firmware has pulses alone.
+    # Firmware that knows DShot writes motorOutput, from which it counts; older has pulses alone.
     lost = high is None and bool(parameters.keys() & {"dshot_bidir", "motor_pwm_protocol"})
+    if high == _DSHOT[1] or (lost and digital):
+        return Range(*_DSHOT, "DShot is 48..2047" + lost * _NO_MOTOR_OUTPUT, lost)
     high = parameters.get("maxthrottle", 0.0) if high is None else high
     low = parameters.get("minthrottle", parameters.get("motorOutput[0]", 0.0))
     if 0.0 < low < high:
-        origin = "minthrottle and maxthrottle" + lost * " assumed: the log has no motorOutput"
+        origin = "minthrottle and maxthrottle" + lost * _NO_MOTOR_OUTPUT
         return Range(low, high, origin, lost)
     return None
 
