@@ -103,7 +103,7 @@ def test_an_airframe_or_a_number_of_rotors_may_be_named(inspect, flight):
         assert (rotor_input["rotors"], rotor_input["message"]) == (4, "ESC_TELEMETRY")
     _, out, _ = inspect(flight.tlog, "--rotors", "6")
     assert "Can be identified from: NO" in out
-    assert "of 6 rotors" in out
+    assert "lacks rotor 5 of 6" in out
 
 
 @pytest.mark.parametrize(

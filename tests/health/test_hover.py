@@ -336,7 +336,7 @@ def test_reasons_where_there_is_nothing(airframe):
     health = told([replace(block, tracks=no_rotors)], airframe)
     assert health.reasons == ("no rotor speeds and no actuator outputs",)
     hexa = load_airframe("px4-hexa-x").with_anchor("mass", 2.0)
-    assert told([block], hexa).reasons == ("ESC_STATUS covers 4 of 6 rotors",)
+    assert told([block], hexa).reasons == ("ESC_STATUS lacks rotor 5 of 6",)
     health = told(flight(seconds=3.0), airframe)
     assert not health.available
     assert "hover" in health.reasons[0]

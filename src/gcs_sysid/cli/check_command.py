@@ -11,6 +11,7 @@ from gcs_sysid.cli import airframe_choice, health_command, output
 from gcs_sysid.cli.health_command import answer_lines
 from gcs_sysid.cli.inspect_command import next_command, objection_lines, obtainable
 from gcs_sysid.cli.program import OneByOne
+from gcs_sysid.files import split_mapping
 from gcs_sysid.health.assessment import ReadLog, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Health, against_first
@@ -96,12 +97,14 @@ def _found(
 
 def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> Iterator[str]:
     if not health.available or health.rotor_input is None:
-        yield Path(log).name
+        yield split_mapping(Path(log))[0].name
         for reason in health.reasons[1:]:  # the first one is the answer
             yield from wrapped(reason, "- ", width)
         return
     rotors = f"rotors by {health.rotor_input.words} ({health.rotor_source})"
-    yield from wrapped(f"{Path(log).name}: {health.seconds:.0f} s of hover, {rotors}", "", width)
+    yield from wrapped(
+        f"{split_mapping(Path(log))[0].name}: {health.seconds:.0f} s of hover, {rotors}", "", width
+    )
     for name, text in short_facts(document):
         yield from _entry(name, text, width)
     if health.condition is not None:

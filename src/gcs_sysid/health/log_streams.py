@@ -231,7 +231,7 @@ def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[
 
 def _problem(samples: Sequence[tuple[Array, Array]], count: int) -> str:
     if len(samples) < count:
-        return f"covers {len(samples)} of {count} rotors"
+        return f"lacks rotor {len(samples) + 1} of {count}"
     if any(len(t) < TUNING.fewest_samples for t, _ in samples):
         return "has too few samples"
     rate = min(rate_of(t) for t, _ in samples)

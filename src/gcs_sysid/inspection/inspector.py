@@ -277,7 +277,7 @@ class Inspector:
                     facts |= {offset + i: rotor for i, rotor in enumerate(ranges.rotors())}
             rates = [watch.tally.rate for watch in watches.values() if watch.tally.rate]
             for reading, outputs in order.readings(name):
-                columns = outputs or sorted(facts)
+                columns = outputs or range(min(facts, default=0), max(facts, default=-1) + 1)
                 found.append(
                     RotorMessage(
                         message=reading,
@@ -285,14 +285,21 @@ class Inspector:
                         rate=min(rates, default=None),
                         repeats_percent=max(w.tally.repeats_percent for w in watches.values()),
                         rotors=tuple(
-                            facts[column]
+                            facts.get(column, _SILENT)
                             for i, column in enumerate(columns)
-                            if column in facts
-                            and (i < rotors if rotors else outputs or _used(facts[column]))
+                            if (
+                                i < rotors
+                                if rotors
+                                else outputs or _used(facts.get(column, _SILENT))
+                            )
                         ),
                     )
                 )
         return tuple(found)
+
+
+_SILENT = RotorFacts(0.0, 0.0, 0.0, 100.0)
+"""Of which nothing comes, though others do."""
 
 
 def _used(rotor: RotorFacts) -> bool:

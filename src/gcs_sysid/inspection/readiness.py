@@ -11,19 +11,24 @@ from gcs_sysid.judgement.received import NO_ATTITUDE, loss_of
 from gcs_sysid.judgement.status import level_of, on_sound_data
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES
-from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
+from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR
 
 _IDENTIFIED_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
 _ESC_RATE = 100
 """Hz, SERVO_BLH_TRATE that fits identification."""
 _PROFILES = {0: "default", 3: "system identification", 4: "high rate"}
-_BITS = {0: "fast attitude", 10: "RCOUT, motor outputs", 18: "fast IMU"}
-"""Of ArduCopter's LOG_BITMASK."""
-_FASTER = {
-    "blackbox": "log more: on Betaflight raise blackbox_sample_rate (1/2), on INAV set "
-    "blackbox_rate_denom = 1; and see that accelerometer, attitude and RPM are logged",
+_BITS = {
+    Stream.ATTITUDE: {0: "fast attitude"},
+    Stream.ROTOR_COMMAND: {10: "RCOUT, motor outputs at 10 Hz"},
+    Stream.IMU: {18: "fast IMU"},
 }
+"""Of ArduCopter's LOG_BITMASK."""
+_FASTER_BLACKBOX = (
+    "log more: on Betaflight raise blackbox_sample_rate (1/2), on INAV set blackbox_rate_denom = 1"
+)
+_SPEEDS = "log rotor speeds (ESC telemetry): ArduPilot logs outputs at 10 Hz, too slow for inertia"
 _FASTER_LINK = (
     "record with gcs-sysid live, which requests the rates, over a fast link (460800 baud, USB, "
     "WiFi), or analyze the autopilot's own log"
@@ -33,13 +38,18 @@ _FASTER_LINK = (
 def objections_to(inspection: Inspection) -> tuple[Objection, ...]:
     """Everything that decides or is worth knowing, the worst first."""
     order = {"blocks": 0, "limits": 1, "note": 2}
+    looked_at = _is_multirotor(inspection)
     found = [
         replace(objection, by=by)
         for by, object_to in _PRODUCERS
-        if inspection.vehicle is not None or by in ("link", "vehicle")
+        if looked_at or by in ("link", "vehicle")
         for objection in object_to(inspection)
     ]
     return tuple(sorted(on_sound_data(found), key=lambda objection: order[level_of(objection)]))
+
+
+def _is_multirotor(found: Inspection) -> bool:
+    return found.vehicle is not None and not found.vehicle.no_multirotor
 
 
 def _blocks(reason: str, how: str = "") -> Objection:
@@ -60,6 +70,8 @@ def _problems(found: Inspection) -> Iterator[Objection]:
 
 def _vehicle(found: Inspection) -> Iterator[Objection]:
     if found.vehicle is not None:
+        if found.vehicle.no_multirotor:
+            yield _blocks(found.vehicle.no_multirotor, GIVE_MULTIROTOR)
         return
     names = ", ".join(map(str, found.systems))
     if not found.is_received:
@@ -73,8 +85,8 @@ def _vehicle(found: Inspection) -> Iterator[Objection]:
         yield _blocks(text, "check that it is powered and sends to this link")
 
 
-def _faster(found: Inspection) -> str:
-    """The very settings that log more: never one that is set already."""
+def _faster(found: Inspection, *lacking: Stream) -> str:
+    """The very settings that log more of some streams: never one that is set already."""
     known = found.parameters
     changes = []
     if found.kind == "ulog":
@@ -83,16 +95,21 @@ def _faster(found: Inspection) -> str:
         changes = _limited_rates(known)
         # LOG_FILE_BUFSIZE came when LOG_BITMASK grew beyond 16 bits.
         wide = "LOG_FILE_BUFSIZE" in known or "LOG_BITMASK" not in known
-        bits = {k: v for k, v in _BITS.items() if k < 16 or wide}
+        bits = {k: v for one in lacking for k, v in _BITS.get(one, {}).items() if k < 16 or wide}
         changes += _with_bits("LOG_BITMASK", known, bits)
-        if known.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
+        rotors = any(one in ROTOR_STREAMS for one in lacking)
+        if rotors and known.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
             changes.append(
                 f"SERVO_BLH_TRATE = {_ESC_RATE} (now {known['SERVO_BLH_TRATE']:.0f}) if the ESCs "
                 "can send that fast"
             )
+        if not changes and rotors:
+            return _SPEEDS
     if changes:
         return f"log more: set {', and '.join(changes)}"
-    return _FASTER.get(found.kind, _FASTER_LINK)
+    if found.kind == "blackbox" and lacking != (Stream.ATTITUDE,):
+        return _FASTER_BLACKBOX
+    return "" if found.kind in ONBOARD else _FASTER_LINK
 
 
 def _limited_rates(known: Mapping[str, float]) -> list[str]:
@@ -127,10 +144,10 @@ def obtainable(found: Inspection) -> Obtainable:
         if not little:
             return "everything"
         return "all but Izz" if little == ["yaw"] else "in part"
-    if found.hover is not None:
-        return "health" if found.hover > 0.0 else "nothing"
+    if found.hover is not None or not _is_multirotor(found):
+        return "health" if found.hover else "nothing"
     imu = found.stream(Stream.IMU)
-    slow = found.vehicle is not None and imu is not None and (imu.rate or 0.0) >= LIMITS.hover_imu
+    slow = imu is not None and (imu.rate or 0.0) >= LIMITS.hover_imu
     rotors = any((source.rate or 0.0) >= LIMITS.hover_rotors for source in found.rotor_sources)
     return "health" if slow and rotors and found.flights else "nothing"
 
@@ -138,18 +155,18 @@ def obtainable(found: Inspection) -> Obtainable:
 def _imu(found: Inspection) -> Iterator[Objection]:
     imu = found.stream(Stream.IMU)
     if imu is None:
-        yield _blocks("no IMU data (HIGHRES_IMU)", _faster(found))
+        yield _blocks("no IMU data (HIGHRES_IMU)", _faster(found, Stream.IMU))
         return
     rate = imu.rate or 0.0
     if rate < MIN_RATE:
         text = (
             f"{imu.message} comes at {rate:.1f} Hz; identification needs {LIMITS.imu_rate:.0f} Hz"
         )
-        yield _blocks(text, _faster(found))
+        yield _blocks(text, _faster(found, Stream.IMU))
     elif rate < LIMITS.nearly * LIMITS.command_rate:
         needed = rate >= LIMITS.nearly * LIMITS.imu_rate
         text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for fast motion"
-        yield (_note if needed else _limits)(text, _faster(found))
+        yield (_note if needed else _limits)(text, _faster(found, Stream.IMU))
     # PX4's IMU data come from before its filter.
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
     if 0.0 < cutoff < LIMITS.slow_gyro_filter:
@@ -167,34 +184,40 @@ def _sensors(found: Inspection) -> Iterator[Objection]:
 
 def _rotors(found: Inspection) -> Iterator[Objection]:
     chosen = found.rotor_input.chosen
+    stream = Stream.ROTOR_SPEED if found.rotor_sources else Stream.ROTOR_COMMAND
     if found.rotors_assumed and found.rotor_sources:
         text = f"the vehicle type does not define the number of rotors: {found.rotors} assumed"
         yield _note(text, "give --rotors N, or --airframe")
     if chosen is None:
         if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
             return  # what flight would show; that there was none is reported separately
+        slow = not any(map(_is_quick, found.rotor_sources))
         why = "; ".join(found.rotor_input.reasons) or "; ".join(
             f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
             for source in found.rotor_sources
         )
-        yield _blocks(
-            f"no rotor input that can be used: {why}" if why else "no rotor input at all",
-            _faster(found)
-            if why or found.kind == "dataflash"
-            else "enable rpm telemetry of the ESCs, or record the "
-            "actuator outputs (gcs-sysid live requests both)",
-        )
+        none = f"no rotor input that can be used: {why}" if why else "no rotor input at all"
+        if (why and slow) or found.kind == "dataflash":
+            yield _blocks(none, _faster(found, stream))
+        elif why:
+            yield _blocks(none, "mend that, or record another rotor stream")
+        else:
+            how = (
+                "enable rpm telemetry of the ESCs, or record the actuator outputs "
+                "(gcs-sysid live requests both)"
+            )
+            yield _blocks(none, how)
         return
     for reason in found.rotor_input.reasons:
         yield _note(reason)
     if chosen.kind.motors and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
         yield _limits(
             f"{chosen.message}'s commands at {chosen.rate:.0f} Hz leave out commands in between",
-            _faster(found),
+            _faster(found, stream),
         )
     elif (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
         text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: fast motion cannot be used"
-        yield _limits(text, _faster(found))
+        yield _limits(text, _faster(found, stream))
 
 
 def _is_quick(source: RotorMessage) -> bool:
@@ -204,10 +227,11 @@ def _is_quick(source: RotorMessage) -> bool:
 def _attitude_and_velocity(found: Inspection) -> Iterator[Objection]:
     attitude = found.stream(Stream.ATTITUDE)
     if attitude is None:
-        yield _note(NO_ATTITUDE, _faster(found))
+        yield _note(NO_ATTITUDE, _faster(found, Stream.ATTITUDE))
     elif (attitude.rate or 0.0) < LIMITS.attitude_rate:
         yield _limits(
-            f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
+            f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow",
+            _faster(found, Stream.ATTITUDE),
         )
     if found.stream(Stream.VELOCITY) is None:
         yield _note("no velocity (LOCAL_POSITION_NED): linear_drag is not observable")
@@ -266,7 +290,7 @@ def _turned_by_rotors(found: Inspection) -> Iterator[Objection]:
             order = "give --airframe with the motors in the autopilot's order; "
         yield _blocks(
             f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: {causes}",
-            f"{order}{_faster(found)}",
+            f"{order}{_faster(found, Stream.IMU, Stream.ROTOR_SPEED)}",
         )
     elif _is_rough(found):
         yield _limits(

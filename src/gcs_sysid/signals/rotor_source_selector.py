@@ -326,7 +326,7 @@ class RotorSourceSelector:
         count = len(self._airframe.rotors)
         rotors = stretch.rotors(count)
         if len(rotors) < count:
-            return f"covers {len(rotors)} of {count} rotors{self.order.gap_in(name, len(rotors))}"
+            return f"lacks rotor {len(rotors) + 1} of {count}{self.order.gap_in(name, len(rotors))}"
         rotors, seconds = _until_landing(rotors, self._seconds)
         rate = min(len(t) for t, _ in rotors) / seconds
         if rate < MIN_RATE:
