@@ -15,6 +15,7 @@ import pytest
 
 from gcs_sysid.errors import InputError, LinkError
 from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.live_view import SELDOM
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
 from gcs_sysid.model.airframe import load_airframe
@@ -90,8 +91,9 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     source, sent, go_on = receiver(record_to=path), threading.Event(), threading.Event()
     session = LiveSession(source, airframe, LISTEN, path, sender_gone=sent.is_set)
     chain = session._estimate.chain
-    take = chain.take
+    take, renew, renewed = chain.take, chain.renew_every, []
     monkeypatch.setattr(chain, "take", lambda block: go_on.wait() and take(block))
+    monkeypatch.setattr(chain, "renew_every", lambda every: renewed.append(every) or renew(every))
     session.start()
     raws = raws_of(flight.tlog)
     half = len(raws) // 2
@@ -104,6 +106,7 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     until(lambda: any("caught up after" in e.text for e in session.latest().events))
     told = [e.text for e in session.latest().events]
     assert any(text.startswith("the computer is too slow: ") for text in told)
+    assert renewed[:2] == [SELDOM, LISTEN.refit_interval]
     sent.set()
     assert session.join(LONGEST)
     assert raws_of(path) == raws_of(flight.tlog)

@@ -15,7 +15,7 @@ from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.judgement.judge import object_to
 from gcs_sysid.live.acceleration_prediction import LivePrediction
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
-from gcs_sysid.live.live_view import picture
+from gcs_sysid.live.live_view import SELDOM, picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
@@ -109,7 +109,7 @@ class LiveEstimate:
         self._hover: HoverWatch | None = HoverWatch(self.intake, source)
         self._health: dict[str, Any] | None = None
         self.relieved = False
-        """Whether the estimate is not renewed on the way."""
+        """Whether the estimate is renewed seldom on the way."""
 
     @property
     def airframe_problems(self) -> tuple[str, ...]:
@@ -184,9 +184,9 @@ class LiveEstimate:
             self.note(text)
 
     def relieve(self, *, on: bool) -> None:
-        """Whether to learn alone, and not to renew the estimate: there is no time, or no use."""
+        """Whether to renew the estimate seldom: there is no time, or no use."""
         self.relieved = on
-        self.chain.renew_every(None if on else self._options.refit_interval)
+        self.chain.renew_every(SELDOM if on else self._options.refit_interval)
 
     def think(self) -> None:
         """Let the coach think, and look at the hover; a defect is reported once, costs no

@@ -340,7 +340,7 @@ class LiveSession(Session):
             self._estimate.relieve(on=not before)
 
     def _take_the_rest(self) -> None:
-        """Process all that is recorded, without estimates on the way."""
+        """Process all that is recorded, with few estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
         self._estimate.note_all(self._backlog.last_words())

@@ -78,6 +78,9 @@ class Session(ABC):
 TOO_SLOW, CAUGHT_UP = 0.5, 0.1
 """s of data that wait: from which the computer is too slow, until it has caught up. A fit of many
 minutes takes up to 0.4 s, on a core that does nothing else."""
+SELDOM = 5.0
+"""s of the vehicle's clock between estimates meanwhile. With none until it has caught up, one that
+was behind for a flight showed that flight's first second for all of it."""
 
 
 class Backlog:
@@ -115,8 +118,8 @@ class Backlog:
         if not self.too_slow and waiting > TOO_SLOW:
             self.too_slow, self._since = True, now
             notes.append(
-                f"the computer is too slow: {waiting:.1f} s of data waiting, none lost; advice and "
-                "new estimates wait until it has caught up"
+                f"the computer is too slow: {waiting:.1f} s of data waiting, none lost; until it "
+                f"has caught up, estimates come every {SELDOM:.0f} s, and no advice"
             )
         elif self.too_slow and waiting < CAUGHT_UP:
             self.too_slow = False
