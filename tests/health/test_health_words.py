@@ -54,6 +54,14 @@ def test_loads_that_unlike_rotors_explain_as_well_as_a_cg_name_both(shares, unli
     assert f"look at {where}: propeller and pole count" in found.do
 
 
+def test_the_motor_that_is_off_the_most_comes_first_and_the_weight_where_it_is_surely_much():
+    rotors = tuple(loaded(0.25, gain=gain)[0] for gain in (1.24, 1.22, 1.23, 0.31))
+    for std, named in ((0.09, False), (0.03, True)):
+        ratio = Estimate(1.57, std, "1")
+        found = advised(replace(HEALTH, rotors=rotors, thrust_to_weight=ratio)).findings
+        assert (found[0].at, "the weight" in {one.at for one in found}) == ("motor 4", named)
+
+
 @pytest.mark.parametrize(("speed", "way"), [(0.86, "less"), (1.17, "more")])
 def test_a_rotor_of_six_that_no_cg_explains_is_named_in_place_of_a_cg(speed, way):
     airframe = load_airframe("px4-hexa-x").with_arm(0.25)

@@ -165,13 +165,11 @@ def test_vehicle_parameters_and_losses_are_told(path):
         ("ArduCopter V4.5.1", {"FRAME_CLASS": 6.0}, "helicopter"),
     ],
 )
-def test_the_vehicle_is_that_of_firmware_and_frame(
-    tmp_path, dataflash_file, message, parameters, kind
-):
+def test_firmware_and_frame_name_the_vehicle(tmp_path, dataflash_file, message, parameters, kind):
     log = dataflash_file
     log.type("MSG", "QZ", "TimeUS,Message")
-    log.type("PARM", "QNf", "TimeUS,Name,Value")
     log.row("MSG", 1_000_000, message)
+    log.type("PARM", "QNf", "TimeUS,Name,Value")
     for name, value in parameters.items():
         log.row("PARM", 1_000_000, name, value)
     path = tmp_path / "other.bin"

@@ -45,6 +45,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.processes import compute_in_one_thread, end_after
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.reported_layout import ReportedLayout, airframe_of_layout
+from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR, MavlinkSystem
 
 FAILURE = "gcs-sysid/failure/1"
 """Schema of the document of a log that cannot be read."""
@@ -85,12 +86,14 @@ class Job:
             "offline": self.offline,
         }
 
-    def of_layout(self, layout: ReportedLayout | None) -> Airframe:
-        """The airframe of a layout that the log shows.
+    def of_layout(self, layout: ReportedLayout | None, vehicle: MavlinkSystem | None) -> Airframe:
+        """The airframe of a layout that the log of a vehicle shows.
 
         Raises:
-            InputError: it shows none, or no size.
+            InputError: it shows none, or no size; or the vehicle is no multirotor.
         """
+        if vehicle is not None and vehicle.no_multirotor:
+            raise InputError(f"{self.log}: {vehicle.no_multirotor}", GIVE_MULTIROTOR)
         if layout is None:
             raise InputError(
                 f"{self.log}: neither its parameters nor the flight show where the rotors are",
@@ -153,7 +156,7 @@ def analyze(task: Task) -> Document:
         airframe, opened = job.airframe, None
         if airframe is None:
             read = ReadLog(log, job.vehicle)
-            airframe, opened = job.of_layout(read.layout()), read.again()
+            airframe, opened = job.of_layout(read.layout(), read.log.vehicle), read.again()
         found = analyze_whole(log, airframe, job.vehicle, options, name=name, opened=opened)
         hover = [
             {"name": one.name, "unit": one.unit, "value": one.values[0], "std": one.stds[0]}

@@ -196,16 +196,17 @@ def _unlike_motors(health: Health) -> list[Finding]:
         if abs(gain.value - 1.0) - TUNING.sure * gain.std > TUNING.motor_scatter:
             percent = 100.0 * abs(1.0 - gain.value)
             way = "less" if gain.value < 1.0 else "more"
-            off.append((i, f"reaches {percent:.0f} % {way} speed squared at its command"))
+            off.append((i, f"reaches {percent:.0f} % {way} speed squared at its command", percent))
+    off.sort(key=lambda each: -each[2])  # what is off the most moves the mean
     if not off:
         return []
-    named = ", ".join(f"motor {i} {what}" for i, what in off)
+    named = ", ".join(f"motor {i} {what}" for i, what, _ in off)
     do = (
         f"{named} than the mean of all: another motor or propeller, a weak motor or ESC, "
         "or its pole count. What the CG and yaw are, and whether to move anything, shows once that "
         "is clear"
     )
-    return [Finding(f"motor {i}", what, do, spoils=True) for i, what in off]
+    return [Finding(f"motor {i}", what, do, spoils=True) for i, what, _ in off]
 
 
 def _unlike_loads(health: Health) -> Iterator[Finding]:
@@ -233,7 +234,9 @@ def _unlike_loads(health: Health) -> Iterator[Finding]:
 
 def _margins(health: Health) -> Iterator[Finding]:
     ratio = health.thrust_to_weight
-    if ratio is not None and ratio.value < TUNING.least_thrust_to_weight:
+    if ratio is None:
+        return
+    if ratio.value + TUNING.sure * ratio.std < TUNING.least_thrust_to_weight:
         full = f"full thrust is {ratio.value:.1f} times the weight"
         least = f"less than {TUNING.least_thrust_to_weight:g} leaves little to control with"
         yield Finding("the weight", full, f"{full}: {least}; lighten it")
