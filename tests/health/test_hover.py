@@ -149,15 +149,21 @@ def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
 
 
 @pytest.mark.parametrize("commands", ["alone", "beside"])
-def test_nothing_is_shown_of_commands_whose_range_is_assumed(airframe, commands):
-    known, pulses = {"PWM_MAIN_FUNC1": 101.0}, {"PWM_MAIN_MIN1": 1000.0, "PWM_MAIN_MAX1": 2000.0}
-    guess = GuessedAirframe(airframe, "given")
-    for parameters, shown in ((known, False), (known | pulses, True)):
-        streams = streams_of(flight(commands=commands), airframe, "px4", parameters)
-        health = health_of(streams, guess, HealthOptions(airframe), parameters)
-        assert (health.hover_throttle is not None) is shown
-        assert health.available is (shown or commands == "beside")
-        assert ("has no range in the log" in str(health.reasons)) is not health.available
+def test_of_commands_whose_range_is_assumed_the_balance_is_shown(airframe, commands):
+    """Pulses of 1100 to 1900 us are taken for 1000 to 2000, which the CG's interval holds."""
+    records, seen = flight(commands=commands, loads=(1.2, 0.8, 1.2, 0.8), climb=False), []
+    known, pulses = {"PWM_MAIN_FUNC1": 101.0}, {"PWM_MAIN_MIN1": 1100.0, "PWM_MAIN_MAX1": 1900.0}
+    for parameters in (known | pulses, known):
+        streams = streams_of(records, airframe, "px4", parameters)
+        guess = GuessedAirframe(airframe, "given")
+        seen.append(health_of(streams, guess, HealthOptions(airframe), parameters))
+    right, health = seen
+    assert health.hover_throttle is health.thrust_to_weight is None
+    assert health.through_motors is (commands == "alone")
+    assert any("1000 to 2000" in text for text in health.assumptions) is health.through_motors
+    off = abs(health.cg[0].value - right.cg[0].value)
+    assert (off > 0.005) is health.through_motors
+    assert off < 1.5 * health.cg[0].std
 
 
 def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):

@@ -1,7 +1,7 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -273,7 +273,14 @@ def health_of(
         return replace(unseen, objections=on_sound_data((*sensors, *others)))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
-    health = _balances(streams, hover, thrust, curve if rotor_input.motors else None, guess)
+    otherwise_ranged: list[Array] = []
+    if rotor_input.motors and source.range is not None and source.range.assumed:
+        for start in (-TUNING.range_std, TUNING.range_std):
+            of_range = windows.starting_at(start)
+            bent = curve_of(of_range, airframe.command.thrust_curve, own, own_name)
+            otherwise_ranged.append(thrust_of(of_range.part(sound), bent.c.value))
+    of_curve = curve if rotor_input.motors else None
+    health = _balances(streams, hover, thrust, of_curve, guess, otherwise_ranged)
     load = load_of(hover, thrust, c)
     health = replace(
         health,
@@ -305,6 +312,18 @@ def health_of(
     # What is in proportion to it is no number.
     if unfit or assumed or (otherwise and not rotor_input.motors):
         health = replace(health, scale=None, mass=None)
+    if assumed and rotor_input.motors:
+        health = replace(
+            health,
+            curve=None,
+            drift=None,
+            motor_current=None,
+            hover_throttle=None,
+            hover_thrust=None,
+            hover_command=None,
+            thrust_to_weight=None,
+            rotors=tuple(replace(r, headroom=None, saturated=None) for r in health.rotors),
+        )
     doubts = (*sensors, *unfit, *otherwise, *((_REVERSED,) if guess.reversed else ()))
     return advised(
         replace(health, doubts=doubts, misread=streams.misread, battery_mass=given.battery_mass)
@@ -437,16 +456,32 @@ def _own_curve(parameters: Mapping[str, float]) -> tuple[float | None, str]:
 
 
 def _balances(
-    streams: Streams, hover: Windows, thrust: Array, curve: Curve | None, guess: GuessedAirframe
+    streams: Streams,
+    hover: Windows,
+    thrust: Array,
+    curve: Curve | None,
+    guess: GuessedAirframe,
+    otherwise_ranged: Sequence[Array],
 ) -> Health:
-    """CG, shares, yaw balance and scale."""
+    """CG, shares, yaw balance and scale.
+
+    `otherwise_ranged` are thrusts, were an assumed range of commands off by a standard deviation
+    either way; empty where it is known.
+    """
     airframe = guess.airframe
+    x, y, spin = airframe.geometry
+
+    def balanced(thrust: Array) -> Array:
+        total = thrust.sum(axis=1)
+        share = (thrust / total[:, None]).mean(axis=0)
+        ends = [share @ np.array([x, y]).T, share, [share @ spin, 1.0 / total.mean()]]
+        return np.concatenate(ends)
+
     total = thrust.sum(axis=1)
     center = balance.cg_of(hover, airframe, thrust)
     cg = center.cg
     shares = (thrust / total[:, None]).mean(axis=0)
     per_thrust, per_std = balance.specific_thrust(hover, thrust)
-    spin = airframe.geometry[2]
     yaw = balance.robust_fit(
         np.column_stack([np.ones(len(total)), hover.turning[:, 2]]),
         thrust @ spin / total,
@@ -458,20 +493,13 @@ def _balances(
     if curve is not None and curve.c.std:
         step = min(curve.c.std, 0.1)
         low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
-        ends = []
-        for c in (low, high):
-            other = thrust_of(hover, c)
-            whole = other.sum(axis=1)
-            x, y, _ = airframe.geometry
-            share = (other / whole[:, None]).mean(axis=0)
-            ends.append(
-                np.concatenate(
-                    [share @ np.array([x, y]).T, share, [share @ spin, 1.0 / whole.mean()]]
-                )
-            )
+        ends = [balanced(thrust_of(hover, c)) for c in (low, high)]
         slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
         slope[-1] *= total.mean()
     by_curve, by_given = (slope, slope) if curve is None else curve.parts(slope)
+    if otherwise_ranged:  # the same in every flight, as what is given
+        ends = [*map(balanced, otherwise_ranged)]
+        by_given = np.hypot(by_given, 0.5 * (ends[1] - ends[0]))
     flown = np.sqrt(np.diag(center.covariance) + by_curve[:2] ** 2)
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)) + by_given[:2] ** 2)
     assumed = np.hypot(assumed, center.level_std)

@@ -148,6 +148,16 @@ class Windows:
         of_all = ("half", "lag", "high", "low")
         return replace(self, **{n: v[rows] for n, v in vars(self).items() if n not in of_all})
 
+    def starting_at(self, share: float) -> "Windows":
+        """Were commands without thrust up to this share of their range, and full as before."""
+        left = 1.0 - share
+        return replace(
+            self,
+            commands=(self.commands - share) / left,
+            squares=(self.squares - 2.0 * share * self.commands + share**2) / left**2,
+            jitter=self.jitter / left,
+        )
+
 
 def windows_of(streams: Streams, rotors: int, flight: tuple[Array, Mask] | None = None) -> Windows:
     """Average all streams over windows in flight.

@@ -41,6 +41,8 @@ class HoverTuning:
         rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
             them (3 %: what a set of one make shows, a CineRat's and `--physics scatter`).
         curve_std: standard deviation of the thrust curve c where nothing else is known.
+        range_std: standard deviation of the command without thrust over an assumed range: pulses
+            begin to turn motors at 1000 to 1200 us.
         least_throttle_motion: standard deviation of the mean command, from which the curve is
             estimated.
         lift_std: relative, of gravity's balance: attitude, own acceleration.
@@ -159,6 +161,7 @@ class HoverTuning:
     fewest_windows: int = 6
     rotor_scatter: float = 0.03
     curve_std: float = 0.35
+    range_std: float = 0.1
     least_throttle_motion: float = 0.003
     lift_std: float = 0.001
     climb_drag: float = 1.0

@@ -151,10 +151,8 @@ def streams_of(
         if stream is Stream.ROTOR_COMMAND:
             seen = seen_of([v for _, v in samples])
             range_ = command_range(name, airframe.command, autopilot, parameters, seen)
-            if isinstance(range_, str) or range_.assumed:  # all that commands show follows from it
-                refused[name] = (
-                    range_ if isinstance(range_, str) else _ASSUMED.format(range_.origin)
-                )
+            if isinstance(range_, str):
+                refused[name] = range_
                 continue
             raw = samples
             samples = tuple((t, normalized(v, range_).clip(0.0, None)) for t, v in samples)
@@ -167,12 +165,12 @@ def streams_of(
         for stream, some in found.items()
         if (sound := [one for one in some if one.source not in unordered])
     }
-    best = {
-        stream: max(
-            sources, key=lambda one: (min(one.rate, TUNING.enough_rate), -preference(one.source))
-        )
-        for stream, sources in found.items()
-    }
+
+    def rank(one: RotorStream) -> tuple[bool, float, int]:
+        known = one.range is None or not one.range.assumed
+        return known, min(one.rate, TUNING.enough_rate), -preference(one.source)
+
+    best = {stream: max(sources, key=rank) for stream, sources in found.items()}
     speeds, commands = best.get(Stream.ROTOR_SPEED), best.get(Stream.ROTOR_COMMAND)
     if speeds is not None and commands is not None:
         odd = odd_reading(_turning(speeds), _turning(commands), airframe.geometry[2])
@@ -183,6 +181,10 @@ def streams_of(
     if speeds is not None:  # what is no rotor's in another order is not misread
         own = in_any_order(speeds.source)
         misread = {name: why for name, why in misread.items() if in_any_order(name) != own}
+    span = None if commands is None else commands.range
+    if speeds is not None and commands is not None and span is not None and span.assumed:
+        # Beside speeds they would only add what is not known.
+        refused[commands.source], commands = _ASSUMED.format(span.origin), None
     doubt = order.doubt(commands.source) if commands is not None and speeds is None else ""
     doubts = (f"{commands.source} {doubt}",) if commands is not None and doubt else ()
     return Streams(start, plain, speeds, commands, refused | misread, misread, doubts)

@@ -90,6 +90,8 @@ class ChosenSource:
     range: tuple[float, float] | None = None
     """Outputs without thrust and at full thrust, of commands."""
     range_from: str = ""
+    assumed: str = ""
+    """What is assumed of its unit, in words."""
 
 
 @dataclass(frozen=True)

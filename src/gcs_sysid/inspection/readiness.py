@@ -139,7 +139,8 @@ def obtainable(found: Inspection) -> Obtainable:
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
         misread = any(objection.by == "sensors" for objection in found.objections)
-        if 0.0 < found.in_air < LIMITS.short or _is_rough(found) or misread:
+        assumed = found.rotor_input.assumed
+        if 0.0 < found.in_air < LIMITS.short or _is_rough(found) or misread or assumed:
             return "in part"
         if not little:
             return "everything"

@@ -134,7 +134,8 @@ class ChainWatch:
         reasons = [f"{name} {why}" for name, why in refused.items()]
         if believed is None:
             return ChosenSource(None, tuple(reasons), rotor_selector.judged)
-        if believed.kind.motors or believed.scale != 1.0:
+        assumed = rotor_selector.assumed(believed, seen=True)  # no IMU is looked at for lines
+        if believed.kind.motors or believed.scale != 1.0 or assumed:
             reasons.append(f"rotors from {believed.name}, {believed.why}")
         span = believed.range
         return ChosenSource(
@@ -143,6 +144,7 @@ class ChainWatch:
             rotor_selector.judged,
             None if span is None else (span.low, span.high),
             "" if span is None else span.origin,
+            assumed,
         )
 
     def _note(self, blocks: Iterable[SampleBlock]) -> None:

@@ -106,10 +106,15 @@ def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
     names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
     for found in of_turning(evidence.turning):
         yield replace(found, parameters=names, cap="weak", verdict="partial")
+
+
+def unseen_speeds(evidence: Evidence) -> Iterator[Objection]:
+    """Speeds that nothing checks: a note, as rpm is what they are defined in."""
+    names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
     unseen = unseen_scale(evidence.rotor_input, evidence.turning, evidence.parameters)
     claimed = evidence.received is not None and names & _known(evidence).keys()
     if unseen and claimed and not evidence.assumed:
-        yield Objection(unseen, names, verdict="identified", how=_COUNT, by="poles")
+        yield Objection(unseen, names, verdict="identified", how=_COUNT)
 
 
 _COUNT = "compare the magnets of a motor with the pole count of its ESC or autopilot"
