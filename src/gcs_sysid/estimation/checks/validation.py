@@ -122,7 +122,7 @@ def predict_held_out(
     basis: ActuatorDynamics,
     choice: DeviationChoice | None,
     prior: Prior | None,
-    leak: int | None = None,
+    whole: RotationFit,
 ) -> Validation | None:
     """Fit parts of a flight, predict the rest; whiteness of innovations.
 
@@ -134,7 +134,7 @@ def predict_held_out(
         basis: of the elements.
         choice: of deviations from the model.
         prior: what else is known.
-        leak: as of `fit_whitened`.
+        whole: the fit to all of it, near which those to parts are searched.
     """
     ends = np.cumsum(data.counts) * data.time
     if not len(ends) or ends[-1] < SHORTEST_VALIDATED:
@@ -148,7 +148,7 @@ def predict_held_out(
         stretch = (ends[-1] * passed - 1e-9) // _HELD_OUT % 5
         masks = [np.isin(stretch, held_out) for held_out in folds]
         found = found or [
-            fold for mask in masks if (fold := _predicted(data, basis, choice, mask, prior, leak))
+            fold for mask in masks if (fold := _predicted(data, basis, choice, mask, prior, whole))
         ]
     if not found:
         return None
@@ -189,12 +189,12 @@ def _predicted(
     choice: DeviationChoice | None,
     held_out: Mask,
     prior: Prior | None,
-    leak: int | None,
+    whole: RotationFit,
 ) -> _Fold | None:
     """A part of the flight, predicted by a fit to the others."""
     if held_out.all():
         return None
-    found = fit_whitened(data, basis, None, prior, choice=choice, only=~held_out, leak=leak)
+    found = fit_whitened(data, basis, whole, prior, choice=choice, only=~held_out)
     if found is None:
         return None
     fit = found.rotation

@@ -21,6 +21,7 @@ from gcs_sysid.estimation.fit.disturbance import RULES
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import (
+    NOISE_SHARE,
     Evaluation,
     Problem,
     axis_power,
@@ -192,7 +193,6 @@ def fit_whitened(
     *,
     scatter: bool = True,
     others: bool = True,
-    leak: int | None = None,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -208,7 +208,6 @@ def fit_whitened(
         scatter: whether standard deviations count how far batches scatter; else, at three quarters
             of the cost, they are the bound.
         others: whether deviations are chosen beside those given.
-        leak: of the window's rows, the one that is right for the flight; None: each is tried.
 
     Returns:
         The fit, or None while the data cannot even start one.
@@ -219,18 +218,14 @@ def fit_whitened(
     bank = BankProblem(data, basis, prior, wanted, deviations)
     if bank.is_short:
         return None
-    settled = [
-        _settled(*one, wanted, choice if others else None) for one in _solved(bank, start, leak)
-    ]
+    settled = [_settled(*one, wanted, choice if others else None) for one in _solved(bank, start)]
     if not settled:
         return None
     finishing = _Finishing(data, wanted, choice, doubt, hover, only is None, scatter)
     return most_certain([finishing.finished(*one) for one in settled])
 
 
-def _solved(
-    bank: BankProblem, start: RotationFit | None, leak: int | None
-) -> list[tuple[BankProblem, AxisFit]]:
+def _solved(bank: BankProblem, start: RotationFit | None) -> list[tuple[BankProblem, AxisFit]]:
     """Where the search ends: each axis with its whitener, or all with one leak after the other.
 
     Rows of the window share samples: what a leak leaves of them is not which is best.
@@ -249,8 +244,7 @@ def _solved(
         return []
     if data.of_steps:
         return [(bank, bank.solve_from(trial))]
-    leaks = range(len(data.whiteners)) if leak is None else (leak,)
-    under = [(bank.under(i), trial.unknowns[[i]]) for i in leaks]
+    under = [(bank.under(i), trial.unknowns[[i]]) for i in range(len(data.whiteners))]
     return [(one, one.solve(_ONE, starts)) for one, starts in under]
 
 
@@ -350,7 +344,7 @@ class _Finishing:
     def _with_scatter(self, bank: BankProblem, solved: AxisFit, outcome: Outcome) -> RotationFit:
         """The fit with standard deviations from the scatter of its batches, and what that hides."""
         data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
-        noise, batches = bank.noise(solved.pick), data.of_axes(solved.pick)
+        noise, batches = NOISE_SHARE * bank.noise(solved.pick), data.of_axes(solved.pick)
         scores, inverse_root = bank.scores(outcome, batches), outcome.roots[1][0]
         spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
         disturbed = solved.trial.detected.max() > RULES.detected

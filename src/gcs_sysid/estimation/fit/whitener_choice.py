@@ -107,18 +107,14 @@ class BankProblem:
 
     def axes(self, pick: tuple[int, ...], deviations: Deviations | None = None) -> Problem:
         """The problem with one whitener for each axis; with these deviations, or others."""
-        places = self._places(pick)
-        moments, noise = self.total[places][None], self.data.noise[places][None]
+        moments, noise = self.total[self._places(pick)][None], self.noise(pick)[None]
         if deviations is None:
             deviations = self.deviations
         return Problem(moments, self.rows, self.basis, self.prior, noise, deviations)
 
     def noise(self, pick: tuple[int, ...]) -> Array:
-        """(3, width, width) of what is known of it, as far as it is no information; (1, ...) where
-        there is but one whitener.
-        """
-        out: Array = NOISE_SHARE * self.data.noise[self._places(pick)]
-        return out
+        """(3, width, width) known in one row; (1, ...) where there is but one whitener."""
+        return self.data.noise[self._places(pick)]
 
     def _places(self, pick: tuple[int, ...]) -> list[int]:
         return list(pick if len(self.data.whiteners) > 1 else pick[:1])

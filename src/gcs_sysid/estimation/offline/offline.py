@@ -101,7 +101,7 @@ def fit_offline(
     if not found:
         return f"the {what} found no estimate"
     best, place = min(found, key=lambda pair: pair[0].cost)
-    validation = best.whitened.validate(estimator.prior, choice)
+    validation = best.validate(estimator.prior, choice)
     if _is_worse(validation, online.validation):
         return f"the {what} predicts held-out parts of the flight worse"
     rotation = best.fit.rotation

@@ -58,10 +58,6 @@ class Whitened:
     runs: Sequence[Array]
     time: float
 
-    def validate(self, prior: Prior | None, choice: DeviationChoice) -> Validation | None:
-        """How well fits to four fifths of the flight predict the last, see `WhitenedEstimator`."""
-        return predict_held_out(self.data, self.basis, choice, prior)
-
     @cached_property
     def total(self) -> Array:
         """(bank, width, width) of all rows, shocks included."""
@@ -104,6 +100,11 @@ class PredictionErrorFit:
 
     fit: WhitenedFit
     whitened: Whitened
+
+    def validate(self, prior: Prior | None, choice: DeviationChoice) -> Validation | None:
+        """How well fits to four fifths of the flight predict the last, see `WhitenedEstimator`."""
+        made = self.whitened
+        return predict_held_out(made.data, made.basis, choice, prior, self.fit.rotation)
 
     @property
     def cost(self) -> float:

@@ -140,10 +140,7 @@ class WhitenedEstimator:
 
     def validate(self, prior: Prior | None, fit: RotationFit) -> Validation | None:
         """Fit a part, predict the rest; whiteness of innovations."""
-        data = self._data
-        # By the leak that is right for the flight: each of several costs a fit.
-        leak = None if data.of_steps else self._white.places(fit.whiteners)[0]
-        return predict_held_out(data, self.basis, self._choice, prior, leak)
+        return predict_held_out(self._data, self.basis, self._choice, prior, fit)
 
     def other_layout(self) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
