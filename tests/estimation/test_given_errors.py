@@ -71,31 +71,27 @@ def test_all_lengths_go_with_the_arm():
 
 def test_shares_of_what_was_given():
     told = QUAD.with_uncertainty({"rotor_position": 0, "arm": "3%", "mass": "4%"}, "here")
-    fit = fit_of(told)
+    fit, k_T = fit_of(told), 1.5 * MOTION.kappa
     anchor = ScaleReference("mass", 1.5, given=told.uncertainty.scale_share("mass", 1.5))
 
     def shares(anchor, thrust, **priors):
-        """Of each value, where k_T is `thrust`."""
         values = dict.fromkeys(("mass", "k_T", "linear_drag"), 2.0)
         for name in ("Ixx", "k_M", "moment_ratio", "cg_x"):
-            p = PARAMETERS[name]
-            unit = thrust if p.scale == "thrust" else 1.0
-            values[name] = unit * fit.rotation.theta[rb.THETA.index(p.theta)]
+            value = fit.rotation.theta[rb.THETA.index(PARAMETERS[name].theta)]
+            values[name] = value * (thrust if PARAMETERS[name].scale == "thrust" else 1.0)
         entries = {name: Estimate(value, 0.01) for name, value in values.items()}
         stds = given_stds(entries, fit, Given(told, anchor, RotorInput.SPEED, priors))
         return {name: std / abs(values[name]) for name, std in stds.items()}
 
-    expected = {"mass": 4, "k_T": 4, "Ixx": 5, "k_M": 5, "moment_ratio": 3, "cg_x": 3}
-    assert shares(anchor, 1.5 * MOTION.kappa) == pytest.approx(
-        {name: 0.01 * percent for name, percent in (expected | {"linear_drag": 4}).items()}
-    )
+    expected = dict.fromkeys(("mass", "k_T", "linear_drag"), 0.04)
+    expected |= {"Ixx": 0.05, "k_M": 0.05, "moment_ratio": 0.03, "cg_x": 0.03}
+    assert shares(anchor, k_T) == pytest.approx(expected)
     # Known k_T instead: the mass goes with it.
     found = shares(ScaleReference("k_T", 2e-4, given=0.02), 2e-4)
     assert found["mass"] == pytest.approx(0.02)
     assert found["Ixx"] == pytest.approx(math.hypot(0.02, 0.03))
     # A prior that tells k_T far better than the mass does leaves little of the mass' error.
-    known = MOTION.kappa * 1.5, MOTION.kappa * 1.5 * 0.004
-    found = shares(anchor, 1.5 * MOTION.kappa, k_T=known)
+    found = shares(anchor, k_T, k_T=(k_T, 0.004 * k_T))
     assert found["k_T"] == pytest.approx(0.04 * 0.004**2 / (0.004**2 + 0.04**2), rel=1e-3)
 
 
