@@ -82,11 +82,10 @@ def airframe():
     return load_airframe("px4-quad-x").with_arm(0.3).with_anchor("mass", 2.0)
 
 
-def told(blocks, airframe, **given):
-    streams = streams_of(blocks, airframe, "px4", {})
-    return health_of(
-        streams, GuessedAirframe(airframe, "given"), HealthOptions(airframe, **given), {}
-    )
+def told(blocks, airframe, parameters=(), **given):
+    streams = streams_of(blocks, airframe, "px4", dict(parameters))
+    options = HealthOptions(airframe, **given)
+    return health_of(streams, GuessedAirframe(airframe, "given"), options, dict(parameters))
 
 
 @pytest.mark.parametrize(
@@ -151,13 +150,9 @@ def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
 @pytest.mark.parametrize("commands", ["alone", "beside"])
 def test_of_commands_whose_range_is_assumed_the_balance_is_shown(airframe, commands):
     """Pulses of 1100 to 1900 us are taken for 1000 to 2000, which the CG's interval holds."""
-    records, seen = flight(commands=commands, loads=(1.2, 0.8, 1.2, 0.8), climb=False), []
+    records = flight(commands=commands, loads=(1.2, 0.8, 1.2, 0.8), climb=False)
     known, pulses = {"PWM_MAIN_FUNC1": 101.0}, {"PWM_MAIN_MIN1": 1100.0, "PWM_MAIN_MAX1": 1900.0}
-    for parameters in (known | pulses, known):
-        streams = streams_of(records, airframe, "px4", parameters)
-        guess = GuessedAirframe(airframe, "given")
-        seen.append(health_of(streams, guess, HealthOptions(airframe), parameters))
-    right, health = seen
+    right, health = (told(records, airframe, each) for each in (known | pulses, known))
     assert health.hover_throttle is health.thrust_to_weight is None
     assert health.through_motors is (commands == "alone")
     assert any("1000 to 2000" in text for text in health.assumptions) is health.through_motors
