@@ -444,6 +444,7 @@ def test_a_range_that_the_parameters_leave_open_is_assumed():
         found = command_range("RCOU", CommandRange(), key, known, (1600.0, 1600.0))
         assert found.assumed
         assert "assumed" in found.origin
+    assert command_range("RCOU", CommandRange(), "px4", {}, (1100.0, 1600.0)).conventional
     simulated = px4 | {"SIM_BAT": 1}
     assert not command_range("RCOU", CommandRange(), "px4", simulated, (1000.0, 1600.0)).assumed
     # DShot, of which nothing is in the log, or the range of pulses alone.

@@ -31,7 +31,7 @@ from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits, of_turning, too_fast, unseen_scale
+from gcs_sysid.judgement.plausibility import misfits, of_turning, too_fast
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
@@ -41,7 +41,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import assumed_unit
+from gcs_sysid.signals.rotor_units import assumed_unit, unchecked_unit
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _AS_FLOWN = (
@@ -306,7 +306,8 @@ def health_of(
     unfit = tuple(_misfits(health, guess))
     seen = health.turning is not None
     assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
-    if said := assumed or unseen_scale(rotor_input, health.turning, parameters):
+    unchecked = unchecked_unit(source.source, source.range, parameters, seen=seen)
+    if said := assumed or unchecked:
         health = replace(health, assumptions=(*health.assumptions, said))
     otherwise = tuple(of_turning(health.turning))
     # What is in proportion to it is no number.

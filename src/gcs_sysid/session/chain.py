@@ -706,6 +706,7 @@ class Findings:
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
             assumed=self._assumed,
+            unchecked=self._unchecked,
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale != 1.0,
@@ -715,9 +716,15 @@ class Findings:
 
     @property
     def _assumed(self) -> str:
-        chain = self.chain
+        chain, source = self.chain, self.chain.rotors
         seen = chain.rotor_lines.factor is not None
-        return "" if chain.rotors is None else chain.rotor_selector.assumed(chain.rotors, seen=seen)
+        return "" if source is None else chain.rotor_selector.assumed(source, seen=seen)
+
+    @property
+    def _unchecked(self) -> str:
+        chain, source = self.chain, self.chain.rotors
+        seen = chain.rotor_lines.factor is not None
+        return "" if source is None else chain.rotor_selector.unchecked(source, seen=seen)
 
     @property
     def _scale(self) -> AbsoluteScale:

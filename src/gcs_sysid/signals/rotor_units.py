@@ -58,7 +58,9 @@ class Range:
     origin: str
     """Where it comes from, in words."""
     assumed: bool = False
-    """Whether the log lacks what would define it."""
+    """Whether the log's parameters lack what would define it."""
+    conventional: bool = False
+    """Whether the log has no parameters, so that convention alone defines it."""
 
 
 def command_range(
@@ -98,7 +100,7 @@ def command_range(
         simulated = is_simulated(parameters) or parameters.get("SYS_HITL", 0.0) > 0.0
         if autopilot == "px4" and simulated:  # which have no parameters of a range
             return replace(_CONVENTION, origin="pulses of PX4's simulators", assumed=False)
-        return replace(_CONVENTION, assumed=bool(parameters))
+        return _unless_known(_CONVENTION, parameters)
     return (
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
@@ -155,7 +157,15 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         spin, assumed = "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed", True
     low, span = pulses.low, pulses.high - pulses.low
     origin = f"{pulses.origin} and {spin}"
-    return Range(low + start * span, low + full * span, origin, assumed and bool(parameters))
+    found = Range(low + start * span, low + full * span, origin, assumed)
+    return _unless_known(found, parameters)
+
+
+def _unless_known(found: Range, parameters: Parameters) -> Range:
+    """An assumed range as one by convention, where there are no parameters that would give it."""
+    if parameters or not found.assumed:
+        return found
+    return replace(found, assumed=False, conventional=True)
 
 
 def _pulses_of_ardupilot(parameters: Parameters) -> Range:
@@ -236,6 +246,29 @@ def assumed_unit(
     if poles == MOTOR_POLES:  # it says so whether or not anyone has counted
         return f"eRPM by Betaflight's default of motor_poles: {MOTOR_POLES:g} poles assumed"
     return ""
+
+
+def unchecked_unit(source: str, range_: Range | None, parameters: Parameters, *, seen: bool) -> str:
+    """How a unit is taken that the log neither gives nor contradicts, in words; else empty.
+
+    Args:
+        source: as of `assumed_unit`.
+        range_: likewise.
+        parameters: likewise.
+        seen: likewise.
+    """
+    if assumed_unit(source, range_, parameters, seen=seen) or is_simulated(parameters):
+        return ""
+    if range_ is not None:
+        return f"{source}: {range_.origin}" if range_.conventional else ""
+    return (
+        ""
+        if seen
+        else (
+            "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
+            "is in proportion to its inverse square"
+        )
+    )
 
 
 def _of_px4(parameters: Parameters) -> Range | None:
