@@ -162,7 +162,7 @@ def test_without_an_airframe_the_vehicles_type_tells_how_many_rotors(fly):
     assert len(found.rotor_input.chosen.rotors) == 6
     eight = inspect_log(path, airframe=assumed_airframe(8))
     assert eight.rotor_input.chosen is None
-    assert any("of 8 rotors" in reason for reason in eight.rotor_input.reasons)
+    assert any("lacks rotor 7 of 8" in reason for reason in eight.rotor_input.reasons)
 
 
 def flown(*speeds, vehicle_type):

@@ -61,7 +61,7 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, paper_result)
     undisturbed = paper_result
     assert undisturbed.verdict == "identified"
     assert fast.verdict == "partial"
-    (reason,) = fast.reasons
+    reason, _ = fast.reasons  # and that nothing checks the speeds
     assert "0.80 % fast" in reason
     assert fast.telemetry["clock_doubt"] == pytest.approx(0.008, rel=1e-3)
     for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "k_M"):

@@ -257,17 +257,14 @@ def unchecked_unit(source: str, range_: Range | None, parameters: Parameters, *,
         parameters: likewise.
         seen: likewise.
     """
-    if assumed_unit(source, range_, parameters, seen=seen) or is_simulated(parameters):
-        return ""
     if range_ is not None:
         return f"{source}: {range_.origin}" if range_.conventional else ""
+    assumed = assumed_unit(source, range_, parameters, seen=seen)
+    if seen or assumed or is_simulated(parameters):
+        return ""
     return (
-        ""
-        if seen
-        else (
-            "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
-            "is in proportion to its inverse square"
-        )
+        "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
+        "is in proportion to its inverse square"
     )
 
 

@@ -218,14 +218,17 @@ def fit_whitened(
     bank = BankProblem(data, basis, prior, wanted, deviations)
     if bank.is_short:
         return None
-    settled = [_settled(*one, wanted, choice if others else None) for one in _solved(bank, start)]
+    solved, chosen = _solved(bank, start, wanted), choice if others else None
+    settled = [_settled(*one, wanted, chosen) for one in solved]
     if not settled:
         return None
     finishing = _Finishing(data, wanted, choice, doubt, hover, only is None, scatter)
     return most_certain([finishing.finished(*one) for one in settled])
 
 
-def _solved(bank: BankProblem, start: RotationFit | None) -> list[tuple[BankProblem, AxisFit]]:
+def _solved(
+    bank: BankProblem, start: RotationFit | None, wanted: Mask
+) -> list[tuple[BankProblem, AxisFit]]:
     """Where the search ends: each axis with its whitener, or all with one leak after the other.
 
     Rows of the window share samples: what a leak leaves of them is not which is best.
@@ -238,6 +241,11 @@ def _solved(bank: BankProblem, start: RotationFit | None) -> list[tuple[BankProb
         if len(pick) == len(_ONE):
             if not data.of_steps:
                 bank, pick = bank.under(pick[0]), _ONE
+            # A crash among the batches would lead the search away from what it starts from.
+            TP = innovation_maker(start.Q, bank.basis, start.coordinates)
+            variance = np.diag(start.residual_covariance)
+            shocks = find_shocks(TP, variance, bank.data.of_axes(pick), data.counts)
+            bank = replace(bank, kept=wanted & ~shocks)
             return [(bank, bank.solve(pick, unknowns[None]))]
     trial = bank.scanned() if unknowns is None else bank.tried(unknowns)
     if trial is None:
@@ -263,7 +271,7 @@ def _settled(
     bank: BankProblem, solved: AxisFit, wanted: Mask, choice: DeviationChoice | None
 ) -> tuple[BankProblem, AxisFit]:
     """The fit from where the search ended: without shocks, with deviations."""
-    data, kept = bank.data, wanted
+    data, kept = bank.data, wanted if bank.kept is None else bank.kept
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         TP, variance = _innovation_maker(solved), solved.point.variance[0]

@@ -168,8 +168,12 @@ class BankProblem:
             self.basis.moments_at(m, at)[:, None] for m in (self.total, self.data.noise)
         )
         problem = Problem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
-        point, _ = minimize(problem, problem.extended(unknowns), limit)
+        point, converged = minimize(problem, problem.extended(unknowns), limit)
         known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
+        if fitted is not None:
+            # Where a whitener leaves hardly more than noise an estimate may run away, downhill.
+            least = np.where(converged[:, None], -np.inf, problem.evaluate(known[None]).power)
+            point = replace(point, power=np.maximum(point.power, least))
         alike = self._alike(point, noise, known)
         # An axis' noise is its own.
         for axis, own in enumerate(self.data.likeliest):
