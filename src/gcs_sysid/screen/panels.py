@@ -524,7 +524,7 @@ class ParameterRows(Lines):
 
 
 class ParameterTable(Shown):
-    """All parameters of the result, and below them why a verdict is not better."""
+    """All parameters of the result, and below them why a verdict is not better, and notes."""
 
     BORDER_TITLE = "Parameters"
 
@@ -551,9 +551,11 @@ class ParameterTable(Shown):
             self._columns = columns
             self._head.put([_line((NAME_HEAD, ""), [(c.head, "") for c in columns])])
         self._rows.write(view, columns)
-        reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
+        result = None if view.snapshot is None else view.snapshot.result
+        reasons = "" if result is None else fmt.one_line(result.reasons)
         self._why.display = bool(reasons)
-        self._why.put([[("why  ", "bold"), (reasons, "")]], width - 2)
+        label = "note " if result is not None and result.verdict == "identified" else "why  "
+        self._why.put([[(label, "bold"), (reasons, "")]], width - 2)
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""
