@@ -123,7 +123,7 @@ class AnswerLine(Static):
         self.update(Content.assemble((stamp, fmt.MUTED), text), layout=False)
 
 
-_TITLE = len("✗ unobservable")
+_TITLE = len("✗ unobservable ")
 
 
 def verdict_lines(snapshot: Snapshot, width: int, *, large: bool) -> list[Line]:
