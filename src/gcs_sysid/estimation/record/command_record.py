@@ -403,7 +403,9 @@ class CommandRecord:
             self._compare_with_window()
         found = self._found(starts, hover)
         if found is not None:
-            self._now, self.doubt = found
+            self._now = found[0]
+            if sought or last:  # else what the window differs by is of an earlier look
+                self.doubt = found[1]
             rotation = self._now.fit.rotation
             if not self._now.is_believed:
                 self._now = None
