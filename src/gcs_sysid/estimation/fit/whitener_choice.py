@@ -169,10 +169,14 @@ class BankProblem:
         )
         problem = Problem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
         point, converged = minimize(problem, problem.extended(unknowns), limit)
-        known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
-        if fitted is not None:
+        if fitted is None:
+            known = np.median(point.unknowns, axis=0)
+        else:
+            known = problem.extended(fitted)
             # Where a whitener leaves hardly more than noise an estimate may run away, downhill.
-            least = np.where(converged[:, None], -np.inf, problem.evaluate(known[None]).power)
+            Q = self.deviations.forward(known, known[N_UNKNOWNS:])
+            there = axis_power(residual_maker(Q), problem.exact)
+            least = np.where(converged[:, None], -np.inf, there)
             point = replace(point, power=np.maximum(point.power, least))
         alike = self._alike(point, noise, known)
         # An axis' noise is its own.
