@@ -96,15 +96,14 @@ def _found(
 
 
 def _facts(log: str, health: Health, document: dict[str, Any], width: int) -> Iterator[str]:
+    name = split_mapping(Path(log))[0].name
     if not health.available or health.rotor_input is None:
-        yield split_mapping(Path(log))[0].name
+        yield name
         for reason in health.reasons[1:]:  # the first one is the answer
             yield from wrapped(reason, "- ", width)
         return
     rotors = f"rotors by {health.rotor_input.words} ({health.rotor_source})"
-    yield from wrapped(
-        f"{split_mapping(Path(log))[0].name}: {health.seconds:.0f} s of hover, {rotors}", "", width
-    )
+    yield from wrapped(f"{name}: {health.seconds:.0f} s of hover, {rotors}", "", width)
     for name, text in short_facts(document):
         yield from _entry(name, text, width)
     if health.condition is not None:
