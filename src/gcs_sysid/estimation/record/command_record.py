@@ -62,6 +62,7 @@ class TunedRows:
         fit: to these, when they were made.
         away: (N_UNKNOWNS,) remaining error where the motors moved away.
         samples: that they were made of at once; 0: some were forgotten since.
+        places: of the lag that are still compared, this one among them.
     """
 
     basis: LocalDynamics
@@ -70,6 +71,7 @@ class TunedRows:
     fit: WhitenedFit
     away: Array
     samples: int
+    places: tuple[LagOf, ...] = LAGS_OF
 
     @property
     def trusted(self) -> bool:
@@ -285,7 +287,7 @@ class CommandRecord:
         at, of = before._start_from(made)
         basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
         rows = self._made(basis, made.maker.hover)
-        self._now = TunedRows(basis, *rows, made.fit, made.away, 0)
+        self._now = TunedRows(basis, *rows, made.fit, made.away, 0, made.places)
         self.doubt = before.doubt.copy()
         self._first = max(min(before._samples * self._dt, LAST), before._first)
         self._next = self._check = self._first
@@ -469,14 +471,15 @@ class CommandRecord:
         )
         if first is None:
             return None
-        found, start = [first], first.fit.rotation.coordinates
-        for other in LAGS_OF:
+        tried, start = [first], first.fit.rotation.coordinates
+        places = LAGS_OF if self._now is None else self._now.places
+        for other in places:
             if other != first.basis.lag_place.of:
                 tuned = self._converged(start, other, hover, first, rival=True)
                 if tuned is not None:
-                    found.append(tuned)
+                    tried.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
-        found = [tuned for tuned in found if tuned.trusted] or found[:1]
+        found = [tuned for tuned in tried if tuned.trusted] or tried[:1]
         cost = np.array([tuned.cost for tuned in found])
         best = int(np.argmin(cost))
         # By all whiteners it may be another one that is likeliest.
@@ -506,7 +509,11 @@ class CommandRecord:
         # Delay and lag trade against each other within a sample: on three flights of PX4's
         # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
         doubt[np.ix_(_TIMING, _TIMING)] += self._dt**2
-        return found[best], doubt
+        if self._samples * self._dt >= _SURE:
+            # More of the flight makes places that are ruled out less likely still.
+            no_rivals = {t.basis.lag_place.of for t in tried if t.cost > found[best].cost + RIVAL}
+            places = tuple(of for of in places if of not in no_rivals)
+        return replace(found[best], places=places), doubt
 
     def _converged(
         self,
