@@ -239,7 +239,7 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     options = argparse.Namespace(
         airframe=None, arm=None, mass=1.5, k_t=None, t_max=None, prior=[], vehicle=None
     )
-    found = airframe_choice.of_log(flight, options)
+    found, _ = airframe_choice.of_log(flight, options)
     assert differences(found, px4(load_airframe("px4-hexa-x").rotors)) == ()
     assert found.anchor() == ("mass", 1.5)
     assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err

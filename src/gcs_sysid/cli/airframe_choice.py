@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # only a log or a link needs these, which take a while to loa
     from gcs_sysid.live.receiver_process import ReceiverProcess
     from gcs_sysid.live.reception import Item
     from gcs_sysid.session.reported_layout import ReportedLayout
+    from gcs_sysid.telemetry.logs import Log
 
 _NO_SCALE = (
     "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
@@ -101,8 +102,10 @@ def check_scale_given(options: argparse.Namespace) -> None:
         raise InputError(f"{_NO_SCALE}; without --airframe the layout comes from the vehicle{also}")
 
 
-def of_log(path: Path, options: argparse.Namespace, *, relative: bool = False) -> Airframe:
-    """The airframe for a log, named or by the parameters in it.
+def of_log(
+    path: Path, options: argparse.Namespace, *, relative: bool = False
+) -> tuple[Airframe, "Log | None"]:
+    """The airframe for a log, named or by the parameters in it; the log, if that took reading it.
 
     Args:
         path: of the log.
@@ -113,7 +116,7 @@ def of_log(path: Path, options: argparse.Namespace, *, relative: bool = False) -
         InputError: the log cannot be read; or the line names every option that is missing.
     """
     if not is_auto(options):
-        return airframe_of(options, relative=relative)
+        return airframe_of(options, relative=relative), None
     from gcs_sysid.health.assessment import ReadLog
     from gcs_sysid.session.reported_layout import suggested_airframe
     from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR
@@ -127,7 +130,7 @@ def of_log(path: Path, options: argparse.Namespace, *, relative: bool = False) -
     if lacking and not (relative and layout is not None):
         what, give = _listed([one.what for one in lacking]), _listed([one.words for one in lacking])
         raise InputError(f"{path}: the log does not contain the vehicle's {what}: give {give}")
-    return _by_layout(layout, options, str(path), relative=relative)
+    return _by_layout(layout, options, str(path), relative=relative), read.again()
 
 
 class _Lacking(NamedTuple):

@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     if options.end <= options.start:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
     relative = options.added_mass is None
-    airframe = airframe_choice.of_log(Path(options.logs[0]), options, relative=relative)
+    airframe, opened = airframe_choice.of_log(Path(options.logs[0]), options, relative=relative)
     truth = output.read_truth(options.truth) if options.truth else None
     reporter = None
     if options.report is not None:
@@ -65,6 +65,7 @@ def run(options: argparse.Namespace) -> int:
                     chain,
                     output.progress_bar(log),
                     observers,
+                    opened=opened,
                 )
                 results.append(found.result)
                 documents.append(found.as_json())
@@ -73,6 +74,7 @@ def run(options: argparse.Namespace) -> int:
                 if reporter is not None:
                     bar = output.progress_bar(f"{log}, telemetry")
                     deliveries.give(functools.partial(reporter.write, found, bar))
+            opened = None  # of the first
     deliveries.give_json(documents, options.logs, options.json, force=options.force)
     deliveries.check()
     if one_by_one.failed:

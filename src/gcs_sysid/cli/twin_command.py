@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
 def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
     """What is given of the vehicle; None: taken from the result."""
     if options.airframe is not None:
-        return airframe_choice.of_log(log, options)
+        return airframe_choice.of_log(log, options)[0]
     if options.prior or options.arm is not None or airframe_choice.given_scale(options):
         raise InputError("--arm, --mass, --k-t, --t-max and --prior need --airframe")
     return None
