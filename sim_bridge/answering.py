@@ -65,9 +65,7 @@ class AnsweringAutopilot(ABC):
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
         self._fault_ticks = {self._reboot_tick, self._jump_tick, self._reset_tick}
         self._silent_until = 0
-        # After the first heartbeats and samples: what comes before them belongs to no vehicle.
-        parameters_tick = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
-        self._parameters_tick = parameters_tick
+        self._parameters_tick = -1
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         if writer.signer is not None:
@@ -84,6 +82,11 @@ class AnsweringAutopilot(ABC):
             "MISSION_REQUEST_LIST": self._mission_list,
         }
         self._logs: LogServer | None = None
+
+    def show_parameters(self) -> None:
+        """Send all parameters once, early, as a ground station that records has asked for them."""
+        # After the first heartbeats and samples: what comes before them belongs to no vehicle.
+        self._parameters_tick = round(0.5 / self._sim.step_size)
 
     def serve(self, logs: LogServer) -> None:
         """Have logs on board."""

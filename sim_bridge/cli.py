@@ -326,6 +326,7 @@ def run(args: argparse.Namespace) -> None:
     links: list[Link] = []
     try:
         if args.tlog is not None:
+            autopilot.show_parameters()
             links.append(TlogLink(args.tlog, args.force, recorded=faults.any))
         if args.connect is not None or args.tlog is None:
             links.append(open_link(args.connect or DEFAULT_CONNECT, args.baud))

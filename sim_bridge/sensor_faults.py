@@ -63,7 +63,6 @@ class SensorFaults:
     rate_reset: float = 0.0
     never_sent: tuple[int, ...] = ()
     groups_only: bool = False
-    parameters: bool = False
     active_count: int = 0
     ground: float = 0.0
     flights: int = 1
@@ -174,7 +173,6 @@ KINDS: dict[str, Kind] = {
     "groups-only": Kind(
         "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
     ),
-    "parameters": Kind("all parameters are sent first, as if another ground station had asked"),
     "active-count": Kind("ACTUATOR_OUTPUT_STATUS counts unused outputs too", whole(32), "N", "16"),
     "ground": Kind("on the ground, disarmed, before and after each flight", moment, "S", "10"),
     "flights": Kind("flights in sequence, with ground time in between", whole(100), "N", "2"),

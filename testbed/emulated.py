@@ -151,6 +151,7 @@ def fly_into(
 ) -> None:
     """Fly a simulation from its start into a .tlog, for so many seconds or the whole mission."""
     length = simulation.mission.duration if seconds is None else seconds
+    autopilot.show_parameters()
     link = TlogLink(log, replace=True)
     try:
         for tick in range(round(length / simulation.step_size) + 1):

@@ -79,6 +79,7 @@ def emulate(
     autopilot = Px4(simulation, noise, 0.02, rate, sensors, sensor_faults or SensorFaults())
     set_rates(autopilot, rates or {})
     seconds = min(seconds, ground_cycle.duration)
+    autopilot.show_parameters()
     link = TlogLink(path, replace=True)
     truth = TruthFile(path.with_suffix(".truth.json"), simulation, autopilot)
     try:

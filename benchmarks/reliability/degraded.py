@@ -104,6 +104,7 @@ def fly(flight: Flight, seed: int, sensor_faults: SensorFaults = NO_SENSOR_FAULT
     gusts, sensors = np.random.SeedSequence(seed).spawn(2)
     simulation = Simulation(load_vehicle(AIRFRAME), MISSIONS[flight.mission], gusts, 0.0)
     autopilot = Px4(simulation, "mems", 0.02, flight.rate, sensors, sensor_faults)
+    autopilot.show_parameters()
     tape: Tape = []
     for tick in range(round(flight.seconds / simulation.step_size) + 1):
         if tick:

@@ -3,16 +3,8 @@
 import pytest
 
 HOVER = (
-    "--mission",
-    "gentle",
-    "--duration",
-    "36",
-    "--rate",
-    "25",
-    "--noise",
-    "mems",
-    "--seed",
-    "3",
+    *("--mission", "gentle", "--duration", "36", "--rate", "25"),
+    *("--noise", "mems", "--seed", "3"),
 )
 
 

@@ -270,7 +270,7 @@ def test_parameters_of_later_blocks_are_known_before_the_samples():
 def test_two_of_many_rotors_that_are_swapped_are_named(fly, rate, sound):
     """The fit explains 98.4 to 99.9 % of each axis even so."""
     flight = "--mission", "all-axes", "--rate", rate, "--seed", "3", "--duration", "20"
-    octo = fly(*flight, "--airframe", "px4-octo-x")
+    octo = fly(*flight, "--airframe", "px4-octo-x", "--param", "CA_AIRFRAME=1")
     airframe = load_airframe("px4-octo-x").with_anchor("mass", octo.truth["mass"])
     one, two, *others, eight = airframe.rotors
     result = analyze_log(octo.tlog, replace(airframe, rotors=(one, eight, *others, two)))

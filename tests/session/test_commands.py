@@ -70,7 +70,7 @@ def test_commands_identify(by_commands, flight):
     assert lag.value == pytest.approx(flight.truth["motor_lag"], abs=0.004)
     told = result.telemetry["rotor_input"]
     assert told["range"] == [1000.0, 2000.0]
-    assert "convention" in told["range_from"]
+    assert told["range_from"] == "PWM_MAIN_MIN1, PWM_MAIN_MAX1"
 
 
 @pytest.mark.slow
@@ -136,12 +136,17 @@ def test_speeds_that_die_in_flight_give_way_to_commands(both):
     died = [
         r._replace(values=(0.0,) * 4) if r.stream is Stream.ROTOR_SPEED and r.t > middle else r
         for r in both
+        if r.stream is not Stream.PARAMETER
     ]
     chain = chain_of(died)
     result = chain.finish()
     assert result.rotor_input == "command"
     assert any("died in flight" in event.text for event in chain.events)
     assert result.telemetry["used_seconds"] < 20.0
+    # Without parameters their range is by convention, and so the scale.
+    assert result.verdict == "partial"
+    assert any("by convention; give [command]" in reason for reason in result.reasons)
+    assert {n for n, e in result.parameters.items() if e.status == "identified"} <= {"moment_ratio"}
 
 
 @pytest.mark.slow
@@ -150,12 +155,10 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")
     flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "14")
     records = flown.records()
-    parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
-        stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"
-    )
+    parameter = next(r for r in records if r.source == "INS_GYRO_FILTER")
     chain = Chain(load_airframe("paper"), ChainOptions())
     chain.rotor_selector.autopilot = "ardupilot"
-    feed(chain, (parameter, *records))
+    feed(chain, records)
     result = chain.finish()
     assert result.telemetry["rotor_input"]["gyro_filter"] == cutoff
     assert not chain.outdated
@@ -164,7 +167,8 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     # The same parameter after the flight is too late, and is told so.
     late = Chain(load_airframe("paper"), ChainOptions())
     late.rotor_selector.autopilot = "ardupilot"
-    feed(late, (*records[: len(records) // 2], parameter))
+    before = (r for r in records[: len(records) // 2] if r != parameter)
+    feed(late, (*before, parameter))
     assert late.outdated == (cutoff != 20)
 
 

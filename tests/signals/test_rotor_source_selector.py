@@ -128,14 +128,6 @@ def calm(v, spread=0.002):
     return v.mean(axis=0) * (1.0 + spread * (v - v.mean(axis=0)) / np.ptp(v, axis=0))
 
 
-def test_an_rpm_of_zero_in_a_calm_hover_is_dead_telemetry():
-    t, _, v = signals()
-    v = calm(v)
-    assert judged(speeds(v, t)).choice.name == "ESC_STATUS"
-    v[:, 2] = 0.0
-    assert judged(speeds(v, t)).refused == {"ESC_STATUS": "rotor 3 reads 0 while the others move"}
-
-
 @pytest.mark.parametrize("ever", [True, False])
 def test_a_rotor_found_dead_stays_so_in_a_calm_hover(ever):
     """A reading that never moved was believed in the calm hover before, wrongly."""
@@ -158,6 +150,8 @@ def test_a_rotor_found_dead_stays_so_in_a_calm_hover(ever):
     assert rotor_selector.refused == {"ESC_STATUS": "rotor 2 stands still as before"}
     assert fly(3, calm(v), None)
     assert fly(4, calm(v), stuck)  # it has moved since it was found dead
+    assert not fly(5, calm(v), 0.0)
+    assert rotor_selector.refused == {"ESC_STATUS": "rotor 2 reads 0 while the others move"}
 
 
 def test_a_motor_at_its_limit_is_no_dead_telemetry():
@@ -171,11 +165,7 @@ def test_a_motor_at_its_limit_is_no_dead_telemetry():
     assert judged(speeds(v, t)).choice is None
     v[5:9, 0] = top
     assert judged(speeds(v, t)).choice.name == "ESC_STATUS"
-
-
-def test_a_command_that_stays_below_the_others_is_no_limit():
-    t, u, _ = signals()
-    u[:, 1] = 0.5
+    u[:, 1] = 0.5  # below the others
     refused = judged(commands(u, t)).refused
     assert refused == {"ACTUATOR_OUTPUT_STATUS": "rotor 2 stands still while the others move"}
 
@@ -196,15 +186,6 @@ def test_commands_sold_as_measured_speeds_are_commands(unit):
     assert "ACTUATOR_OUTPUT_STATUS under another name" in rotor_selector.refused["ESC_STATUS"]
 
 
-def test_coaxial_rotors_measured_a_few_millimeters_apart_are_no_small_ones():
-    t, _u, v = signals()
-    under = tuple(replace(rotor, x=rotor.x + 0.004, spin=-rotor.spin) for rotor in PAPER.rotors)
-    coaxial = replace(PAPER, rotors=PAPER.rotors + under)
-    both = np.hstack([v, v]) / np.sqrt(2.0)
-    assert judged(speeds(both, t), airframe=coaxial).choice.scale == 1.0
-    assert judged(speeds(RPM * both, t), airframe=coaxial).choice.scale == pytest.approx(1.0 / RPM)
-
-
 def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
     t, _u, v = signals()
     right, wrong = judged(speeds(v, t)), judged(speeds(RPM * v, t))
@@ -213,6 +194,12 @@ def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
     assert "rad/s" in wrong.choice.why
     read = wrong.choice.read(RPM * v)
     np.testing.assert_allclose(read, v)
+    # Coaxial rotors, measured a few millimeters apart, are no small ones.
+    under = tuple(replace(rotor, x=rotor.x + 0.004, spin=-rotor.spin) for rotor in PAPER.rotors)
+    coaxial = replace(PAPER, rotors=PAPER.rotors + under)
+    both = np.hstack([v, v]) / np.sqrt(2.0)
+    assert judged(speeds(both, t), airframe=coaxial).choice.scale == 1.0
+    assert judged(speeds(RPM * both, t), airframe=coaxial).choice.scale == pytest.approx(1.0 / RPM)
 
 
 def test_groups_of_one_kind_are_one_source():
@@ -297,6 +284,13 @@ GAZEBO = {"SIM_GZ_EC_FUNC1": 101.0, "SIM_GZ_EC_MIN1": 0.0, "SIM_GZ_EC_MAX1": 100
 DSHOT = {"PWM_AUX_FUNC1": 101.0, "PWM_AUX_MIN1": 1000.0, "PWM_AUX_MAX1": 2000.0,
          "PWM_AUX_TIM1": -3.0, "DSHOT_MIN": 0.1}  # fmt: skip
 CAN = {"UAVCAN_EC_FUNC1": 101.0, "UAVCAN_EC_MIN1": 1.0, "UAVCAN_EC_MAX1": 8191.0}
+CHANNEL = {"MOT_PWM_MIN": 0.0, "RC3_MIN": 1100.0, "RC3_MAX": 1900.0, "MOT_SPIN_MIN": 0.1,
+           "MOT_SPIN_MAX": 0.9}  # fmt: skip
+OTHER = CHANNEL | {"RCMAP_THROTTLE": 1.0, "RC1_MIN": 1000.0, "RC1_MAX": 2000.0}
+COPTER_3_1 = {"RCMAP_THROTTLE": 1.0, "RC1_MIN": 1100.0, "RC1_MAX": 1922.0, "RC3_MIN": 1113.0,
+              "RC3_MAX": 1906.0, "THR_MIN": 130.0, "MOT_TCRV_ENABLE": 1.0,
+              "MOT_TCRV_MAXPCT": 93.0}  # fmt: skip
+BLACKBOX = {"motorOutput[0]": 158.0, "minthrottle": 1070.0, "maxthrottle": 1900.0}
 BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900.0}
 
 
@@ -306,11 +300,20 @@ BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900
         ("actuator_motors", CommandRange(900, 2100, given=True), "px4", {}, 0.7, (0, 1)),
         ("RCOU", CommandRange(900, 2100, given=True), "ardupilot", SPIN, 1500, (900, 2100)),
         ("RCOU", USUAL, "ardupilot", SPIN, 1500, (1180, 1820)),
+        # MOT_PWM_MIN = 0 means the range of the throttle's channel; of Copter 3.1 it is 3 whatever
+        # RCMAP says, and the curve's end is in percent.
+        ("RCOU", USUAL, "ardupilot", CHANNEL, 1600, (1180, 1820)),
+        ("RCOU", USUAL, "ardupilot", OTHER, 1600, (1100, 1900)),
+        ("RCOU", USUAL, "ardupilot", COPTER_3_1, 1600, (1216.09, 1850.49)),
         ("SERVO_OUTPUT_RAW", USUAL, "px4", {}, 1500, (1000, 2000)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", DSHOT, 1500, (199.9, 1999)),
         ("motor", USUAL, "generic", {"motor_pwm_protocol": 6.0}, 1500, (48, 2047)),
+        ("motor", USUAL, "generic", BLACKBOX | {"motorOutput[1]": 2047.0}, 1500, (48, 2047)),
+        ("motor", USUAL, "generic", BLACKBOX | {"dshot_bidir": 1.0}, 1500, (48, 2047)),
+        ("motor", USUAL, "generic", BLACKBOX | {"motor_pwm_protocol": 1.0}, 1500, (1070, 1900)),
+        ("motor", USUAL, "generic", BLACKBOX, 1500, (1070, 1900)),
         ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
         ("actuator_outputs", USUAL, "px4", {"PWM_MIN": 1075, "PWM_MAX": 1950}, 1500, (1075, 1950)),
         # A mapping has made them commands already, whatever the airframe's range is of.
@@ -326,6 +329,7 @@ def test_range_of_commands(source, given, autopilot, parameters, largest, expect
         assert "unknown unit" in found
     else:
         assert (found.low, found.high) == pytest.approx(expected)
+        assert found.assumed is ("assumed" in found.origin)
 
 
 def test_numbers_of_dshot_are_no_pulses():
@@ -410,28 +414,6 @@ def test_groups_of_rotors_repeat_on_their_own():
     assert rotor_selector.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}
 
 
-@pytest.mark.parametrize(
-    ("parameters", "low", "high"),
-    [
-        # MOT_PWM_MIN = 0 means the range of the throttle's channel.
-        ({"MOT_PWM_MIN": 0.0, "MOT_PWM_MAX": 0.0, "RC3_MIN": 1094.0, "RC3_MAX": 1934.0,
-          "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.7}, 1220.0, 1682.0),
-        ({"MOT_PWM_MIN": 0.0, "RCMAP_THROTTLE": 1.0, "RC1_MIN": 1100.0, "RC1_MAX": 1900.0,
-          "RC3_MIN": 1000.0, "RC3_MAX": 2000.0, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9},
-         1180.0, 1820.0),
-        # Copter 3.1: channel 3 whatever RCMAP says, and the curve's end in percent.
-        ({"RCMAP_THROTTLE": 1.0, "RC1_MIN": 1100.0, "RC1_MAX": 1922.0, "RC3_MIN": 1113.0,
-          "RC3_MAX": 1906.0, "THR_MIN": 130.0, "MOT_TCRV_ENABLE": 1.0, "MOT_TCRV_MAXPCT": 93.0},
-         1216.1, 1850.5),
-        ({}, 1150.0, 1950.0),
-    ],
-)  # fmt: skip
-def test_the_range_of_ardupilot_by_its_generation(parameters, low, high):
-    found = command_range("RCOU", CommandRange(), "ardupilot", parameters, (1600.0, 1600.0))
-    assert not found.assumed
-    assert (found.low, found.high) == (pytest.approx(low, abs=0.1), pytest.approx(high, abs=0.1))
-
-
 def test_a_range_that_the_parameters_leave_open_is_assumed():
     pulses, px4 = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}, {"PWM_MAIN_FUNC1": 101.0}
     for key, known in (
@@ -440,11 +422,12 @@ def test_a_range_that_the_parameters_leave_open_is_assumed():
         # One end of a range is lost, as by damage.
         ("ardupilot", SPIN | {"MOT_PWM_MAX": 0.0, "RC3_MIN": 1100.0, "RC3_MAX": 1900.0}),
         ("px4", px4),
+        ("ardupilot", {}),
+        ("px4", {}),
     ):
         found = command_range("RCOU", CommandRange(), key, known, (1600.0, 1600.0))
         assert found.assumed
         assert "assumed" in found.origin
-    assert command_range("RCOU", CommandRange(), "px4", {}, (1100.0, 1600.0)).conventional
     simulated = px4 | {"SIM_BAT": 1}
     assert not command_range("RCOU", CommandRange(), "px4", simulated, (1000.0, 1600.0)).assumed
     # DShot, of which nothing is in the log, or the range of pulses alone.

@@ -121,7 +121,7 @@ def drop(page, path):
 
 def test_a_dropped_log_becomes_a_report_in_two_clicks(web, bench, fly):
     words = ("--airframe", "px4-quad-x", "--mission", "all-axes", "--duration", "10")
-    flight = fly(*words, "--trap", "parameters", "--rate", "50", "--seed", "3")
+    flight = fly(*words, "--rate", "50", "--seed", "3")
     _, _, site = bench
     page = web.page(site.address("pilot"), WIDTHS["phone"])
     assert "token" not in page.url

@@ -222,7 +222,7 @@ def test_an_airframe_of_the_page_is_that_of_the_command_line(tmp_path):
 
 
 def test_the_airframe_is_proposed_from_the_log(fly):
-    words = ("--airframe", "px4-hexa-x", "--duration", "3", "--trap", "parameters")
+    words = ("--airframe", "px4-hexa-x", "--duration", "3")
     flight = fly(*words, "--rate", "50", "--mission", "hover")
     shares = []
     found = log_worker.look(flight.tlog, lambda _stage, share: shares.append(share))
@@ -236,17 +236,20 @@ def test_the_airframe_is_proposed_from_the_log(fly):
 
 
 @pytest.mark.slow
-def test_a_layout_that_only_the_flight_shows_is_proposed_as_analyze_takes_it(paper_flight):
-    found = log_worker.look(paper_flight.tlog, lambda *_: None)["airframe"]
+def test_a_layout_that_only_the_flight_shows_is_proposed_as_analyze_takes_it(fly):
+    words = ("--mission", "all-axes", "--duration", "15", "--rate", "50")
+    log = fly(*words, "--param", "CA_AIRFRAME=1").tlog
+    found = log_worker.look(log, lambda *_: None)["airframe"]
     assert found["by"] == "how the vehicle turns"
     assert found["arm"] is None
     with pytest.raises(InputError, match="enter the arm"):
-        airframe_of(parse_request(request(airframe={"kind": "log"})), paper_flight.tlog)
+        airframe_of(parse_request(request(airframe={"kind": "log"})), log)
 
 
 @pytest.mark.slow
 def test_a_log_without_its_layout_asks_for_one(fly):
-    log = fly("--mission", "hover", "--duration", "3", "--rate", "50").tlog
+    words = ("--mission", "hover", "--duration", "3", "--rate", "50")
+    log = fly(*words, "--param", "CA_AIRFRAME=1").tlog
     assert log_worker.look(log, lambda *_: None)["airframe"] is None
     with pytest.raises(InputError, match="choose or draw the airframe"):
         airframe_of(parse_request(request(airframe={"kind": "log"})), log)

@@ -41,7 +41,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import assumed_unit, unchecked_unit
+from gcs_sysid.signals.rotor_units import assumed_unit, unseen_scale
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _AS_FLOWN = (
@@ -306,14 +306,16 @@ def health_of(
     unfit = tuple(_misfits(health, guess))
     seen = health.turning is not None
     assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
-    unchecked = unchecked_unit(source.source, source.range, parameters, seen=seen)
-    if said := assumed or unchecked:
-        health = replace(health, assumptions=(*health.assumptions, said))
+    commands, open_range = streams.commands, ""
+    if commands is not None:  # beside speeds too
+        open_range = assumed_unit(commands.source, commands.range, parameters)
+    said = dict.fromkeys((assumed or unseen_scale(rotor_input, parameters, seen=seen), open_range))
+    health = replace(health, assumptions=(*health.assumptions, *filter(None, said)))
     otherwise = tuple(of_turning(health.turning))
     # What is in proportion to it is no number.
     if unfit or assumed or (otherwise and not rotor_input.motors):
         health = replace(health, scale=None, mass=None)
-    if assumed and rotor_input.motors:
+    if open_range:
         health = replace(
             health,
             curve=None,
@@ -323,7 +325,9 @@ def health_of(
             hover_thrust=None,
             hover_command=None,
             thrust_to_weight=None,
-            rotors=tuple(replace(r, headroom=None, saturated=None) for r in health.rotors),
+            rotors=tuple(
+                replace(r, motor_gain=None, headroom=None, saturated=None) for r in health.rotors
+            ),
         )
     doubts = (*sensors, *unfit, *otherwise, *((_REVERSED,) if guess.reversed else ()))
     return advised(

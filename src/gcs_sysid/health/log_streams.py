@@ -24,12 +24,6 @@ _BOOT_GAP = 1000.0
 """s put between two boots, so that time goes on."""
 
 
-_ASSUMED = (
-    "has no range in the log ({}): give [command] min and max in the airframe file, or record the "
-    "parameters"
-)
-
-
 @dataclass(frozen=True)
 class RotorStream:
     """One source of rotor speeds or commands, rotor by rotor.
@@ -181,10 +175,6 @@ def streams_of(
     if speeds is not None:  # what is no rotor's in another order is not misread
         own = in_any_order(speeds.source)
         misread = {name: why for name, why in misread.items() if in_any_order(name) != own}
-    span = None if commands is None else commands.range
-    if speeds is not None and commands is not None and span is not None and span.assumed:
-        # Beside speeds they would only add what is not known.
-        refused[commands.source], commands = _ASSUMED.format(span.origin), None
     doubt = order.doubt(commands.source) if commands is not None and speeds is None else ""
     doubts = (f"{commands.source} {doubt}",) if commands is not None and doubt else ()
     return Streams(start, plain, speeds, commands, refused | misread, misread, doubts)

@@ -95,7 +95,7 @@ PRODUCERS = (
     Producer("reference", outcome.unmeasured, Stage.GIVEN),
     Producer("link", received.problems, Stage.BELIEF, first=True),
     Producer("loss", received.lost_samples, Stage.BELIEF),
-    Producer("unit", plausibility.unchecked_unit, Stage.BELIEF),
+    Producer("unit", plausibility.unseen_speeds, Stage.BELIEF),
 )
 """In the order of their reasons in a result."""
 

@@ -22,6 +22,7 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_readings import AGE, APART
+from gcs_sysid.signals.rotor_units import unseen_scale
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -107,18 +108,17 @@ def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
         yield replace(found, parameters=names, cap="weak", verdict="partial")
 
 
-def unchecked_unit(evidence: Evidence) -> Iterator[Objection]:
-    """A unit that the log neither gives nor contradicts: a note."""
-    commands = evidence.rotor_input.motors
-    names = _BY_SCALE if commands or evidence.anchor == "k_T" else _BY_SPEED
+def unseen_speeds(evidence: Evidence) -> Iterator[Objection]:
+    """Speeds that nothing checks: a note, as rpm is what they are defined in."""
+    names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
+    seen = evidence.turning is not None
+    unseen = unseen_scale(evidence.rotor_input, evidence.parameters, seen=seen)
     claimed = evidence.received is not None and names & _known(evidence).keys()
-    if evidence.unchecked and claimed:
-        how = _GIVE_RANGE if commands else _COUNT
-        yield Objection(evidence.unchecked, names, verdict="identified", how=how)
+    if unseen and claimed and not evidence.assumed:
+        yield Objection(unseen, names, verdict="identified", how=_COUNT)
 
 
 _COUNT = "compare the magnets of a motor with the pole count of its ESC or autopilot"
-_GIVE_RANGE = "give [command] min and max in the airframe file, or record the parameters"
 
 
 def of_turning(factor: float | None) -> Iterator[Objection]:
@@ -144,7 +144,7 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
         parameters = _BY_SCALE if speeds else _BY_SCALE | {"thrust_curve", "cg_x", "cg_y"}
         if speeds and evidence.anchor != "k_T":
             parameters = _BY_SPEED
-        how = _GIVE_RANGE
+        how = "give [command] min and max in the airframe file, or record the parameters"
         if speeds:
             how = "count the magnets of a motor, and record the IMU faster: at 500 Hz it shows them"
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial", how=how)

@@ -702,12 +702,10 @@ class Findings:
         """What is judged of a stretch of flight."""
         chain, source = self.chain, self.chain.rotors
         evidence = chain.evidence(fit, anchor)
-        assumed, unchecked = self._unit
         return replace(
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
-            assumed=assumed,
-            unchecked=unchecked,
+            assumed=self._assumed,
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale != 1.0,
@@ -716,13 +714,11 @@ class Findings:
         )
 
     @property
-    def _unit(self) -> tuple[str, str]:
-        """What is assumed of the rotors' unit, and how it is taken where nothing checks it."""
+    def _assumed(self) -> str:
+        """What is assumed of the rotors' unit."""
         chain, source = self.chain, self.chain.rotors
-        if source is None:
-            return "", ""
-        selector, seen = chain.rotor_selector, chain.rotor_lines.factor is not None
-        return selector.assumed(source, seen=seen), selector.unchecked(source, seen=seen)
+        seen = chain.rotor_lines.factor is not None
+        return "" if source is None else chain.rotor_selector.assumed(source, seen=seen)
 
     @property
     def _scale(self) -> AbsoluteScale:
@@ -832,8 +828,7 @@ class Findings:
     def _assumptions(self) -> Iterator[dict[str, Any]]:
         """What neither the log nor the user gives."""
         source, airframe = self.chain.rotors, self.chain.airframe
-        words, _ = self._unit
-        if source is not None and words:
+        if source is not None and (words := self._assumed):
             what = "motor_poles" if source.range is None else f"range of {source.name}"
             value = MOTOR_POLES if source.range is None else [source.range.low, source.range.high]
             yield {"what": what, "value": value, "source": words}

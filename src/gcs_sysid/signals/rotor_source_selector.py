@@ -48,7 +48,6 @@ from gcs_sysid.signals.rotor_units import (
     command_range,
     normalized,
     seen_of,
-    unchecked_unit,
 )
 
 STRETCH = 2.5
@@ -259,10 +258,6 @@ class RotorSourceSelector:
     def assumed(self, source: RotorSource, *, seen: bool = False) -> str:
         """What is still assumed of the unit of a source, as of `assumed_unit`."""
         return assumed_unit(source.name, self._range_now(source), self.parameters, seen=seen)
-
-    def unchecked(self, source: RotorSource, *, seen: bool) -> str:
-        """How its unit is taken without any sign, as of `unchecked_unit`."""
-        return unchecked_unit(source.name, self._range_now(source), self.parameters, seen=seen)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""

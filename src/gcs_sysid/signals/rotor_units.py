@@ -58,9 +58,7 @@ class Range:
     origin: str
     """Where it comes from, in words."""
     assumed: bool = False
-    """Whether the log's parameters lack what would define it."""
-    conventional: bool = False
-    """Whether the log has no parameters, so that convention alone defines it."""
+    """Whether the log lacks what would define it."""
 
 
 def command_range(
@@ -100,7 +98,7 @@ def command_range(
         simulated = is_simulated(parameters) or parameters.get("SYS_HITL", 0.0) > 0.0
         if autopilot == "px4" and simulated:  # which have no parameters of a range
             return replace(_CONVENTION, origin="pulses of PX4's simulators", assumed=False)
-        return _unless_known(_CONVENTION, parameters)
+        return _CONVENTION
     return (
         "has an unknown unit: give [command] min and max in the airframe file, the outputs "
         "without thrust and at full thrust"
@@ -157,15 +155,7 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         spin, assumed = "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed", True
     low, span = pulses.low, pulses.high - pulses.low
     origin = f"{pulses.origin} and {spin}"
-    found = Range(low + start * span, low + full * span, origin, assumed)
-    return _unless_known(found, parameters)
-
-
-def _unless_known(found: Range, parameters: Parameters) -> Range:
-    """An assumed range as one by convention, where there are no parameters that would give it."""
-    if parameters or not found.assumed:
-        return found
-    return replace(found, assumed=False, conventional=True)
+    return Range(low + start * span, low + full * span, origin, assumed)
 
 
 def _pulses_of_ardupilot(parameters: Parameters) -> Range:
@@ -248,19 +238,15 @@ def assumed_unit(
     return ""
 
 
-def unchecked_unit(source: str, range_: Range | None, parameters: Parameters, *, seen: bool) -> str:
-    """How a unit is taken that the log neither gives nor contradicts, in words; else empty.
+def unseen_scale(rotor_input: RotorInput, parameters: Parameters, *, seen: bool) -> str:
+    """That nothing checks the scale of speeds, in words; empty where something does.
 
     Args:
-        source: as of `assumed_unit`.
-        range_: likewise.
-        parameters: likewise.
-        seen: likewise.
+        rotor_input: speeds or commands.
+        parameters: known so far.
+        seen: as of `assumed_unit`.
     """
-    if range_ is not None:
-        return f"{source}: {range_.origin}" if range_.conventional else ""
-    assumed = assumed_unit(source, range_, parameters, seen=seen)
-    if seen or assumed or is_simulated(parameters):
+    if rotor_input.motors or seen or is_simulated(parameters):
         return ""
     return (
         "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
