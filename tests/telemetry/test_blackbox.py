@@ -16,7 +16,6 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.attitude import to_euler
 from gcs_sysid.session.reported_layout import differences, notes, place_words, reported_layout
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import command_range
 from gcs_sysid.telemetry.blackbox import flight_sessions, read_blackbox
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
@@ -108,11 +107,15 @@ def test_betaflight(read):
     assert recording.counts["I frames"] == 4
 
 
-def test_high_resolution_counts_in_tenths_and_so_did_voltages_in_a_byte(read):
-    settings = SETTINGS | {"blackbox_high_resolution": 1, "vbatref": 166}
+@pytest.mark.parametrize(
+    ("battery", "volts"),
+    [({"vbatref": 166, "vbatscale": 110}, 16.5), ({"vbatref": 1840, "vbatscale": 110}, 1.4626)],
+)
+def test_high_resolution_counts_in_tenths_and_old_voltages_in_their_units(read, battery, volts):
+    settings = SETTINGS | {"blackbox_high_resolution": 1} | battery
     fields = {"gyroADC": (3, lambda k: (k, 0, 0)), "vbatLatest": (1, lambda k: 165)}
     recording = read(log_of(fields, settings=settings))
-    assert recording.extras["battery voltage"][1][0] == pytest.approx([16.5])
+    assert recording.extras["battery voltage"][1][0] == pytest.approx([volts], rel=1e-4)
     assert of(recording, Stream.IMU).values[10, 0] == pytest.approx(math.radians(1.0))
 
 
@@ -196,27 +199,6 @@ def test_a_motor_stop_disarms(read):
     armed = of(read(writer), Stream.ARMED)
     assert armed.values[:, 0].tolist() == [1.0, 0.0]
     assert armed.t[1] == pytest.approx(5.049)
-
-
-def test_the_header_tells_the_range_of_commands():
-    class Given:
-        given = False
-
-    def range_of(**told):
-        return command_range("motor", Given, "generic", told, (1000.0, 1800.0))
-
-    dshot = range_of(**{"motorOutput[0]": 158.0, "motorOutput[1]": 2047.0, "minthrottle": 1070.0})
-    assert (dshot.low, dshot.high) == (48.0, 2047.0)
-    pulses = range_of(minthrottle=1070.0, maxthrottle=1900.0)
-    assert (pulses.low, pulses.high) == (1070.0, 1900.0)
-    assert (range_of().low, range_of().high) == (1000.0, 2000.0)
-    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, motor_pwm_protocol=1.0)
-    assert lost.assumed
-    assert "no motorOutput" in lost.origin
-    assert not pulses.assumed
-    lost = range_of(minthrottle=1070.0, maxthrottle=2000.0, dshot_bidir=1.0)
-    assert (lost.high, lost.assumed) == (2047.0, True)
-    assert "3D mode" in range_of(features=4096.0)
 
 
 @pytest.mark.parametrize("yaw", [1, -1])

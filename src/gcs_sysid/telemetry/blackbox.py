@@ -324,8 +324,11 @@ class _SessionReader:
             recording.add(Stream.RATE_SETPOINT, self._t, asked * self._degrees * _FRD)
         elif turns is not None:
             recording.add(Stream.RATE_SETPOINT, self._t, np.radians(turns))
-        # Up to Betaflight 3 tenths of a volt, in a byte.
-        unit = 0.1 if 0.0 < self._header.number("vbatref", 0.0) < 256.0 else 0.01
+        unit, divider = 0.01, self._header.number("vbatscale", 0.0)
+        if 0.0 < self._header.number("vbatref", 0.0) < 256.0:
+            unit = 0.1  # Betaflight 3, in a byte
+        elif divider > 0.0:
+            unit = 0.33 * divider / 4095.0  # before, counts of the converter at 3.3 V
         for name in ("vbatLatest", "vbat"):
             volts = self._frames.main.columns(name)
             if volts is not None:
