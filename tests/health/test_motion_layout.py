@@ -204,8 +204,8 @@ def test_frames_of_ardupilot():
     plus = guess_airframe(vehicle, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}, None, None)
     assert [place_words(r) for r in plus.airframe.rotors] == ["right", "left", "front", "rear"]
     assert not plus.assumed
-    with pytest.raises(InputError, match="FRAME_CLASS 5 and FRAME_TYPE 1 are not a known frame"):
-        guess_airframe(vehicle, {"FRAME_CLASS": 5.0, "FRAME_TYPE": 1.0}, None, None)
+    with pytest.raises(InputError, match="FRAME_CLASS 7 and FRAME_TYPE 1 are not a known frame"):
+        guess_airframe(vehicle, {"FRAME_CLASS": 7.0, "FRAME_TYPE": 1.0}, None, None)
     plane = replace(vehicle, vehicle_type=mavlink.MAV_TYPE_FIXED_WING)
     with pytest.raises(InputError, match="fixed wing, and no multirotor"):
         guess_airframe(plane, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}, None, 0.3)

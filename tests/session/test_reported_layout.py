@@ -67,9 +67,12 @@ def test_px4_proposes_what_it_flies_by(name):
     assert differences(load_airframe(name), told) == ()
 
 
+KINDS = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}
+
+
 @pytest.mark.parametrize("layout", ["quad-x", "hexa-x", "octo-x"])
 def test_ardupilot_proposes_its_frame(layout):
-    kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[layout.split("-")[0]]
+    kind = KINDS[layout.split("-")[0]]
     told = reported_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 1.0})
     assert not told.sized
     assert differences(load_airframe(f"ardupilot-{layout}"), told) == ()
@@ -80,7 +83,7 @@ def test_ardupilot_proposes_its_frame(layout):
 
 @pytest.mark.parametrize("shape", ["quad-plus", "hexa-plus", "octo-plus"])
 def test_both_have_the_plus_frames_of_the_wizard(shape):
-    kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[shape.split("-")[0]]
+    kind = KINDS[shape.split("-")[0]]
     usual = airframe(layout_rotors(f"ardupilot-{shape}", 0.25))
     told = reported_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 0.0})
     assert differences(usual, told) == ()
@@ -94,14 +97,31 @@ def test_betaflights_order_is_another_one():
     assert "motor order: motor 1 is front right, on the vehicle rear right" in line
 
 
-@pytest.mark.parametrize("form", [0.0, 1.0])
-def test_a_coaxial_pair_in_the_wrong_order_is_named(form):
-    told = reported_layout("ardupilot", {"FRAME_CLASS": 4.0, "FRAME_TYPE": form})
+# Roll, pitch and yaw factors of AP_MotorsMatrix.cpp: to the left, forward and counter-clockwise.
+Y6 = {
+    1: ((-1, 0.5, 1), (1, 0.5, -1), (1, 0.5, 1), (0, -1, -1), (-1, 0.5, -1), (0, -1, 1)),
+    10: ((-1, 0.5, -1), (-1, 0.5, 1), (0, -1, -1), (0, -1, 1), (1, 0.5, -1), (1, 0.5, 1)),
+    11: ((0, -1, 1), (-1, 0.5, 1), (1, 0.5, 1), (0, -1, -1), (-1, 0.5, -1), (1, 0.5, -1)),
+}
+
+
+@pytest.mark.parametrize("form", Y6)
+def test_the_frames_of_three_arms_are_allocated_as_ardupilot_does(form):
+    told = reported_layout("ardupilot", {"FRAME_CLASS": 5.0, "FRAME_TYPE": float(form)})
+    x, y, spin = Airframe("y6", told.rotors).geometry
+    np.testing.assert_allclose(np.transpose((-y / np.sin(np.pi / 3), x, spin)), Y6[form], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "form"), [(4, 0), (4, 1), (4, 3), (4, 12), (4, 14), (5, 1), (5, 10), (12, 0), (12, 1)]
+)
+def test_a_coaxial_pair_in_the_wrong_order_is_named(kind, form):
+    told = reported_layout("ardupilot", {"FRAME_CLASS": float(kind), "FRAME_TYPE": float(form)})
     rotors = list(airframe_of_layout(told, 0.3).rotors)
     assert differences(airframe(rotors), told) == ()
-    lower = next(
-        i for i in range(1, 8) if rotors[i].x == rotors[0].x and rotors[i].y == rotors[0].y
-    )
+    places = [(round(r.x, 6), round(r.y, 6), r.spin) for r in rotors]
+    assert all((x, y, -spin) in places for x, y, spin in places)
+    lower = places.index((*places[0][:2], -places[0][2]))
     rotors[0], rotors[lower] = rotors[lower], rotors[0]
     (line,) = differences(airframe(rotors), told)
     assert "motors 1" in line

@@ -35,38 +35,71 @@ _AUTOSTART = {
 """PX4's generic airframes, by SYS_AUTOSTART."""
 _TURNS, _TURNS_OF_SIX = (90, 180, -90, 45, -45), (60, -60, 30, -30, 120, -120)
 """Degrees to the right by which an autopilot, or an airframe file, is turned by mistake."""
-_FRAME_CLASSES = {1: "quad", 2: "hexa", 3: "octo", 4: "octaquad"}
+_FRAME_CLASSES = {
+    1: "quad", 2: "hexa", 3: "octo", 4: "octaquad", 5: "y6", 12: "dodecahexa", 14: "deca",
+}  # fmt: skip
+
+
+def _ring(first: float, step: float, count: int) -> tuple[tuple[float, int], ...]:
+    """Rotors one after the other around, the first counter-clockwise."""
+    return tuple((first + step * i, (-1) ** i) for i in range(count))
+
+
+def _pairs(first: float, count: int) -> tuple[tuple[float, int], ...]:
+    """Pairs one after the other around, the upper ones in turn as those of a ring."""
+    spins = (1, -1, -1, 1)
+    return tuple((first + 720.0 / count * (i // 2), spins[i % 4]) for i in range(count))
+
+
 # Degrees clockwise from the front and spin (+1 counter-clockwise seen from above), in motor order:
 # AP_MotorsMatrix.cpp of ArduPilot. PX4's generic airframes have the same.
-_SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
+_SHAPES: dict[str, tuple[tuple[float, int], ...]] = {
     "quad-x": ((45, +1), (-135, +1), (-45, -1), (135, -1)),
     "quad-plus": ((90, +1), (-90, +1), (0, -1), (180, -1)),
+    "quad-h": ((45, -1), (-135, -1), (-45, +1), (135, +1)),
+    "quad-bf-x": ((135, -1), (45, +1), (-135, +1), (-45, -1)),
+    "quad-dji-x": _ring(45, -90, 4),
+    "quad-cw-x": _ring(45, 90, 4),
     "hexa-x": ((90, -1), (-90, +1), (-30, -1), (150, +1), (30, +1), (-150, -1)),
     "hexa-plus": ((0, -1), (180, +1), (-120, -1), (60, +1), (-60, +1), (120, -1)),
+    "hexa-dji-x": _ring(30, -60, 6),
+    "hexa-cw-x": _ring(30, 60, 6),
     "octo-plus": (
         (0, -1), (180, -1), (45, +1), (135, +1), (-45, +1), (-135, +1), (-90, -1), (90, -1),
     ),
+    "octo-dji-x": _ring(22.5, -45, 8),
+    "octo-cw-x": _ring(22.5, 45, 8),
     "octaquad-plus": (
         (0, +1), (-90, -1), (180, +1), (90, -1), (-90, +1), (0, -1), (90, +1), (180, -1),
     ),
     "octaquad-x": (
         (45, +1), (-45, -1), (-135, +1), (135, -1), (-45, +1), (45, -1), (135, +1), (-135, -1),
     ),
-    "quad-plus-reversed": ((90, -1), (-90, -1), (0, +1), (180, +1)),
-    "quad-h": ((45, -1), (-135, -1), (-45, +1), (135, +1)),
-    "quad-bf-x": ((135, -1), (45, +1), (-135, +1), (-45, -1)),
-    "quad-bf-x-reversed": ((135, +1), (45, -1), (-135, -1), (-45, +1)),
-    "quad-dji-x": ((45, +1), (-45, -1), (-135, +1), (135, -1)),
-    "quad-cw-x": ((45, +1), (135, -1), (-135, +1), (-45, -1)),
+    "octaquad-bf-x": (
+        (135, -1), (45, +1), (-135, +1), (-45, -1), (135, +1), (45, -1), (-135, -1), (-45, +1),
+    ),
+    "octaquad-cw-x": _pairs(45, 8),
+    "y6-a": ((60, +1), (-60, -1), (-60, +1), (180, -1), (60, -1), (180, +1)),
+    "y6-b": ((60, -1), (60, +1), (180, -1), (180, +1), (-60, -1), (-60, +1)),
+    "y6-f": ((180, +1), (60, +1), (-60, +1), (180, -1), (60, -1), (-60, -1)),
+    "dodecahexa-plus": _pairs(0, 12),
+    "dodecahexa-x": _pairs(30, 12),
+    "deca-plus": _ring(0, 36, 10),
+    "deca-x": _ring(18, 36, 10),
 }  # fmt: skip
 _FRAME_TYPES = {
     "quad": {
         0: "plus", 1: "x", 3: "h", 6: "plus-reversed", 12: "bf-x", 13: "dji-x", 14: "cw-x",
         18: "bf-x-reversed",
     },
-    "hexa": {0: "plus", 1: "x"},
-    "octo": {0: "plus", 1: "x"},
-    "octaquad": {0: "plus", 1: "x"},
+    "hexa": {0: "plus", 1: "x", 13: "dji-x", 14: "cw-x"},
+    "octo": {0: "plus", 1: "x", 13: "dji-x", 14: "cw-x"},
+    "octaquad": {
+        0: "plus", 1: "x", 3: "x-reversed", 12: "bf-x", 14: "cw-x", 18: "bf-x-reversed",
+    },
+    "y6": {0: "a", 1: "a", 10: "b", 11: "f"},
+    "dodecahexa": {0: "plus", 1: "x"},
+    "deca": {0: "plus", 1: "x", 14: "x"},
 }  # fmt: skip
 """FRAME_TYPE -> shape, of each class; others have motors elsewhere than on a circle."""
 
@@ -209,7 +242,10 @@ def _by_mixer(parameters: Mapping[str, float]) -> ReportedLayout | None:
 
 
 def on_circle(shape: str) -> tuple[Rotor, ...]:
-    """Rotors of a usual frame such as "quad-x", at a distance of 1."""
+    """Rotors of a usual frame ("quad-x", "quad-x-reversed": the spins), at a distance of 1."""
+    base = shape.removesuffix("-reversed")
+    if base != shape:
+        return tuple(replace(rotor, spin=-rotor.spin) for rotor in on_circle(base))
     if shape not in _SHAPES:
         return load_airframe(f"ardupilot-{shape}").with_arm(1.0).rotors
     circle = [(math.radians(angle), spin) for angle, spin in _SHAPES[shape]]
@@ -217,10 +253,17 @@ def on_circle(shape: str) -> tuple[Rotor, ...]:
 
 
 def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
-    """The frames that autopilots know by name, of so many rotors, at a distance of 1."""
-    kind = {4: "quad", 6: "hexa", 8: "octo"}.get(count, "")
-    forms = dict.fromkeys(_FRAME_TYPES.get(kind, {}).values())
-    return {f"{kind} {form}": on_circle(f"{kind}-{form}") for form in forms}
+    """The frames that autopilots know by name, of so many rotors, at a distance of 1.
+
+    Without octaquads, of which several differ in nothing but their spins.
+    """
+    named = {
+        f"{kind} {form}": on_circle(f"{kind}-{form}")
+        for kind, forms in _FRAME_TYPES.items()
+        for form in forms.values()
+        if kind != "octaquad"
+    }
+    return {name: rotors for name, rotors in named.items() if len(rotors) == count}
 
 
 # --- the airframe for it
