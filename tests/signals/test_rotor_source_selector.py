@@ -202,6 +202,20 @@ def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
     assert judged(speeds(RPM * both, t), airframe=coaxial).choice.scale == pytest.approx(1.0 / RPM)
 
 
+def test_sensors_are_no_input_beside_escs_nor_speeds_that_may_be_backward():
+    t, u, v = signals()
+    sensors, slow = speeds(1.1 * v, t, "RPM"), speeds(v[::20], t[::20], "ESC")
+    assert judged(sensors).choice.name == "RPM"
+    beside = judged(sensors, slow, commands(u, t))
+    assert beside.refused["RPM"] == "is of RPM sensors, beside ESC"
+    assert beside.choice.kind == "command"
+    for name, value in (("CA_R_REV", 15.0), ("SERVO_BLH_3DMASK", 1.0), ("features", 4097.0)):
+        both_ways = RotorSourceSelector(PAPER, MASS)
+        both_ways.learn(name, value)
+        refused = judged(speeds(v, t), commands(u, t), rotor_selector=both_ways).refused
+        assert len([why for why in refused.values() if "3D mode" in why]) == 2
+
+
 def test_groups_of_one_kind_are_one_source():
     t, _u, v = signals(rotors=6)
     airframe = load_airframe("ardupilot-hexa-x")

@@ -13,8 +13,15 @@ from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.motor_order import MotorOrder, in_any_order, out_of_order
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together, unbalanced_reading
-from gcs_sysid.signals.rotor_source_selector import family, preference
-from gcs_sysid.signals.rotor_units import Range, command_range, normalized, seen_of
+from gcs_sysid.signals.rotor_source_selector import beside_escs, family, preference
+from gcs_sysid.signals.rotor_units import (
+    UNSIGNED,
+    Range,
+    command_range,
+    normalized,
+    seen_of,
+    turns_either_way,
+)
 
 _LONGEST = 200_000.0
 """s of a log; what is stamped later is damaged."""
@@ -128,10 +135,18 @@ def streams_of(
     refused: dict[str, str] = {}
     misread: dict[str, str] = {}
     count = len(airframe.rotors)
+    live = [
+        name
+        for (stream, name), parts in rotors.items()
+        if stream is Stream.ROTOR_SPEED and any(track.values.any() for track in parts)
+    ]
     found: dict[Stream, list[RotorStream]] = {}
     for (stream, name), parts in rotors.items():
         samples = _per_rotor(parts, count, start)
         problem = _problem(samples, count)
+        if stream is Stream.ROTOR_SPEED:
+            unsigned = UNSIGNED if turns_either_way(parameters) else ""
+            problem = problem or unsigned or beside_escs(name, live)
         if len(samples) < count:
             problem += order.gap_in(name, len(samples))
         if not problem and (wrong := _wrong_reading(stream, samples)):

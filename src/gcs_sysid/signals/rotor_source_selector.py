@@ -9,7 +9,7 @@ source that dies is replaced by a sound one.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,12 +42,14 @@ from gcs_sysid.signals.rotor_readings import (
 from gcs_sysid.signals.rotor_units import (
     DEFINED_SPEEDS,
     PARAMETER_NAMES,
+    UNSIGNED,
     Range,
     RotorSource,
     assumed_unit,
     command_range,
     normalized,
     seen_of,
+    turns_either_way,
 )
 
 STRETCH = 2.5
@@ -85,6 +87,12 @@ def preference(source: str) -> int:
     """By which sources of one kind and rate are taken, the least first."""
     name = in_any_order(source)
     return _ORDER.index(name) if name in _ORDER else len(_ORDER)
+
+
+def beside_escs(source: str, live: Iterable[str]) -> str:
+    """Why RPM sensors, which are of any rotor, are no input where ESCs report; else empty."""
+    other = next((name for name in live if name != source), "") if source == "RPM" else ""
+    return other and f"is of RPM sensors, beside {other}"
 
 
 def family(source: str) -> str:
@@ -335,6 +343,10 @@ class RotorSourceSelector:
         if not any(v.any() for v in values):
             return "reads 0 in flight"
         if stretch.stream is Stream.ROTOR_SPEED:
+            if turns_either_way(self.parameters):
+                return UNSIGNED
+            if beside := beside_escs(name, self._live):
+                return beside
             fresh = [_readings(*rotor) for rotor in rotors]
             if max(fresh) < MIN_RATE:
                 return f"repeats old readings, {max(fresh):.0f} new ones a second"
@@ -351,6 +363,14 @@ class RotorSourceSelector:
                 self.stale[name] = f"{name} {held}"
                 return held
         return ""
+
+    @property
+    def _live(self) -> Iterator[str]:
+        """Sources of speeds that read any."""
+        for name, stretch in self._stretches.items():
+            rotors = stretch.rotors(len(self._airframe.rotors))
+            if stretch.stream is Stream.ROTOR_SPEED and any(v.any() for _, v in rotors):
+                yield name
 
     def _dead(self, name: str, stretch: Stretch) -> str:
         """Why a rotor of a stretch that is otherwise sound is dead telemetry; empty if none is.

@@ -19,7 +19,7 @@ Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "SYS_HITL",
-                   "PWM_MAIN_TIM", "PWM_AUX_TIM", "DSHOT_", "SERVO_BLH_3DMASK",
+                   "PWM_MAIN_TIM", "PWM_AUX_TIM", "DSHOT_", "SERVO_BLH_3DMASK", "CA_R_REV",
                    "SIM_", "SIH_MASS", "SYS_AUTOSTART", "HIL_ACT_M", "INS_GYRO_FILTER",
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
@@ -85,7 +85,7 @@ def command_range(
         return Range(given.min, given.max, "the airframe file")
     if largest <= 1.0:
         return Range(0.0, 1.0, "outputs up to 1")
-    if _turns_either_way(source, parameters):
+    if turns_either_way(parameters):
         return "is of 3D mode, in which outputs turn motors either way"
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
@@ -128,12 +128,15 @@ def is_simulated(parameters: Parameters) -> bool:
     return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
 
 
-def _turns_either_way(source: str, parameters: Parameters) -> bool:
-    """Whether half of the outputs' range turns motors backward."""
-    if source == "motor":
-        return bool(int(parameters.get("features", 0.0)) & _REVERSIBLE)
-    masks = (parameters.get(name, 0.0) for name in ("DSHOT_3D_ENABLE", "SERVO_BLH_3DMASK"))
-    return any(mask > 0.0 for mask in masks)
+def turns_either_way(parameters: Parameters) -> bool:
+    """Whether half of the outputs' range turns motors backward: speeds do not show which."""
+    masks = ("DSHOT_3D_ENABLE", "SERVO_BLH_3DMASK", "CA_R_REV")
+    blackbox = int(parameters.get("features", 0.0)) & _REVERSIBLE
+    return bool(blackbox) or any(parameters.get(name, 0.0) > 0.0 for name in masks)
+
+
+UNSIGNED = "shows no direction, and in 3D mode motors turn either way"
+"""Why speeds are not used where motors turn either way."""
 
 
 _CONVENTION = Range(1000.0, 2000.0, "pulses of 1000 to 2000 us assumed by convention", assumed=True)

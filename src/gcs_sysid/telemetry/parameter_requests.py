@@ -197,7 +197,7 @@ class ParameterRequests:
             for driver, outputs in motor_outputs(vehicle.key, arrived).items():
                 more += [f"{driver}_{end}{outputs.get(0, -1) + 1}" for end in ("MIN", "MAX")]
                 more += [f"{driver}_TIM{group}" for group in range(3)]  # DShot is a rate there
-            more += ("DSHOT_MIN", "DSHOT_3D_ENABLE")
+            more += ("DSHOT_MIN", "DSHOT_3D_ENABLE", "CA_R_REV")
         elif arrived.get("MOT_PWM_MIN") == 0.0:  # then the throttle's channel has the range
             more += ("RCMAP_THROTTLE", "RC3_MIN", "RC3_MAX")
         more = [n for n in more if n not in arrived and n not in self._further]
