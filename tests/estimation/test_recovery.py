@@ -162,7 +162,7 @@ def test_without_velocity_the_accelerometer_serves(truth, flight):
     kappa = truth.k_T / truth.m
     # A bias and the drag along z of a drifting vehicle are not in its model, but in its std.
     assert abs(fit.kappa - kappa) < 2.0 * fit.kappa_std
-    assert fit.kappa_std < 0.03 * kappa
+    assert fit.kappa_std < 0.035 * kappa
 
 
 def article_fit(truth, samples, method, every=10):

@@ -47,18 +47,13 @@ def moments(rows, per_batch=PER_BATCH):
     return products, np.array([p.shape[-2] for p in parts])
 
 
-def test_thrust_drag_and_wind_are_found_exactly_without_noise():
-    fit = fit_momentum(*moments(momentum_rows(sigma=0.0)))
+@pytest.mark.parametrize("sideways", [1.0, 0.9])
+def test_thrust_drag_and_wind_are_found_exactly_without_noise(sideways):
+    """Horizontal thrust falls short by per cents where attitude and velocity lag each other."""
+    fit = fit_momentum(*moments(momentum_rows(sigma=0.0, sideways=sideways)))
     assert fit.kappa == pytest.approx(KAPPA, rel=1e-9)
     assert fit.delta == pytest.approx(DELTA, rel=1e-7)
     assert fit.source == "momentum"
-
-
-def test_horizontal_thrust_is_a_nuisance_of_its_own():
-    """It falls short by per cents where attitude and velocity lag behind each other."""
-    fit = fit_momentum(*moments(momentum_rows(sigma=0.0, sideways=0.9)))
-    assert fit.kappa == pytest.approx(KAPPA, rel=1e-9)
-    assert fit.delta == pytest.approx(DELTA, rel=1e-7)
 
 
 def test_axes_are_weighed_by_what_they_leave():
@@ -91,9 +86,9 @@ def test_intervals_tell_the_errors():
         # Wind is sideways force enough that attitude errors are allowed for in full.
         white = np.sqrt(fit.kappa_std**2 - (TILT_ERROR_SHARE * fit.kappa) ** 2)
         stds.append([white, fit.delta_std])
-    # 120 runs tell a deviation to 6.5 %; intervals are never below white residuals'.
+    # 120 runs tell a deviation to 6.5 %; intervals are Student's.
     ratio = np.mean(stds, axis=0) / np.std(off, axis=0)
-    assert np.all((ratio > 0.85) & (ratio < 1.45)), ratio
+    assert np.all((ratio > 0.95) & (ratio < 1.6)), ratio
 
 
 @pytest.mark.parametrize("error", [0.02, 0.06])
@@ -123,7 +118,22 @@ def test_a_fit_that_follows_is_the_fit():
     # A tenth more of data at the weights of before.
     assert last.kappa == pytest.approx(whole.kappa, abs=0.05 * whole.kappa_std)
     assert last.kappa_std == pytest.approx(whole.kappa_std, rel=0.1)
-    assert last.delta_std == pytest.approx(whole.delta_std, rel=0.1)
+    assert last.delta_std == pytest.approx(whole.delta_std, rel=0.2)
+
+
+def test_the_first_batches_of_a_segment_know_how_slowly_velocity_erred_before():
+    """Its error passes for thrust where it outlasts the record."""
+    off, rng = [], np.random.default_rng(8)
+    for seed in range(60):
+        rows, white = momentum_rows(seed, sigma=0.4), rng.standard_normal(4000)
+        slow = lfilter([np.sqrt(1.0 - 0.998**2)], [1.0, -0.998], white)
+        rows[2, :, 3] += 0.2 * slow[-1600:]
+        batches, counts = moments(rows)
+        before = fit_momentum(batches[10:], counts[10:]).warm_start
+        pair = (fit_momentum(batches[:8], counts[:8], None, b) for b in (None, before))
+        off.append([(fit.kappa - KAPPA) / fit.kappa_std for fit in pair])
+    alone, known = np.sqrt(np.mean(np.square(off), axis=0))
+    assert known < 1.5 < 2.0 < alone
 
 
 def accelerometer_rows(seed=1, n=1600, bias=0.0, sigma=0.05, variation=0.1, place=None):

@@ -26,7 +26,6 @@ from gcs_sysid.estimation.changes.change_watch import Alarm, ChangeWatch
 from gcs_sysid.estimation.changes.flight_comparison import Trial
 from gcs_sysid.estimation.fit.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.translation import accelerometer_gain
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator, PriorSource
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
@@ -329,11 +328,10 @@ class Tracker:
         room = len(self.segments) < TRACKING.most_segments
         # Of what was known only the rotors are left, and with them the scale.
         known = _of_rotors(before)
-        if room and trial.is_another(before, self._fresh(known, landed=True), arm):
+        if room and trial.is_another(before, self._fresh(known, before, landed=True), arm):
             self._add(TrackingEvent(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
-            fresh = self._fresh(known, landed=True)
-            fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
+            fresh = self._fresh(known, before, landed=True)
             self._go_on_with(fresh, [])
             self.start = trial.start
             self._restart_detection()
@@ -433,8 +431,7 @@ class Tracker:
         event = replace(event, segment=len(self.segments))
         ratio = found.cause.mass_ratio, found.cause.mass_std
         self.segments.append(Segment(self.start, onset, before, ratio))
-        fresh = self._fresh(_after_change(before, self.geometry), landed=False)
-        fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
+        fresh = self._fresh(_after_change(before, self.geometry), before, landed=False)
         kept = self._watch.since(since)
         self.start = since
         fresh.update(kept)
@@ -442,15 +439,16 @@ class Tracker:
         self._restart_detection()
         self._add(event)
 
-    def _fresh(self, known: Prior | None, *, landed: bool) -> OnlineEstimator:
-        """An estimator of what may be another vehicle with the same rotors."""
+    def _fresh(self, known: Prior | None, before: Fit, *, landed: bool) -> OnlineEstimator:
+        """An estimator of what may be another vehicle with the same rotors and sensors."""
         fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
         fresh.prior = known
-        own, before = fresh.record, self._estimator.record
-        if own.drift is not None and before.drift is not None:
-            own.drift.go_on_from(before.drift, landed=landed)
-        if own.commands is not None and before.commands is not None:
-            own.commands.go_on_from(before.commands)
+        fresh.know_sensors(before)
+        own, old = fresh.record, self._estimator.record
+        if own.drift is not None and old.drift is not None:
+            own.drift.go_on_from(old.drift, landed=landed)
+        if own.commands is not None and old.commands is not None:
+            own.commands.go_on_from(old.commands)
         return fresh
 
     def _restart_detection(self) -> None:

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.noise.uncertainty import inflation, meat, symmetric_roots
+from gcs_sysid.estimation.fit.solver import scales
+from gcs_sysid.estimation.noise.uncertainty import slow_inflation, symmetric_roots
 from gcs_sysid.model.parameters import GRAVITY
 
 WIDTH = 4
@@ -51,8 +52,8 @@ and none without drag; noise of the rotor speeds is in what is left as well."""
 _MIN_BATCHES_FOR_BIAS = 10
 """Fewer do not determine the error of the bias itself."""
 _TINY = 1e-300
-_ROWS_IN_WINDOW = 3.0
-"""Square root of the rows that share a window's noise."""
+_ROWS_IN_WINDOW = 9.0
+"""That share its noise."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,11 @@ class MomentumStart:
 
     Attributes:
         weights: (axes,) inverse residual variances.
-        inflation: (unknowns, unknowns) of the covariance, see `uncertainty.inflation`.
+        scores: (k, unknowns) of batches, see `uncertainty.slow_inflation`.
     """
 
     weights: Array
-    inflation: Array
+    scores: Array
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,10 @@ class TranslationFit:
 
 
 def fit_momentum(
-    batches: Array, counts: NDArray[np.int64], total: Array | None = None
+    batches: Array,
+    counts: NDArray[np.int64],
+    total: Array | None = None,
+    before: MomentumStart | None = None,
 ) -> TranslationFit | None:
     """Fit the momentum balance.
 
@@ -116,6 +120,8 @@ def fit_momentum(
         batches: (k, 3, WIDTH, WIDTH) moments of north, east and down rows.
         counts: (k,) rows in each.
         total: their sum, if known.
+        before: of an earlier segment. The autopilot's velocity errs as slowly as it did there,
+            which the first batches of the next cannot show.
 
     Returns:
         The fit, or None with too few rows.
@@ -126,7 +132,8 @@ def fit_momentum(
     total = batches.sum(axis=0) if total is None else total
     balance = _Balance(total[None], np.array([rows]), _MOMENTUM)
     balance.converge()
-    return _momentum(balance, balance.inflation(batches))[0]
+    scores = balance.scores(batches)
+    return _momentum(balance, scores if before is None else np.vstack((before.scores, scores)))[0]
 
 
 def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[TranslationFit]:
@@ -143,11 +150,11 @@ def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[T
     assert start.warm_start is not None
     balance = _Balance(totals, rows, _MOMENTUM)
     balance.step(start.warm_start.weights)
-    return _momentum(balance, start.warm_start.inflation)
+    return _momentum(balance, start.warm_start.scores)
 
 
-def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
-    variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
+def _momentum(balance: "_Balance", scores: Array) -> list[TranslationFit]:
+    variance = np.diagonal(balance.covariance(slow_inflation(scores)), axis1=1, axis2=2)
     kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
     wind = np.hypot(balance.estimate[:, 3], balance.estimate[:, 4])
     by_wind = np.where(wind > CALM, _LIFT * wind / GRAVITY, 0.0)
@@ -161,7 +168,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
             float(deltas[i]),
             float(delta_stds[i]),
             "momentum",
-            MomentumStart(weights, inflated),
+            MomentumStart(weights, scores),
             quickness=float(balance.quickness[i]),
             wind=float(wind[i]),
         )
@@ -218,11 +225,12 @@ def fit_accelerometer(
     balance = _Balance(total[None, None], np.array([rows]), _VERTICAL)
     balance.converge()
     kappa = -float(balance.estimate[0, 0])
-    std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0, 0]))
+    # A window's worth of neighboring rows counts once: early on there are no batches to show it.
+    least = 1.0 if gain is None else _ROWS_IN_WINDOW
+    inflated = slow_inflation(balance.scores(batches[:, None]), least)
+    std = float(np.sqrt(balance.covariance(inflated)[0, 0, 0]))
     if gain is not None:
-        # A window's worth of neighboring rows counts once: early on there are no batches to show
-        # it.
-        share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
+        share = float(np.hypot(std / abs(kappa), gain.share))
         scaled = kappa * gain.value
         return TranslationFit(
             scaled, share * abs(scaled), np.nan, np.nan, "accelerometer", unbiased=kappa
@@ -244,7 +252,7 @@ def _with_bias(batches: Array, rows: int, total: Array, usual: Array) -> tuple[f
     unknown = np.append(True, usual > 0.0)
     balance = _Balance(total[None, None], np.array([rows]), _BIASED[..., unknown])
     balance.converge()
-    information = balance.information(balance.inflation(batches[:, None]))[0]
+    information = balance.information(slow_inflation(balance.scores(batches[:, None])))[0]
     # What else pushes as thrust varies, drag or a bias that vibration shifts, tilts the line of
     # specific force over thrust about its middle.
     mean, output = total[[0, -1], -2] / rows
@@ -314,7 +322,7 @@ class _Balance:
         weights = weights[..., None]
         normal = (weights[..., None] * self._normals).sum(axis=1)
         right = (weights * self._rights).sum(axis=1)
-        d = _scales(normal)
+        d = scales(normal)
         scaled = normal / (d[:, :, None] * d[:, None, :]) + 1e-12 * np.eye(d.shape[1])
         self.estimate = np.linalg.solve(scaled, (right / d)[..., None])[..., 0] / d
         self.weights = 1.0 / np.maximum(self.mean_squares(self.estimate), self._floor)
@@ -333,8 +341,8 @@ class _Balance:
             if (np.abs(self.estimate - before) <= 1e-11 * np.abs(self.estimate)).all():
                 break
 
-    def inflation(self, batches: Array) -> Array:
-        """(unknowns, unknowns) by how much colored residuals widen the covariance.
+    def scores(self, batches: Array) -> Array:
+        """(k, unknowns) of batches, of unit covariance where residuals are white.
 
         Args:
             batches: (k, axes, WIDTH, WIDTH) of the only instant.
@@ -346,7 +354,7 @@ class _Balance:
         weighted = self.weights[0, :, None, None] * self._layout
         scores = residual @ weighted.reshape(axes * inputs, unknowns)
         d, (_, inverse_root) = self._roots()
-        return inflation(inverse_root[0], meat(scores / d[0]))
+        return np.sqrt(len(batches)) * (scores / d[0]) @ inverse_root[0]
 
     def covariance(self, inflated: Array) -> Array:
         """(K, unknowns, unknowns), given that inflation."""
@@ -363,9 +371,5 @@ class _Balance:
     def _roots(self) -> tuple[Array, tuple[Array, Array]]:
         """(K, unknowns) scales, and roots of the scaled information and of its inverse."""
         normal = (self.weights[..., None, None] * self._normals).sum(axis=1)
-        d = _scales(normal)
+        d = scales(normal)
         return d, symmetric_roots(normal / (d[:, :, None] * d[:, None, :]))
-
-
-def _scales(normal: Array) -> Array:
-    return np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))

@@ -31,7 +31,7 @@ from gcs_sysid.estimation.fit.problem import (
 )
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
-from gcs_sysid.estimation.fit.whitener_choice import REACH, TRY, AxisFit, BankProblem
+from gcs_sysid.estimation.fit.whitener_choice import TRY, AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, find_whiteners
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
@@ -354,16 +354,16 @@ class _Finishing:
         data, basis, problem, point = bank.data, bank.basis, solved.problem, solved.point
         noise, batches = NOISE_SHARE * bank.noise(solved.pick), data.of_axes(solved.pick)
         scores, inverse_root = bank.scores(outcome, batches), outcome.roots[1][0]
-        spread, by_scatter = shrunk_inflation(inverse_root, scores, REACH)
+        spread, by_scatter = shrunk_inflation(inverse_root, scores)
         disturbed = solved.trial.detected.max() > RULES.detected
         if disturbed or bank.deviations.shown:
             # What disturbs is hardly stationary, and who deviates in one way may do so in others:
             # there all scatter counts, proved or not.
-            spread, by_scatter = inflation(inverse_root, meat(scores, REACH)), np.ones(len(spread))
+            spread, by_scatter = inflation(inverse_root, meat(scores)), np.ones(len(spread))
         spread = spread[None]
         counts = data.counts[:, None]
         shares = outcome.shares(0, batches) - counts * outcome.shares(0, noise[None])
-        widening = student_factor(bank.joined(shares), REACH, by_scatter)[None]
+        widening = student_factor(bank.joined(shares), by_scatter)[None]
         if data.is_whole:
             # Whiteness of innovations is based on all rows, not on the scatter of few batches.
             widening = np.ones_like(widening)

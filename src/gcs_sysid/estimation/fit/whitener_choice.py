@@ -35,8 +35,6 @@ _SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 30
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
-REACH = 2
-"""Neighbors of a batch with correlated scores: innovations have little memory."""
 _AXES = np.arange(3)
 
 
@@ -286,7 +284,7 @@ class BankProblem:
             bounded = self.axes(fit.pick, largest)
             outcome = Outcome(bounded, minimize(bounded, unknowns, _AGAIN)[0])
             root = outcome.roots[1][0]
-            spread = root @ meat(self.scores(outcome, batches), REACH) @ root
+            spread = root @ meat(self.scores(outcome, batches)) @ root
             scatter = max(float(np.median(np.diag(spread))), 1.0)
         score += information @ phi
         return choice.choose(every, point.unknowns[0], score / scatter, information / scatter)

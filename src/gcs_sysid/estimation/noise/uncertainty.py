@@ -6,34 +6,18 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.significance import Z95
 
-
-def sandwich(bread: Array, scores: Array) -> Array:
-    """Covariance of an estimate from the scatter of its batch scores.
-
-    Args:
-        bread: (p, p) inverse information.
-        scores: (k, p) gradient of the cost, batch by batch, in time order.
-
-    Returns:
-        (p, p); in no direction below `bread`, which white residuals would give.
-    """
-    root = symmetric_roots(bread, 0.0)[0]
-    return root @ inflation(root, meat(scores)) @ root
+_REACH = 2
+"""Neighbors of a batch with correlated scores: innovations have little memory."""
 
 
-def meat(scores: Array, reach: int | None = None) -> Array:
+def meat(scores: Array) -> Array:
     """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
 
-    Neighboring batches correlate, the more so the slower the noise; more batches resolve more of
-    that. Bartlett's weights over a reach that grows with their number (Newey and West 1987) keep it
-    positive definite.
-
-    Args:
-        scores: (k, p).
-        reach: batches that correlate, where that is known; None: as many as can be resolved.
+    Neighboring batches correlate. Bartlett's weights (Newey and West 1987) keep it positive
+    definite.
     """
     k, p = scores.shape
-    weights = bartlett(k, reach)
+    weights = bartlett(k)
     total: Array = scores.T @ scores
     for lag, weight in enumerate(weights, 1):
         lagged = weight * (scores[lag:].T @ scores[:-lag])
@@ -44,30 +28,50 @@ def meat(scores: Array, reach: int | None = None) -> Array:
     return total
 
 
-def bartlett(k: int, reach: int | None = None) -> Array:
-    """Weights of lags 1, 2, ... between k batches, as far as they reach; None: as of `meat`."""
-    most = round(k ** (1.0 / 3.0)) if k > 2 else 0
-    reach = most if reach is None else min(most, reach)
+def bartlett(k: int) -> Array:
+    """Weights of lags 1, 2, ... between k batches, as far as they reach and can be resolved."""
+    reach = min(round(k ** (1.0 / 3.0)) if k > 2 else 0, _REACH)
     return 1.0 - np.arange(1, reach + 1) / (reach + 1.0)
 
 
-def inflation(inverse_root: Array, scatter: Array) -> Array:
-    """Ratio of the score's scatter to the information, at least 1.
+def inflation(inverse_root: Array, scatter: Array, least: float = 1.0) -> Array:
+    """Ratio of the score's scatter to the information, at least that of white residuals.
 
     Args:
         inverse_root: (p, p) symmetric root of the inverse information.
         scatter: (p, p) covariance of the score.
+        least: ratio.
 
     Returns:
         (p, p) A, to which inverse_root A inverse_root is the covariance of the estimate.
     """
     values, vectors = np.linalg.eigh(inverse_root @ scatter @ inverse_root)
-    return (vectors * np.maximum(values, 1.0)) @ vectors.T
+    return (vectors * np.maximum(values, least)) @ vectors.T
 
 
-def shrunk_inflation(
-    inverse_root: Array, scores: Array, reach: int | None = None
-) -> tuple[Array, Array]:
+def slow_inflation(scores: Array, least: float = 1.0) -> Array:
+    """The same of noise that outlasts batches by an unknown time, with Student's factor.
+
+    What k batches show of it is in their n first cosine waves, which are independent,
+
+        S = (2 / (n k)) sum_j c_j c_j^T,    c_j = sum_b u_b cos(pi j (b - 1/2) / k),  j = 1 ... n
+
+    so that an estimate over its standard deviation by S follows Student's t of n degrees of
+    freedom, n = 0.4 k^(2/3) (Lazarus, Lewis, Stock and Watson 2018, Journal of Business and
+    Economic Statistics 36, 541-559); one alone would never say anything.
+
+    Args:
+        scores: (k, p) of batches in time order, such that white residuals have unit covariance.
+        least: as of `inflation`, whatever so few waves are by chance.
+    """
+    k, p = scores.shape
+    n = max(int(0.4 * k ** (2.0 / 3.0)), 2)
+    waves = np.cos(np.pi * np.outer(np.arange(1, n + 1), (np.arange(k) + 0.5) / k)) @ scores
+    student = stdtrit(n, 0.975) / Z95
+    return inflation(np.eye(p), student**2 * 2.0 / (n * k) * waves.T @ waves, least)
+
+
+def shrunk_inflation(inverse_root: Array, scores: Array) -> tuple[Array, Array]:
     """The same, as far as the scatter of so many batches can prove it.
 
     Eigenvalues lambda of a scatter estimated from few batches spread widely about their mean even
@@ -88,18 +92,17 @@ def shrunk_inflation(
     Args:
         inverse_root: as of `inflation`.
         scores: as of `meat`.
-        reach: as of `meat`.
 
     Returns:
         (p, p) inflation, and (p,) share of each unknown's variance known from scatter alone.
     """
     k, p = scores.shape
-    values, vectors = np.linalg.eigh(inverse_root @ meat(scores, reach) @ inverse_root)
+    values, vectors = np.linalg.eigh(inverse_root @ meat(scores) @ inverse_root)
     values = np.maximum(values, 0.0)
     trust = min(1.0, k / (2.0 * p))
     mean = float(values.mean())
     floor = 1.0 - trust * (1.0 - min(max(mean, _LEAST_SCATTER), 1.0))
-    nu = max(k / (1.0 + 2.0 * float((bartlett(k, reach) ** 2).sum())), 1.0)
+    nu = max(k / (1.0 + 2.0 * float((bartlett(k) ** 2).sum())), 1.0)
     apart = float(((values - mean) ** 2).mean())
     weight = trust * min(1.0, mean**2 * (p + 1.0) / (nu * apart)) if apart > 0.0 else trust
     shrunk = (1.0 - weight) * values + weight * mean
@@ -127,9 +130,7 @@ def symmetric_roots(matrix: Array, ridge: float = 1e-12) -> tuple[Array, Array]:
     return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
-def student_factor(
-    shares: Array, reach: int | None = None, by_scatter: Array | float = 1.0
-) -> Array:
+def student_factor(shares: Array, by_scatter: Array | float = 1.0) -> Array:
     """What makes 1.96 standard deviations a 95 % interval when batches are few.
 
     A variance estimated from the scatter of few batches is itself uncertain; the estimate over its
@@ -145,7 +146,6 @@ def student_factor(
 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.
-        reach: as of `meat`.
         by_scatter: (p,) share of the variance that scatter determines, see `shrunk_inflation`.
 
     Returns:
@@ -153,7 +153,7 @@ def student_factor(
     """
     w = np.maximum(shares, 0.0)
     spread = (w * w).sum(axis=0)
-    for lag, weight in enumerate(bartlett(len(w), reach), 1):
+    for lag, weight in enumerate(bartlett(len(w)), 1):
         spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)

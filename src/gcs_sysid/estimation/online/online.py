@@ -15,7 +15,7 @@ from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.fit.translation import AccelerometerGain, TranslationFit
+from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit, Instant
 from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
@@ -87,14 +87,9 @@ class OnlineEstimator:
         """Likewise."""
         self._rigid_body_test_at = 0.0
 
-    @property
-    def accelerometer_gain(self) -> AccelerometerGain | None:
-        """How the accelerometer reads against gravity, from an earlier segment; may be set."""
-        return self._thrust.accelerometer_gain
-
-    @accelerometer_gain.setter
-    def accelerometer_gain(self, gain: AccelerometerGain | None) -> None:
-        self._thrust.accelerometer_gain = gain
+    def know_sensors(self, before: Fit) -> None:
+        """Take over from an earlier segment how accelerometer and velocity err."""
+        self._thrust.know_sensors(before.translation, before.accelerometer)
 
     @property
     def seconds(self) -> float:

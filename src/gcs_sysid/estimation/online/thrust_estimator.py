@@ -35,10 +35,17 @@ class ThrustEstimator:
     def __init__(
         self, record: FlightRecord, whitening: WhitenedEstimator, place: float = 0.0
     ) -> None:
-        self.accelerometer_gain: translation.AccelerometerGain | None = None
-        """How the accelerometer reads against gravity, from an earlier segment."""
+        self._gain: translation.AccelerometerGain | None = None
+        self._before: translation.MomentumStart | None = None
         self._record, self._basis, self._whitening = record, record.basis, whitening
         self._place = place
+
+    def know_sensors(
+        self, momentum: TranslationFit | None, accelerometer: TranslationFit | None
+    ) -> None:
+        """How the accelerometer reads against gravity, and velocity errs, in an earlier segment."""
+        self._gain = translation.accelerometer_gain(momentum, accelerometer)
+        self._before = None if momentum is None else momentum.warm_start
 
     def fit(
         self, at: RotationFit | None, prior: Prior | None
@@ -75,14 +82,13 @@ class ThrustEstimator:
         batches, total = (
             _mixed(weights, m) for m in (record.momentum.batches, record.momentum.total)
         )
-        return translation.fit_momentum(batches, record.momentum.counts, total)
+        return translation.fit_momentum(batches, record.momentum.counts, total, self._before)
 
     def by_accelerometer(self, where: Array) -> TranslationFit | None:
         """Of the accelerometer's z axis, at (3,) coordinates."""
         moments = self._record.accelerometer
         mixed = _mixed(self._basis.thrust_weights(where), moments.batches)
-        gain = self.accelerometer_gain
-        return translation.fit_accelerometer(mixed, moments.counts, gain, self._place)
+        return translation.fit_accelerometer(mixed, moments.counts, self._gain, self._place)
 
     def follow(
         self, instants: Sequence[Instant], at: Sequence[RotationFit], start: TranslationFit
