@@ -76,9 +76,12 @@ def test_several_vehicles_on_several_links():
 
 
 def test_nobody_and_nobody_that_flies():
-    (finding,) = findings_after(Told(), Told(b"noise" * 20))
+    (finding,) = findings_after(Told(), Told(b"noise" * 20, name="/dev/ttyUSB0"))
     assert finding.sign is Sign.WARNING
     assert "no vehicle in 3 s" in finding.text
+    assert finding.text.endswith(
+        "; /dev/ttyUSB0: bytes arrive that are no MAVLink: check the baud rate"
+    )
     assert any("gcs-sysid demo" in advice for advice in finding.advice)
     station = heartbeat(255, mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     (finding,) = findings_after(Told(station))

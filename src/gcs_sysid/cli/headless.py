@@ -61,7 +61,7 @@ def status_line(snapshot: Snapshot) -> str:
     link = snapshot.link
     if link.state is LinkState.WAITING:
         reasons = snapshot.result.reasons
-        if link.received or len(reasons) > 1:  # something is received, but no vehicle
+        if link.received or link.rejected or len(reasons) > 1:  # something, but no vehicle
             return f"listening on {link.url}: {'; '.join(reasons)}"
         return f"listening on {link.url}: no vehicle yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]

@@ -116,17 +116,11 @@ class LiveEstimate:
         """What the airframe says otherwise than the vehicle; empty where they agree."""
         return self._origin.airframe_problems(self.chain.airframe)
 
-    def learn(self, batch: ReceivedFrames, garbage_bytes: int) -> None:
-        """Learn from frames, or count them at least.
-
-        Args:
-            batch: as it is recorded.
-            garbage_bytes: of the link so far.
-        """
+    def learn(self, batch: ReceivedFrames) -> None:
+        """Learn from frames as they are recorded, or count them at least."""
         wall = 1e-6 * batch.time_us
         try:
             if self.duty is Duty.IDENTIFY:
-                self.intake.garbage_bytes = garbage_bytes
                 self._learn_from(self._gathering.gather(batch.frames, wall))
             elif self.duty is Duty.WATCH:
                 self.intake.frames(batch.frames, wall)

@@ -284,6 +284,8 @@ class LiveSession(Session):
         arrives on a fast link meanwhile would wait for both.
         """
         before = self._estimate.chain.t
+        # Also while nothing else comes.
+        self._estimate.intake.garbage_bytes = self._source.link_report.garbage_bytes
         for item in items:
             self._accept(item)
         learned = self._estimate.chain.t != before
@@ -304,7 +306,7 @@ class LiveSession(Session):
     def _accept(self, item: Item) -> None:
         match item:
             case ReceivedFrames():
-                self._estimate.learn(item, self._source.link_report.garbage_bytes)
+                self._estimate.learn(item)
                 self._report_result()
             case ResetMark(time_us):
                 self._estimate.reset(time_us)

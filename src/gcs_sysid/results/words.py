@@ -309,6 +309,8 @@ STATUS: dict[Status | None, Word] = {
 }
 WRONG_AIRFRAME = "wrong airframe"
 """Begins each reason that the vehicle's own parameters contradict the airframe."""
+NO_MAVLINK = "bytes arrive that are no MAVLink: check the baud rate"
+"""Of a link on which nothing else does."""
 WAITING = Word("○", "waiting")
 """Of every parameter before there are data."""
 VERDICT: dict[Verdict, Word] = {

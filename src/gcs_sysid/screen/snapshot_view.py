@@ -26,7 +26,7 @@ from gcs_sysid.results.snapshot import (
     speed_text,
 )
 from gcs_sysid.results.summary import before_data, contradicted
-from gcs_sysid.results.words import PLAIN, clock, duration
+from gcs_sysid.results.words import NO_MAVLINK, PLAIN, clock, duration
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
@@ -194,6 +194,8 @@ def notice(link: LinkStatus, silence: float = 0.0) -> tuple[str, str] | None:
         link: its state.
         silence: s since it last brought something; 0: unknown.
     """
+    if link.state is LinkState.WAITING and link.rejected and not link.received:
+        return f"Listening on {link.url}: {NO_MAVLINK}.", "warning"
     if link.state is LinkState.WAITING:
         return (
             f"Listening on {link.url}: no vehicle yet. Is the vehicle on, or telemetry forwarding "

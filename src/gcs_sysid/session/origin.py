@@ -9,6 +9,7 @@ from gcs_sysid.judgement.evidence import ClockDoubt, Evidence
 from gcs_sysid.judgement.received import clock_doubt
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.words import NO_MAVLINK
 from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout
 from gcs_sysid.telemetry.logs import Telemetry
 
@@ -61,6 +62,8 @@ class Origin:
             received = f"; found: {others}" if others else ""
             which = " the requested" if self.wanted else " any"
             no_vehicle = f"no heartbeat of{which} autopilot received{received}"
+            if not others and telemetry.as_dict().get("garbage_bytes"):
+                no_vehicle += f"; {NO_MAVLINK}"
         return replace(
             evidence,
             clock=self.clock_doubt,

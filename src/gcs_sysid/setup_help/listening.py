@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import LinkError
+from gcs_sysid.results.words import NO_MAVLINK
 from gcs_sysid.setup_help.checks import VEHICLE, SetupFinding, Sign, quoted
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
@@ -26,11 +27,12 @@ USUAL_PORTS = {
 
 @dataclass
 class Ear:
-    """A link that is listened to, the vehicles found on it, and how bad it is if there is none."""
+    """A link that is listened to, what is found on it, and how bad it is if there is no vehicle."""
 
     link: Link
     selector: VehicleSelector
     silent: Sign = Sign.WARNING
+    garbage_bytes: int = 0
 
     @property
     def url(self) -> str:
@@ -99,12 +101,13 @@ def listen(
         clock: any steady clock, s.
     """
     turn = 0.05  # s for all links
-    receivers = [(Receiver(ear.link), ear.selector) for ear in ears]
+    receivers = [(Receiver(ear.link), ear) for ear in ears]
     end = clock() + seconds
     try:
         while receivers and clock() < end:
-            for receiver, selector in receivers:
-                selector.listen(FrameBlock.of(receiver.poll(turn / len(receivers))))
+            for receiver, ear in receivers:
+                ear.selector.listen(FrameBlock.of(receiver.poll(turn / len(receivers))))
+                ear.garbage_bytes = receiver.garbage_bytes
     finally:
         for ear in ears:
             ear.link.close()
@@ -138,6 +141,9 @@ def received(ears: Sequence[Ear], seconds: float) -> list[SetupFinding]:
     text = f"no vehicle in {seconds:g} s on {where}"
     if others:
         text += f"; no vehicle, but: {', '.join(others)}"
+    for ear in silent:
+        if ear.garbage_bytes and not ear.selector.systems:
+            text += f"; {ear.url}: {NO_MAVLINK}"
     advice = [
         "check that it is powered and sends to this machine (SITL: --out 127.0.0.1:14550)",
         "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
