@@ -222,6 +222,12 @@ def test_a_rotor_that_lost_thrust_is_named(rotor):
     assert found.cause.loss == pytest.approx(0.2, abs=0.01)
 
 
+def test_a_speed_that_is_read_wrong_is_no_weak_rotor():
+    samples, more = fly(), np.array([1.37 * 0.2, 0.2, -0.2, -0.2])
+    samples.speeds[LATER] *= np.sqrt(1.0 + more)
+    assert "changed" not in verdicts(samples, known=reference((0, 1, 2)))
+
+
 @pytest.mark.slow
 def test_force_and_moment_of_no_rotors_direction_are_a_disturbance():
     # Pitch alone, with the thrust that a rotor's loss would go with.

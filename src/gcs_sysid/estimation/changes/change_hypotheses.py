@@ -296,6 +296,7 @@ class _StepTrial:
                 and speed < tuning.far[0]
                 and pull < tuning.far[1]
                 and self._stays(lambda since: self._rotor(i, since), loss)
+                and not self._is_misread(rotor.likelihood - penalty)
             )
             return cause, holds
         share, std = float(mass.value[0]), float(mass.std[0])
@@ -396,6 +397,22 @@ class _StepTrial:
         # What inflow does to thrust while the vehicle sinks is no part of the level.
         off = (self._window.e[later, 0] - self._level[0]) / np.mean(self._thrust[later])
         return bool(float(np.mean(off)) * np.sign(share) > 0.5 * abs(share))
+
+    def _is_misread(self, likelihood: float) -> bool:
+        """Whether a speed that was always read wrong, by twice at most, explains as much.
+
+        Once that rotor is used otherwise, as by the first yaw of a flight, residuals follow the
+        changes of its thrust, and not all of it.
+        """
+        if self._reference.actuator is not None:
+            return False
+        every = np.ones(len(self._window.e), dtype=bool)
+        for i in range(self._window.squares.shape[1]):
+            columns = self._rotor(i, every)
+            fit = self._fit({c: a - a[: self.at].mean() for c, a in columns.items()})
+            if fit.likelihood > likelihood and fit.value[0] < 0.75:
+                return True
+        return False
 
     def _is_aloft(self, share: float) -> bool:
         """Whether rotors carry the vehicle, at a share of thrust over mass that is gone."""
