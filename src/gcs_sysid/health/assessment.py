@@ -325,9 +325,7 @@ def health_of(
             hover_thrust=None,
             hover_command=None,
             thrust_to_weight=None,
-            rotors=tuple(
-                replace(r, motor_gain=None, headroom=None, saturated=None) for r in health.rotors
-            ),
+            rotors=tuple(replace(r, headroom=None, saturated=None) for r in health.rotors),
         )
     doubts = (*sensors, *unfit, *otherwise, *((_REVERSED,) if guess.reversed else ()))
     return advised(
