@@ -25,6 +25,7 @@ from gcs_sysid.judgement.plausibility import (
     implausible,
     placeholder_arm,
     reread_speeds,
+    unlike_spins,
     unseen_rotors,
 )
 from gcs_sysid.judgement.status import NOTHING, by_interval
@@ -346,6 +347,10 @@ def test_a_rotor_that_reads_otherwise_is_named_and_leaves_the_mean_uncertain(spe
 def test_none_is_named_where_several_rotors_differ():
     (found, _) = differing_rotors(turning([1.25, 1.0, 1.25, 1.0]))
     assert "by up to 11 % of the mean" in found.reason
+    (found,) = unlike_spins(replace(turning(np.ones(4)), spins=1.0 / 9.0))
+    assert "the clockwise rotors lift 20 % less than the counter-clockwise ones" in found.reason
+    assert found.widening["k_T"] == pytest.approx(SOUND["k_T"] / 9.0)
+    assert not list(unlike_spins(replace(turning([1.0, 1.0, 1.4, 1.0]), spins=0.1)))
 
 
 @pytest.mark.parametrize(

@@ -25,13 +25,13 @@ from gcs_sysid.health.drive_health import (
     vibration_of,
     with_throttle,
 )
-from gcs_sysid.health.hover import Windows, flight_of, sensors_of, turning_of, windows_of
+from gcs_sysid.health.hover import Windows, flight_of, lines_of, sensors_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits, of_turning, too_fast
+from gcs_sysid.judgement.plausibility import misfits, of_spins, of_turning, too_fast
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
@@ -281,7 +281,7 @@ def health_of(
             otherwise_ranged.append(thrust_of(of_range.part(sound), bent.c.value))
     of_curve = curve if rotor_input.motors else None
     health = _balances(streams, hover, thrust, of_curve, guess, otherwise_ranged)
-    load = load_of(hover, thrust, c)
+    load, lines = load_of(hover, thrust, c), lines_of(streams, flight, airframe.geometry[2])
     health = replace(
         health,
         rotor_input=rotor_input,
@@ -296,7 +296,7 @@ def health_of(
         by_voltage=power_of_voltage(streams, windows, curve),
         motor_current=motor_current(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         drag=drag_of(streams, windows),
-        turning=turning_of(streams, flight),
+        turning=lines.factor,
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)
@@ -312,6 +312,8 @@ def health_of(
     said = dict.fromkeys((assumed or unseen_scale(rotor_input, parameters, seen=seen), open_range))
     health = replace(health, assumptions=(*health.assumptions, *filter(None, said)))
     otherwise = tuple(of_turning(health.turning))
+    if not rotor_input.motors:
+        otherwise += tuple(of_spins(lines.unlike_spins))
     # What is in proportion to it is no number.
     if unfit or assumed or (otherwise and not rotor_input.motors):
         health = replace(health, scale=None, mass=None)
@@ -381,7 +383,8 @@ def _as_identified(health: Health, result: Result) -> Health:
         scale = _better(result, name, of_hover)
         health = health if scale is None else replace(health, scale=(name, scale))
     unlike = tuple(objection for objection in result.objections if objection.by == READINGS)
-    return advised(replace(health, doubts=(*health.doubts, *unlike)))
+    own = (each for each in health.doubts if each.by != READINGS or not unlike)
+    return advised(replace(health, doubts=(*own, *unlike)))
 
 
 def _better(result: Result, name: str, of_hover: Quantity) -> Quantity | None:

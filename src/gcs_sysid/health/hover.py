@@ -496,19 +496,19 @@ def sensors_of(
     return check.result(), saturation.found()
 
 
-def turning_of(streams: Streams, flight: tuple[Array, Mask]) -> float | None:
-    """By what rotors turn faster than read in flight, as `RotorLines.factor`."""
-    grid, flying = flight
+def lines_of(streams: Streams, flight: tuple[Array, Mask], spin: Array) -> RotorLines:
+    """What the IMU shows of the speeds read in flight, by rotors of (rotors,) 1 or -1."""
+    lines, (grid, flying) = RotorLines(spin), flight
     if streams.speeds is None or not len(grid):
-        return None
+        return lines
     (t, imu), dt = streams.tracks[Stream.IMU], 1.0 / streams.rate(Stream.IMU)
     flies = flying[np.clip(np.searchsorted(grid, t, side="right") - 1, 0, None)]
     felt = np.where(flies[:, None], imu[:, :6], np.nan)
     speeds = np.column_stack([np.interp(t, *rotor) for rotor in streams.speeds.samples])
-    lines, ends = RotorLines(), np.flatnonzero(np.diff(t) > 2.5 * dt) + 1
+    ends = np.flatnonzero(np.diff(t) > 2.5 * dt) + 1
     for first, stop in pairwise([0, *ends.tolist(), len(t)]):
         lines.update(dt, felt[first:stop], speeds[first:stop], fresh=True)
-    return lines.factor
+    return lines
 
 
 def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:

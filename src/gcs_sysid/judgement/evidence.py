@@ -100,6 +100,8 @@ class Evidence:
         stale: that the rotor stream in use held old readings in a part of the flight; else empty.
         reread: whether rotor speeds declared as rpm were read as rad/s.
         turning: by what rotors turn faster than read, as what shakes the IMU shows; None: nothing.
+        spins: share of the mean by which rotors of spin 1 lift more, and the others less, for the
+            speed read, as yaw shows; None where they may lift alike.
         clock: what the vehicle's clock may be wrong by; None where nothing is to be doubted.
         gyro: what it reads of what the attitude turns; None where that is not known.
         saturated: sensors that stood at a limit.
@@ -133,6 +135,7 @@ class Evidence:
     stale: str = ""
     reread: bool = False
     turning: float | None = None
+    spins: float | None = None
     clock: ClockDoubt | None = None
     gyro: GyroAgainstAttitude | None = None
     saturated: tuple[Saturated, ...] = ()

@@ -69,6 +69,7 @@ PRODUCERS = (
     Producer("units", plausibility.assumed_unit, Stage.BELIEF),
     Producer(LINES, plausibility.unshaken_speeds, Stage.BELIEF),
     Producer("readings", plausibility.differing_rotors, Stage.WIDENING),
+    Producer("readings", plausibility.unlike_spins, Stage.WIDENING),
     Producer("readings", plausibility.unseen_rotors, Stage.FLIGHT),
     Producer("ages", plausibility.aged_readings, Stage.FLIGHT),
     Producer("plausibility", plausibility.implausible, Stage.BELIEF),

@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.estimation.parameters.given_errors import unseen_shift
 from gcs_sysid.estimation.parameters.physical_parameters import rotor_coefficients, unlike_rotors
 from gcs_sysid.judgement.evidence import Evidence
-from gcs_sysid.judgement.status import LINES
+from gcs_sysid.judgement.status import LINES, READINGS
 from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
 from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
@@ -199,13 +199,48 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
             )
 
 
+def unlike_spins(evidence: Evidence) -> Iterator[Objection]:
+    """Rotors of one spin that lift more for the speed read: either may be those that read wrong."""
+    rotation = evidence.fit.rotation
+    if rotation is None or unlike_rotors(rotation, len(evidence.airframe.rotors))[0]:
+        return  # one rotor that reads otherwise does as much
+    names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
+    for found in of_spins(evidence.spins):
+        share = abs(found.evidence["share"])
+        yield replace(
+            found,
+            parameters=names,
+            cap="weak",
+            widening={
+                name: share * abs(e.value)
+                for name, e in evidence.estimates.items()
+                if name in names and e.value is not None
+            },
+        )
+
+
+def of_spins(share: float | None) -> Iterator[Objection]:
+    """The same, whatever the speeds are for; `share` as of `Evidence.spins`."""
+    if share is not None:
+        less, more = ("clockwise", "counter-clockwise")[:: 1 if share > 0.0 else -1]
+        percent = 100.0 * (1.0 - (1.0 - abs(share)) / (1.0 + abs(share)))
+        yield Objection(
+            f"for the speed that they read the {less} rotors lift {percent:.0f} % less than the "
+            f"{more} ones, as thrust shows where it yaws",
+            verdict="identified",
+            evidence={"share": share},
+            how="check the pole counts of the ESCs of one spin, and their propellers",
+            by=READINGS,
+        )
+
+
 def unseen_rotors(evidence: Evidence) -> Iterator[Objection]:
     """Rotors that differ by their commands, where no flight shows whether they do."""
     unlike = evidence.unlike
     if evidence.rotor_input.motors or np.allclose(unseen_shift(evidence.airframe), 0.0):
         return
     if unlike is None:
-        if evidence.fit.rotation is not None:
+        if evidence.fit.rotation is not None and evidence.spins is None:
             share = evidence.airframe.uncertainty.rotor_thrust.of(1.0)
             yield Objection(
                 "CG, k_T and k_M hold for rotors that give one thrust for one speed, within "
@@ -243,7 +278,9 @@ def aged_readings(evidence: Evidence) -> Iterator[Objection]:
         )
         return
     rotation, rotors = evidence.fit.rotation, len(evidence.airframe.rotors)
-    if rotation is None or not len(rotation.ages) or unlike_rotors(rotation, rotors)[0]:
+    if rotation is None or not len(rotation.ages) or evidence.spins is not None:
+        return
+    if unlike_rotors(rotation, rotors)[0]:
         return
     apart = float(np.abs(rotation.ages - np.median(rotation.ages)).max())
     if apart > AGE:

@@ -213,7 +213,7 @@ class Chain:
         """The latest."""
         self.contradicted: dict[str, Estimate] = {}
         """Parameters as the flight alone has them, whose priors it contradicts."""
-        self.rotor_lines = RotorLines()
+        self.rotor_lines = RotorLines(airframe.geometry[2])
         """Of measured speeds."""
         self.renewals = 0
         """How often it was renewed."""
@@ -428,6 +428,7 @@ class Chain:
             filtered=self.cutoffs[0] is not None,
             gyro=self.sampler.gyro_check.result(),
             turning=self.rotor_lines.factor,
+            spins=self.rotor_lines.unlike_spins,
             saturated=self.sampler.time_base.saturation.found(),
             frozen=self.sampler.time_base.frozen_share,
             disordered=self.sampler.time_base.disordered_share,
@@ -568,7 +569,8 @@ class Chain:
         return out
 
     def _forget_estimate(self) -> None:
-        self.tracker, self.contradicted, self.rotor_lines = None, {}, RotorLines()
+        self.tracker, self.contradicted = None, {}
+        self.rotor_lines = RotorLines(self.airframe.geometry[2])
         self.fit = Fit(None, None, 0.0)
         self._history.clear()
 

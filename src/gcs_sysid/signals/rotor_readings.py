@@ -55,7 +55,14 @@ class OddReading:
 
 
 class RotorLines:
-    """The IMU's spectra at multiples of the rotors' speeds, of pieces from all of a flight."""
+    """What the IMU shows of the speeds read, by pieces from all of a flight.
+
+    Its spectra have lines at multiples of them. And yaw, which sets the rotors of one spin against
+    the others, does nothing to thrust where both lift alike for the speed that they read.
+
+    Args:
+        spin: (rotors,) 1 or -1.
+    """
 
     _ORDERS = np.geomspace(0.3, 3.4, 243)
     _TURNS, _PIECES, _FEWEST = 64, 256, 16
@@ -64,16 +71,18 @@ class RotorLines:
     """Share by which a line may be off a whole multiple; share of the IMU's rate below which its
     spectrum is that of flying."""
 
-    def __init__(self) -> None:
+    def __init__(self, spin: Array) -> None:
         self.factor: float | None = None
         """By what rotors turn faster than read: 1 where lines are at whole multiples of what is
         read; None: there are no lines."""
+        self._spin = spin
         self._dt, self._rest = 0.0, np.empty((0, 0))
         self._restart(0)
 
     def _restart(self, length: int) -> None:
         """Begin with pieces of so many samples; 0: not known yet."""
         self._length, self._kept, self._every, self._passed = length, list[Array](), 1, 0
+        self._yawed = list[tuple[float, float]]()
         self._due, self.factor = self._FEWEST, None
 
     def update(self, dt: float, imu: Array, speeds: Array, *, fresh: bool = False) -> None:
@@ -101,7 +110,7 @@ class RotorLines:
             if 2 * self._turned(piece.mean(axis=0)) < self._length:  # they idled before
                 self._restart(self._turned(piece.mean(axis=0)))
             elif self._length >= 0.5 * self._TURNS:  # else too slow an IMU even for folded lines
-                self._keep(piece.astype(np.float32))
+                self._keep(piece)
         self._rest = rest
 
     def _turned(self, row: Array) -> int:
@@ -110,12 +119,43 @@ class RotorLines:
 
     def _keep(self, piece: Array) -> None:
         if self._passed % self._every == 0:
-            self._kept.append(piece)
+            self._kept.append(piece.astype(np.float32))
+            self._yawed.append(self._yaw_of(piece))
         self._passed += 1
         if len(self._kept) > self._PIECES:
-            self._kept, self._every = self._kept[::2], 2 * self._every
+            self._kept, self._yawed = self._kept[::2], self._yawed[::2]
+            self._every *= 2
         if self._passed >= self._due:  # a fifth more each time, so that it costs little
             self._due, self.factor = math.ceil(1.2 * self._passed), self._read(np.array(self._kept))
+
+    def _yaw_of(self, piece: Array) -> tuple[float, float]:
+        """Sums x^2 and x y of a piece: y is the specific force, and x what one spin's squared
+        speeds have of it more than the other's, each less what goes with all of them.
+        """
+        squares, force = piece[:, 6:] ** 2, piece[:, 5]
+        total = squares.sum(axis=1) / squares.sum()
+        more = squares @ self._spin / squares.sum()
+        x, y = (v - v.sum() * total for v in (force.sum() * more, force))
+        return float(x @ x), float(x @ y)
+
+    @property
+    def unlike_spins(self) -> float | None:
+        """Share of the mean by which rotors of spin 1 lift more, and the others less, for the speed
+        read; None where they may lift alike. Propellers scatter by less.
+        """
+        if len(self._yawed) < self._FEWEST:
+            return None
+        power, product = np.array(self._yawed).T
+        weights = power / power.sum() if power.any() else np.ones(1)
+        freedom = 1.0 / float(weights @ weights) - 1.0
+        if not freedom > 0.0:
+            return None
+        # By leaving each piece out: few of them may have most of the yaw.
+        share = float(product.sum() / power.sum())
+        left = (product - share * power) / (1.0 - weights)
+        std = float(np.linalg.norm(left) / power.sum())
+        sure = abs(share) - student_limit(freedom) * std > 0.5 * APART
+        return share if sure else None
 
     def _read(self, pieces: Array) -> float | None:
         """What (p, n, 6 + rotors) pieces show."""
