@@ -55,7 +55,7 @@ def reference(delay=0.0, r_squared=0.99, kappa_factor=1.0):
 def watch(samples, fit=None, block=25, known=None, start=0.0):
     """The watch, all its alarms, and what was decided on some of them."""
     known = known or ChangeWatch(GEOMETRY, DT, ChangeTuning(), EstimatorTuning())
-    known.arm(fit or reference(), 0.0)
+    known.arm(fit or reference(), 0.0, moments=True)
     t = start + np.arange(len(samples.gyro)) * DT
     alarms, decided, k = [], [], 0
     while k < len(t):

@@ -177,14 +177,12 @@ class ChangeWatch:
         self.alarms.append(Alarm(channel, onset, float(self._t[n - 1]), reference))
         del self.alarms[:-8]  # those looked at together
 
-    def arm(self, fit: Fit, seconds: float) -> None:
-        """Watch with a better reference, of so many s of flight."""
+    def arm(self, fit: Fit, seconds: float, *, moments: bool) -> None:
+        """Watch with a better reference, of so many s of flight; thrust alone, or moments too."""
         every, growth = self._tuning.reference_every, self._tuning.reference_growth
         self.arm_at = max(seconds + every, growth * seconds)
-        moments = self._tuning.gyro_cutoff is None
-        self._test.arm(
-            reference_of(fit, self._geometry, self._dt, self._actuator(fit), moments=moments)
-        )
+        known = self._geometry, self._dt, self._actuator(fit)
+        self._test.arm(reference_of(fit, *known, moments=moments))
         self._last = np.full(2, np.nan)
         if self._watched is None and self._test.reference.watched[0] and len(self._t):
             self._watched = float(self._t[-1]) + self._changes.warm_up

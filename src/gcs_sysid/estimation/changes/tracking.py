@@ -384,8 +384,12 @@ class Tracker:
                 return
             self._pass(alarm, found, now)
         if self._estimator.seconds >= watch.arm_at:
-            fit = self.fit(quick=True, series="watch")
-            watch.arm(fit, self._estimator.seconds)
+            estimator, commands = self._estimator, self._estimator.record.commands
+            # Neither a filtered gyro nor motors that are not known yet show a step of torque.
+            unknown = commands is not None and commands.white is None
+            moments = self._tuning.gyro_cutoff is None and not unknown
+            fit = self.fit(quick=True, series="watch") if moments else estimator.fit_thrust()
+            watch.arm(fit, estimator.seconds, moments=moments)
             early = watch.early(fit)
             if early is not None:
                 self._change(*early, now)

@@ -125,18 +125,17 @@ class OnlineEstimator:
         for _ in self.record.add_samples(samples):
             pass
 
-    def follow(self, samples: Samples, stops: Sequence[int], series: str = "") -> list[Fit]:
+    def follow(self, samples: Samples, stops: Sequence[int]) -> list[Fit]:
         """Take a block of samples, with quick fits on the way.
 
         Args:
             samples: n of them.
             stops: rising, 0 to n: a fit after so many of them.
-            series: see `fit`.
 
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
-        return self._follow(self.record.add_samples(samples, stops), series)
+        return self._follow(self.record.add_samples(samples, stops), "")
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The estimate from everything so far.
@@ -154,6 +153,12 @@ class OnlineEstimator:
         with self.record.settled():
             return self._full_fit()
 
+    def fit_thrust(self) -> Fit:
+        """Thrust over mass, with lag and thrust curve of a rough fit, by the data alone."""
+        self._renew_prior(afresh=True, running=True)
+        rot = self._rotation.fit(None, self.prior, rough=True)
+        return Fit(rot, self._thrust.quick(rot, self.prior)[1], self.seconds, running=True)
+
     def _full_fit(self) -> Fit:
         self._renew_prior(afresh=True)
         rot = self._rotation.fit(None, self.prior)
@@ -161,7 +166,7 @@ class OnlineEstimator:
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # Inertia in roll and pitch is left to determine.
-            rot = self._rotation.without_products(self.prior)
+            rot = self._rotation.fit(None, self.prior, rigid=False)
         trans, accelerometer = self.fit_translation(rot)
         return Fit(
             rot,
@@ -270,9 +275,7 @@ class OnlineEstimator:
         )
         self._renew_prior(running=True)
         record.use_place(rot.lag_place)
-        rigid_body_test = self._latest_rigid_body_test(rot)
-        trans = self._thrust.with_slope(trans, rot, self.prior)
-        return replace(fit, translation=trans, rigid_body_test=rigid_body_test)
+        return replace(fit, translation=trans, rigid_body_test=self._latest_rigid_body_test(rot))
 
     def _settle(self, series: str, before: _SeriesStart | None) -> Fit:
         """A fit that chooses whiteners and delay, as a warm start for those to come."""
@@ -285,8 +288,6 @@ class OnlineEstimator:
             self._warm_starts[series] = _SeriesStart(
                 rot, thrust, self.record.batches, settle, self._rotation.left_out
             )
-        rigid_body_test = self._latest_rigid_body_test(rot)
-        trans = self._thrust.with_slope(trans, rot, self.prior)
         if self.record.article is None and not series:
             self._validation = self._rotation.validate(self.prior, rot)
             self._other_layout = self._rotation.other_layout()
@@ -295,7 +296,7 @@ class OnlineEstimator:
             trans,
             self.seconds,
             self._validation,
-            rigid_body_test=rigid_body_test,
+            rigid_body_test=self._latest_rigid_body_test(rot),
             other_layout=self._other_layout,
             running=True,
             moments=self._rotation.moments(rot),

@@ -49,18 +49,27 @@ class RotationEstimator:
         self._record, self._whitening, self._thrust = record, whitening, thrust
         self._arms = geometry[:2]
 
-    def fit(self, start: RotationFit | None, prior: Prior | None) -> RotationFit | None:
+    def fit(
+        self, start: RotationFit | None, prior: Prior | None, **how: bool
+    ) -> RotationFit | None:
         """Fit what the record holds.
 
         Args:
             start: an earlier fit of it; None: from the data alone.
             prior: what else is known.
+            how: `rigid` and `rough`, as of `WhitenedEstimator.fit`.
 
         Returns:
             The fit; None while the data cannot even start one.
         """
-        fit = self._fitted(start, prior)
-        return None if fit is None else self._completed(fit)
+        record = self._record
+        if record.article:
+            return record.article.fit()
+        found = self._whitening.fit(start, prior, calm=self._thrust.is_calm(prior), **how)
+        if found is None:
+            return None
+        fit, self.left_out = found
+        return self._completed(self._with_motor_doubt(fit))
 
     def follow(
         self, instants: Sequence[Instant], start: RotationFit, prior: Prior | None
@@ -112,11 +121,6 @@ class RotationEstimator:
             return None
         return self.instant(fit, self.left_out).at(fit, self._record)
 
-    def without_products(self, prior: Prior | None) -> RotationFit | None:
-        """The fit of a body without gyroscopic torque."""
-        found = self._whitening.fit(prior=prior, rigid=False)
-        return None if found is None else self._completed(self._with_motor_doubt(found[0]))
-
     @property
     def can_test_rigid_body(self) -> bool:
         """Whether there are batches enough for `test_rigid_body`."""
@@ -146,16 +150,6 @@ class RotationEstimator:
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """See `OnlineEstimator.gyro_density`."""
         return self._whitening.gyro_density(fit, theta)
-
-    def _fitted(self, start: RotationFit | None, prior: Prior | None) -> RotationFit | None:
-        record = self._record
-        if record.article:
-            return record.article.fit()
-        found = self._whitening.fit(start, prior, calm=self._thrust.is_calm(prior))
-        if found is None:
-            return None
-        fit, self.left_out = found
-        return self._with_motor_doubt(fit)
 
     def _with_motor_doubt(self, fit: RotationFit) -> RotationFit:
         """A fit to whitened rows of commands with what is not known of the motors."""

@@ -64,7 +64,7 @@ class ThrustEstimator:
     def quick(
         self, at: RotationFit | None, prior: Prior | None
     ) -> tuple[TranslationFit | None, TranslationFit | None]:
-        """Of the momentum balance, and of the better source; both without `with_slope`.
+        """Of the momentum balance, without `with_slope`, and of the better source, with it.
 
         Args:
             at: as of `fit`.
@@ -72,7 +72,7 @@ class ThrustEstimator:
         """
         where = self.coordinates(at, prior)
         momentum = self.by_momentum(where)
-        return momentum, momentum or self.by_accelerometer(where)
+        return momentum, self.with_slope(momentum or self.by_accelerometer(where), at, prior)
 
     def by_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""

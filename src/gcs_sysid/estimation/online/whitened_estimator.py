@@ -84,6 +84,7 @@ class WhitenedEstimator:
         *,
         rigid: bool = True,
         calm: bool = False,
+        rough: bool = False,
     ) -> tuple[RotationFit, LeftOut] | None:
         """Fit what the record holds.
 
@@ -92,6 +93,7 @@ class WhitenedEstimator:
             prior: on the unknowns.
             rigid: whether the body has gyroscopic torque.
             calm: whether no steady wind blows.
+            rough: whether one place of the lag and rotors that are alike will do.
 
         Returns:
             The fit and the shocks that it left out; None while the data cannot even start one.
@@ -105,7 +107,7 @@ class WhitenedEstimator:
         known = prior, doubt, self._choice, 0.0 if calm else self._hover
 
         def fitted(start: RotationFit | None) -> WhitenedFit | None:
-            found = fit_whitened(data, self.basis, start, *known)
+            found = fit_whitened(data, self.basis, start, *known, others=not rough)
             if start is not None and (found is None or _is_doubtful(found.rotation)):
                 fresh = fit_whitened(data, self.basis, None, *known)
                 if found is None or (fresh is not None and fresh.cost < found.cost):
@@ -114,10 +116,11 @@ class WhitenedEstimator:
 
         if self.basis.bends:
             record, place = self._record, None if start is None else start.lag_place
+            places = record.places() if place is None else record.places(place.of)
             found = fit_lag_places(
                 lambda first: fitted(first or start),
                 self.basis,
-                record.places() if place is None else record.places(place.of),
+                places[:1] if rough else places,
                 record.seconds / record.half_width,
             )
         else:
