@@ -62,9 +62,8 @@ class RotationEstimator:
         Returns:
             The fit; None while the data cannot even start one.
         """
-        record = self._record
-        if record.article:
-            return record.article.fit()
+        if self._record.article:
+            return self._record.article.fit()
         found = self._whitening.fit(start, prior, calm=self._thrust.is_calm(prior), **how)
         if found is None:
             return None

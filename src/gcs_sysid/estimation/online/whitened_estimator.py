@@ -103,12 +103,14 @@ class WhitenedEstimator:
             data = with_possible_noise(data, self.basis, prior)
         if not rigid:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
-        doubt = self._record.noise_doubt
-        known = prior, doubt, self._choice, 0.0 if calm else self._hover
+        known = prior, self._record.noise_doubt, self._choice, 0.0 if calm else self._hover
 
-        def fitted(start: RotationFit | None) -> WhitenedFit | None:
-            found = fit_whitened(data, self.basis, start, *known, others=not rough)
-            if start is not None and (found is None or _is_doubtful(found.rotation)):
+        def fitted(first: RotationFit | None) -> WhitenedFit | None:
+            near = first or start
+            found = fit_whitened(data, self.basis, near, *known, others=not rough)
+            doubtful = found is None or _is_doubtful(found.rotation)
+            # Where the first place, all ways tried, ends no better, the start is not to blame.
+            if doubtful and near and not (first and _is_doubtful(first)):
                 fresh = fit_whitened(data, self.basis, None, *known)
                 if found is None or (fresh is not None and fresh.cost < found.cost):
                     found = fresh
@@ -117,14 +119,10 @@ class WhitenedEstimator:
         if self.basis.bends:
             record, place = self._record, None if start is None else start.lag_place
             places = record.places() if place is None else record.places(place.of)
-            found = fit_lag_places(
-                lambda first: fitted(first or start),
-                self.basis,
-                places[:1] if rough else places,
-                record.seconds / record.half_width,
-            )
+            some, independent = places[: 1 if rough else None], record.seconds / record.half_width
+            found = fit_lag_places(fitted, self.basis, some, independent)
         else:
-            found = fitted(start)
+            found = fitted(None)
         if found is None:
             return None
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
