@@ -182,15 +182,17 @@ def test_a_part_of_the_rotors_does_not_show_what_all_of_them_carry():
     assert np.concatenate([block.flying for block in blocks])[500:].all()
 
 
-def test_a_rotor_that_is_read_wrong_grounds_nothing_that_its_commands_carry():
+def test_a_rotor_that_is_read_wrong_grounds_nothing_that_its_commands_or_the_others_carry():
     carried, sway = 1.0 + 0.05 * np.sin(T), 0.1 * np.sin(2.9 * T)
-    for force, commands, stands in (
-        (G * carried, UNKNOWN, True),
-        (G * carried, carried, False),
-        (np.full_like(T, G), carried, True),
+    alike, yawed = (np.sqrt(1.0 + np.outer(sway, each)) for each in ((1.0, 1.0), (7.0, -7.0)))
+    for force, commands, speeds, stands in (
+        (G * carried, UNKNOWN, alike, True),
+        (G * carried, UNKNOWN, yawed, False),
+        (G * carried, carried, alike, False),
+        (np.full_like(T, G), carried, alike, True),
     ):
-        thrust = np.column_stack([carried + sway, commands])
-        assert GroundTest().update(T, force, np.full_like(T, 0.2), thrust).any() == stands
+        seen = np.column_stack([carried + sway, commands])
+        assert GroundTest().update(T, force, np.full_like(T, 0.2), seen, speeds).any() == stands
 
 
 @pytest.mark.slow

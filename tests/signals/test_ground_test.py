@@ -18,7 +18,8 @@ def stood(effort, force, rate=0.02, *, commands=False, noise=0.1, block=10**6, t
     thrust = np.column_stack([empty, effort] if commands else [effort, empty])
     test = GroundTest() if test is None else test
     parts = [slice(i, i + block) for i in range(0, len(T), block)]
-    return np.concatenate([test.update(T[k], force[k], rates[k], thrust[k]) for k in parts])
+    every = (T, force, rates, thrust, np.sqrt(effort)[:, None])
+    return np.concatenate([test.update(*(values[k] for values in every)) for k in parts])
 
 
 def maneuvers(share=0.05):
@@ -46,18 +47,18 @@ def test_what_hovers_is_carried_by_its_rotors(commands):
     thrust = maneuvers()
     effort = np.sqrt(thrust) if commands else 4e5 * thrust
     assert not stood(effort, G * thrust, commands=commands).any()
-
-
-def test_a_motor_that_lags_still_carries():
+    # So it is where motors lag.
     thrust = maneuvers(0.1)
     late = np.convolve(thrust, np.full(8, 0.125))[: len(T)]
     late[:8] = 1.0
     assert not stood(thrust, G * late).any()
 
 
-def test_constant_thrust_says_nothing():
+def test_constant_thrust_and_missing_streams_say_nothing():
     for noise in (0.0, 0.1, 1.0):
         assert not stood(np.full(len(T), 4e5), G + 0.0 * T, noise=noise).any()
+    empty = np.full((len(T), 2), np.nan)
+    assert not GroundTest().update(T, *empty.T, empty, empty).any()
 
 
 def test_a_take_off_is_seen_within_two_seconds():
@@ -75,9 +76,3 @@ def test_a_take_off_is_seen_within_two_seconds():
 def test_what_falls_climbs_or_turns_stands_on_nothing(force, rate):
     steps = 1e5 * (2.0 + np.sin(0.8 * T))
     assert not stood(steps, force + 0.0 * T, rate).any()
-
-
-def test_missing_streams_say_nothing():
-    empty = np.full(len(T), np.nan)
-    test = GroundTest()
-    assert not test.update(T, empty, empty, np.column_stack([empty, empty])).any()

@@ -17,7 +17,8 @@ adds up the log-likelihood ratio of the two (Wald 1945), with a the most likely 
 as large as the better of the two leaves it.
 
 It needs no report, no height and no known vehicle, and says nothing while thrust is constant. What
-turns fast or reads far from 1 g stands on nothing, whatever thrust does.
+turns fast or reads far from 1 g stands on nothing, whatever thrust does. Rotors that are read wrong
+make a change of u where they change unlike each other: only what is beyond that counts.
 """
 
 import math
@@ -27,6 +28,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.signals.rotor_readings import APART
 
 
 @dataclass(frozen=True)
@@ -71,15 +73,15 @@ class GroundTest:
         self.stood: list[tuple[float, float]] = []
         self._flew = -math.inf
         self._number = -1
-        self._sums = np.zeros((2, 4))
-        self._before = np.full(3, np.nan)
+        self._sums = np.zeros((2, 0))
+        self._before = np.zeros(0)
         # Of squared speeds and of commands.
         self._nats = np.zeros(2)
         self._power = np.full((2, 2), 1e-4)
         self._stand = np.zeros(2, dtype=bool)
         self._stands = False
 
-    def update(self, t: Array, force: Array, rates: Array, thrust: Array) -> Mask:
+    def update(self, t: Array, force: Array, rates: Array, thrust: Array, speeds: Array) -> Mask:
         """Take a block.
 
         Args:
@@ -87,14 +89,17 @@ class GroundTest:
             force: (n,) m/s^2, norm of the specific force; NaN: not measured.
             rates: (n,) rad/s, norm of the body rates.
             thrust: (n, 2) as of `FlightDetector.update`.
+            speeds: (n, rotors) likewise.
 
         Returns:
             (n,) whether the ground carries it, by the windows before each sample.
         """
-        values = np.column_stack([force, rates, thrust])
+        values = np.column_stack([rates, force, thrust, speeds])
         numbers = np.floor(t / _GROUND.window).astype(np.int64)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         known = np.isfinite(values)
+        if self._sums.shape[1] != values.shape[1]:
+            self._sums, self._before = np.zeros((2, values.shape[1])), np.array([np.nan])
         sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
         counts = np.add.reduceat(known, starts, axis=0)
         out = np.empty(len(t), bool)
@@ -109,15 +114,18 @@ class GroundTest:
     def _close(self) -> None:
         """Judge the window that has ended against the one before it."""
         total, count = self._sums
-        mean = np.divide(total, count, out=np.full(4, np.nan), where=count > 0)
-        self._sums = np.zeros((2, 4))
-        shown = mean[[0, 2, 3]]  # force, squared speeds, commands
-        logs = np.log(shown, out=np.full(3, np.nan), where=shown > 0.0)
+        mean = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+        self._sums = np.zeros_like(self._sums)
+        shown = mean[1:]  # force, squared speeds, commands, each rotor
+        logs = np.log(shown, out=np.full(len(shown), np.nan), where=shown > 0.0)
         changes = logs - self._before
         self._before = logs
         if not math.isfinite(changes[0]):
             return
-        y, *both = np.clip(changes, -_MOST, _MOST)
+        # As far as rotors change unlike each other, some that read wrong look like thrust.
+        unlike = 4.0 * APART * np.nan_to_num(changes[3:]).std()
+        changes[1] -= np.clip(changes[1], -unlike, unlike)
+        y, *both = np.clip(changes[:3], -_MOST, _MOST)
         known = np.isfinite(both)
         if not known.any():
             return
@@ -144,7 +152,7 @@ class GroundTest:
         variance = 2.0 * max(float(self._power[i].min()), _GROUND.least_noise**2)
         gain = float(squares[0] - squares[1]) / (2.0 * variance)
         nats = float(self._nats[i]) + min(max(gain, -_GROUND.step), _GROUND.step)
-        if not (_GROUND.one_g[0] < mean[0] < _GROUND.one_g[1]) or mean[1] > _GROUND.turns:
+        if not (_GROUND.one_g[0] < mean[1] < _GROUND.one_g[1]) or mean[0] > _GROUND.turns:
             nats = max(nats, 0.0)
         return min(max(nats, -_ODDS), _ODDS)
 
@@ -301,7 +309,7 @@ class FlightDetector:
             changes = (np.abs(speeds - before) > RULES.same * speeds).any(axis=1)
         driven = self._since(t, changes, "_driven_at") < RULES.silent_for
         disarmed = (armed < 0.5) & ~(turn & driven & (in_air > 0.5))
-        carried_by_ground = self.ground_test.update(t, force, rates, thrust)
+        carried_by_ground = self.ground_test.update(t, force, rates, thrust, speeds)
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         stands |= carried_by_ground
         down = self._lately(t, position[:, 2])
