@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from gcs_sysid.estimation.noise.whitening import (
     WhitenerBank,
@@ -26,27 +27,29 @@ WHITENED, WINDOW = EstimatorTuning(), EstimatorTuning(smoother="window")
 
 @pytest.mark.parametrize("rho_d", [1e-6, 1e-3, 0.1])
 @pytest.mark.parametrize("rho_u", [0.0, 0.02, 1.0])
-def test_spectral_factor_has_the_spectrum(rho_d, rho_u):
+@pytest.mark.parametrize("lags", [1, 2])
+def test_spectral_factor_has_the_spectrum(rho_d, rho_u, lags):
     a = np.exp(-T)
-    c1, c2 = spectral_factor(a, rho_d, rho_u)
+    factor = spectral_factor(a, rho_d, rho_u, lags)
     z = np.exp(-1j * np.linspace(0.0, np.pi, 200))
-    wanted = rho_d + (rho_u + abs(1.0 - z) ** 2) * abs(1.0 - a * z) ** 2
-    found = abs(1.0 + c1 * z + c2 * z * z) ** 2 * a / c2  # sigma^2 c2 = r a
-    np.testing.assert_allclose(found, wanted, rtol=1e-7)
-    assert np.all(abs(np.roots([1.0, c1, c2])) < 1.0)
+    wanted = rho_d + (rho_u + abs(1.0 - z) ** 2) * abs(1.0 - a * z) ** (2 * lags)
+    r = abs(factor[-1]) / a**lags  # sigma^2 c2 = r a, -sigma^2 c3 = r a^2
+    np.testing.assert_allclose(abs(np.polyval([*factor[::-1], 1.0], z)) ** 2 / r, wanted, rtol=1e-7)
+    assert np.all(abs(np.roots([1.0, *factor])) < 1.0)
 
 
-def test_innovations_of_the_process_are_white():
+@pytest.mark.parametrize("lags", [1, 2])
+def test_innovations_of_the_process_are_white(lags):
     rng = np.random.default_rng(3)
-    n, a, r = 40_000, np.exp(-T), 1.0
-    rho_d = (2.0 * np.pi * 8.0 * T) ** 4
-    d, gyro = 0.0, np.sqrt(r) * rng.standard_normal(n + 1)
-    drive = np.sqrt(rho_d * r) * rng.standard_normal(n)
-    moment = np.empty(n)
-    for k in range(n):
-        d = moment[k] = a * d + drive[k]
+    n, tau, r = 40_000, (1.0, 0.15)[lags - 1], 1.0
+    process = gauss_markov(T, 8.0, tau=tau, lags=lags)
+    rho_d = (2.0 * np.pi * 8.0 * T) ** (2 + 2 * lags)
+    gyro, moment = np.sqrt(r) * rng.standard_normal(n + 1), rng.standard_normal(n)
+    for _ in range(lags):
+        moment = lfilter([1.0], [1.0, -process.a], moment)
+    moment *= np.sqrt(rho_d * r)
     left = (moment + np.diff(gyro))[:, None]
-    right, wrong = WhitenerBank([gauss_markov(T, 8.0), leak(T, 0.3)]).update(left)[:, 200:, 0]
+    right, wrong = WhitenerBank([process, leak(T, 0.3)]).update(left)[:, 200:, 0]
 
     def correlations(w):
         return np.array([w[lag:] @ w[:-lag] for lag in (1, 2, 5, 20, 60)]) / (w @ w)
@@ -54,7 +57,8 @@ def test_innovations_of_the_process_are_white():
     assert np.abs(correlations(right)).max() < 4.0 / np.sqrt(n)
     assert np.abs(correlations(wrong)).max() > 20.0 / np.sqrt(n)
     assert right.var() < wrong.var()
-    assert gauss_markov(T, 8.0).gyro_share * right.var() == pytest.approx(r, rel=0.03)
+    assert process.gyro_share * right.var() == pytest.approx(r, rel=0.03)
+    assert moment.var() == pytest.approx(process.strength * r, rel=0.1)
 
 
 @pytest.mark.parametrize("samples", [1, 2])

@@ -371,7 +371,7 @@ class _Finishing:
             raw = Problem(problem.moments, bank.rows, basis, bank.prior, deviations=bank.deviations)
             pull = raw.evaluate(point.unknowns).gradient - point.gradient
             spread = spread + outcome.spread_of(self.doubt * pull)
-        # First from scatter, which also gives the contrasts' standard deviations.
+        # First from scatter alone.
         fit = outcome.fits(spread, widening, [solved.converged])[0]
         fit, ways = replace(fit, deviating=bank.deviations), []
         for error in solved.trial.systematic(fit, self.hover):

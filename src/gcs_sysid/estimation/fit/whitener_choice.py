@@ -167,23 +167,25 @@ class BankProblem:
         )
         problem = Problem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
         point, converged = minimize(problem, problem.extended(unknowns), limit)
-        if fitted is None:
-            known = np.median(point.unknowns, axis=0)
-        else:
+        known = np.median(point.unknowns, axis=0)
+        if fitted is not None:
             known = problem.extended(fitted)
+        Q = self.deviations.forward(known, known[N_UNKNOWNS:])
+        answered = axis_power(residual_maker(Q), problem.exact)
+        if fitted is not None:
             # Where a whitener leaves hardly more than noise an estimate may run away, downhill.
-            Q = self.deviations.forward(known, known[N_UNKNOWNS:])
-            there = axis_power(residual_maker(Q), problem.exact)
-            least = np.where(converged[:, None], -np.inf, there)
+            least = np.where(converged[:, None], -np.inf, answered)
             point = replace(point, power=np.maximum(point.power, least))
         alike = self._alike(point, noise, known)
         # An axis' noise is its own.
         for axis, own in enumerate(self.data.likeliest):
             alike[[i for i in self.data.likeliest if i != own], axis] = np.inf
         found = point.unknowns.copy()
+        answered = np.maximum(answered / self.rows, LEAST_POWER * point.variance)
         if self.basis.motors:
             found[:, COORDINATES] = at  # plain rows have none
-        return BankTrial(self.data.whiteners, self.data.time, found, alike, point.hessian)
+            answered = alike  # what is known to be missing of commands, a loop made
+        return BankTrial(self.data.whiteners, self.data.time, found, alike, answered)
 
     def scanned(self) -> BankTrial | None:
         """From the data alone: every node with every whitener, then all of these at the best one.

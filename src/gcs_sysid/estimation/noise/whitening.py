@@ -9,10 +9,12 @@ rotors), and the gyro's noise, which differencing makes grow with frequency:
 
     S_v = q_d / |1 - a z^-1|^2 + q_u + r |1 - z^-1|^2 ,    a = exp(-T / tau)
 
-with d of Ornstein-Uhlenbeck form. The rate loop answers d, so that torque and d are correlated,
-and least squares attributes d to inertia. A strictly causal loop responds only to the past, though:
-torque is uncorrelated with the *innovation* of v. Filtered by the inverse of its spectral factor,
-all columns alike, rows have innovations for residuals and least squares is unbiased, however strong
+with d of Ornstein-Uhlenbeck form, or of one that passed such a lag twice, as gusts do that the
+vehicle's size averages: |1 - a z^-1|^4 in place of its square. The rate loop answers d, so that
+torque and d are correlated, and least squares attributes d to inertia. A strictly causal loop
+responds only to the past, though: torque is uncorrelated with the *innovation* of v. Filtered by
+the inverse of its spectral factor, all columns alike, rows have innovations for residuals and least
+squares is unbiased, however strong
 the feedback (prediction-error identification in closed loop: Forssell and Ljung 1999, Automatica
 35, 1215-1241). Filters that look both ways, and windows, lose that.
 
@@ -39,6 +41,8 @@ DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0, 45.0, 64.0)
 """Hz, below which a disturbance exceeds the gyro's noise."""
 QUICK, QUICKLY_DISTURBED = 0.15, (4.0, 11.0, 23.0)
 """s and Hz, of a disturbance that leaves slow motion, and with it the CG, more alone."""
+SMOOTH = (4.0, 6.0, 8.0, 11.0, 16.0, 23.0)
+"""Hz, of one smoothed twice."""
 BOTH = (
     (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
     (6.0, 40.0), (11.0, 40.0), (16.0, 40.0), (23.0, 40.0), (32.0, 40.0),
@@ -60,15 +64,18 @@ _MOST_WEIGHT = 3.0
 
 @dataclass(frozen=True)
 class Whitener:
-    """w = (1 - a z^-1) / ((1 + c1 z^-1 + c2 z^-2) (1 + b z^-1)) z.
+    """w = (1 - a z^-1)^m / ((1 + c1 z^-1 + c2 z^-2 + c3 z^-3) (1 + b z^-1)) z.
 
     Attributes:
         name: what it assumes.
         a: of the disturbance; 0: none is assumed.
-        c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
+        c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2 + c3 z^-3.
         below: Hz, where the disturbance exceeds the gyro's noise.
         b: of a gyro whose noise is averaged over neighboring samples; 0: it is white.
         quick: whether the disturbance's time constant is the shorter one.
+        c3: of the spectral factor.
+        lags: m, how often the disturbance was smoothed with its time constant.
+        strength: variance of the disturbance over the gyro's.
     """
 
     name: str
@@ -78,11 +85,20 @@ class Whitener:
     below: float = 0.0
     b: float = 0.0
     quick: bool = False
+    c3: float = 0.0
+    lags: int = 1
+    strength: float = 0.0
+
+    @property
+    def numerator(self) -> tuple[float, float]:
+        """Of z^-1 and z^-2."""
+        return (-self.a, 0.0) if self.lags == 1 else (-2.0 * self.a, self.a**2)
 
     @property
     def factor(self) -> tuple[float, float, float]:
-        """Of z^-1, z^-2 and z^-3 in the whole denominator."""
-        return self.c1 + self.b, self.c2 + self.b * self.c1, self.b * self.c2
+        """Of z^-1, z^-2 and z^-3 in the whole denominator: b with c3 would be a fourth."""
+        b, c1, c2 = self.b, self.c1, self.c2
+        return c1 + b, c2 + b * c1, self.c3 + b * c2
 
     @property
     def disturbed(self) -> bool:
@@ -94,9 +110,11 @@ class Whitener:
         """Variance of the gyro's slow noise over that of an innovation, r / sigma^2.
 
         sigma^2 |C|^2 has the same coefficient of the highest lag as r |1 - z^-1|^2 |1 - a z^-1|^2:
-        sigma^2 c2 = r a; without disturbance sigma^2 c2 = r where the gyro is corrected, as of
-        `corrected`, and else -sigma^2 c1 = r.
+        sigma^2 c2 = r a, or -sigma^2 c3 = r a^2 with two lags; without disturbance sigma^2 c2 = r
+        where the gyro is corrected, as of `corrected`, and else -sigma^2 c1 = r.
         """
+        if self.lags > 1:
+            return -self.c3 / self.a**2
         if self.disturbed:
             return (1.0 + self.b) ** 2 * self.c2 / self.a
         return (1.0 + self.b) ** 2 * (self.c2 if self.a else -self.c1)
@@ -104,57 +122,61 @@ class Whitener:
     def power(self, omega: Array) -> Array:
         """(n,) |(1 - a z^-1) / C|^2 at (n,) rad a row."""
         late = np.exp(-1j * omega)
-        own = (1.0 + self.c1 * late + self.c2 * late**2) * (1.0 + self.b * late)
-        passed = (1.0 - self.a * late) / own
-        return np.abs(passed) ** 2
+        above, below = (1.0, *self.numerator), (1.0, *self.factor)
+        return np.abs(np.polyval(above[::-1], late) / np.polyval(below[::-1], late)) ** 2
 
 
-def spectral_factor(a: float, rho_d: float, rho_u: float) -> tuple[float, float]:
-    """(c1, c2) of C = 1 + c1 z^-1 + c2 z^-2 with |C|^2 ~ S_v |1 - a z^-1|^2, zeros inside.
+def spectral_factor(a: float, rho_d: float, rho_u: float, lags: int = 1) -> tuple[float, ...]:
+    """(c1, c2) or (c1, c2, c3) of C with |C|^2 ~ S_v |1 - a z^-1|^(2 m), zeros inside.
 
     With s = z + 1/z that is, over r,
 
-        a s^2 - [(1 + a^2) + 2 a + rho_u a] s + [rho_d + (rho_u + 2) (1 + a^2)] = 0
-
-    and each root s gives the root |z| < 1 of z^2 - s z + 1 = 0.
+        rho_d + (rho_u + 2 - s) (1 + a^2 - a s)^m
 
     Args:
         a: 0 to 1, exp(-T / tau).
         rho_d: q_d / r.
         rho_u: q_u / r.
+        lags: m.
     """
-    square = 1.0 + a * a
-    return _factor(a, -(square + 2.0 * a + rho_u * a), rho_d + (rho_u + 2.0) * square)
+    spectrum = np.poly1d([-1.0, rho_u + 2.0]) * np.poly1d([-a, 1.0 + a * a]) ** lags + rho_d
+    return _factor(spectrum)
 
 
-def _factor(a: float, b: float, c: float) -> tuple[float, float]:
-    """(c1, c2) of C with |C|^2 ~ a s^2 + b s + c, s = z + 1/z."""
-    root = np.sqrt(complex(b * b - 4.0 * a * c))
-    zeros = []
-    for s in ((-b + root) / (2.0 * a), (-b - root) / (2.0 * a)):
-        apart = np.sqrt(s * s - 4.0)
-        pair = 0.5 * (s + apart), 0.5 * (s - apart)
-        zeros.append(min(pair, key=abs))
-    return float(-(zeros[0] + zeros[1]).real), float((zeros[0] * zeros[1]).real)
+def _factor(spectrum: np.poly1d) -> tuple[float, ...]:
+    """(c1, ...) of C with |C|^2 ~ a polynomial of s = z + 1/z: of z^2 - s z + 1 the inner roots."""
+    s = spectrum.roots.astype(complex)
+    apart = np.sqrt(s * s - 4.0)
+    pairs = np.stack([0.5 * (s + apart), 0.5 * (s - apart)])
+    zeros = np.where(np.abs(pairs[0]) < np.abs(pairs[1]), *pairs)
+    return tuple(np.poly(zeros).real[1:].tolist())
 
 
-def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Whitener:
+def gauss_markov(
+    T: float, f_d: float, f_u: float = 0.0, tau: float = TAU, lags: int = 1
+) -> Whitener:
     """Whitener of an Ornstein-Uhlenbeck moment, torque noise and gyro noise.
 
     Args:
         T: s between rows.
         f_d: Hz where the moment's spectrum meets that of the gyro's noise: the change of a rate
-            in a step is T d, d's spectrum q_d / (omega T)^2, the noise's r (omega T)^2, so that
-            rho_d = (2 pi f_d T)^4.
+            in a step is T d, d's spectrum q_d / (omega T)^(2 m), the noise's r (omega T)^2, so that
+            rho_d = (2 pi f_d T)^(2 + 2 m).
         f_u: Hz where torque noise does: rho_u = (2 pi f_u T)^2.
         tau: s, of the moment.
+        lags: m, 1 or 2.
     """
     a = float(np.exp(-T / tau))
-    rho_d, rho_u = (2.0 * np.pi * f_d * T) ** 4, (2.0 * np.pi * f_u * T) ** 2
-    c1, c2 = spectral_factor(a, rho_d, rho_u)
+    rho_d, rho_u = (2.0 * np.pi * f_d * T) ** (2 + 2 * lags), (2.0 * np.pi * f_u * T) ** 2
+    factor = spectral_factor(a, rho_d, rho_u, lags)
     name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
     name += f", {tau:g} s" if tau != TAU else ""
-    return Whitener(name, a, c1, c2, f_d, quick=tau < TAU)
+    name += " twice" if lags > 1 else ""
+    # Of 1 / (1 - a z^-1) and of its square, driven by white noise.
+    gain = 1.0 / (1.0 - a * a) if lags == 1 else (1.0 + a * a) / (1.0 - a * a) ** 3
+    c1, c2, c3 = (*factor, 0.0)[:3]
+    quick = tau < TAU
+    return Whitener(name, a, c1, c2, f_d, quick=quick, c3=c3, lags=lags, strength=gain * rho_d)
 
 
 def torque_noise(T: float, f_u: float) -> Whitener:
@@ -171,8 +193,7 @@ def torque_noise(T: float, f_u: float) -> Whitener:
 def corrected(T: float, corner: float, f_u: float) -> Whitener:
     """Whitener of torque noise and of a gyro whose noise at low frequency has been corrected.
 
-    With p = exp(-corner T), S_v |1 - p z^-1|^2 is r |1 - z^-1|^4 + q_u |1 - p z^-1|^2, which over r
-    is s^2 - (4 + rho_u p) s + 4 + rho_u (1 + p^2).
+    With p = exp(-corner T), S_v |1 - p z^-1|^2 is r |1 - z^-1|^4 + q_u |1 - p z^-1|^2.
 
     Args:
         T: s between rows.
@@ -180,7 +201,7 @@ def corrected(T: float, corner: float, f_u: float) -> Whitener:
         f_u: Hz, see `torque_noise`.
     """
     p, rho_u = float(np.exp(-corner * T)), (2.0 * np.pi * f_u * T) ** 2
-    c1, c2 = _factor(1.0, -(4.0 + rho_u * p), 4.0 + rho_u * (1.0 + p * p))
+    c1, c2 = _factor(np.poly1d([-1.0, 2.0]) ** 2 + rho_u * np.poly1d([-p, 1.0 + p * p]))
     return Whitener(f"corrected to {corner:g} rad/s, torque noise to {f_u:g} Hz", p, c1, c2)
 
 
@@ -208,6 +229,7 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
         *(averaged(whitener, b) for b in AVERAGED for whitener in calm[1:_AVERAGED]),
         *(gauss_markov(T, f) for f in DISTURBED),
         *(gauss_markov(T, f, tau=QUICK) for f in QUICKLY_DISTURBED),
+        *(gauss_markov(T, f, tau=QUICK, lags=2) for f in SMOOTH),
         *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
     )
 
@@ -271,7 +293,8 @@ class WhitenerBank:
     impulse response h, w = H z, to which the past adds the response of 1 / C to the state of the
     transposed form,
 
-        (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3 w_(-1)) .
+        (n1 z_(-1) + n2 z_(-2) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3),
+         n2 z_(-1) - c2 w_(-1) - c3 w_(-2), -c3 w_(-1)) .
 
     Args:
         whiteners: of the bank.
@@ -279,21 +302,21 @@ class WhitenerBank:
 
     def __init__(self, whiteners: Sequence[Whitener]) -> None:
         self.whiteners = tuple(whiteners)
-        a = np.array([whitener.a for whitener in whiteners])
+        n1, n2 = np.array([whitener.numerator for whitener in whiteners]).T
         c1, c2, c3 = np.array([whitener.factor for whitener in whiteners]).T
-        self._a = a[:, None]
+        self._n = n1[:, None], n2[:, None]
         self._c = c1[:, None], c2[:, None], c3[:, None]
-        # g: response of 1 / C; h: of (1 - a z^-1) / C.
-        g = np.zeros((len(a), PIECE + 2))
+        # g: response of 1 / C; h: of (1 + n1 z^-1 + n2 z^-2) / C.
+        g = np.zeros((len(n1), PIECE + 2))
         g[:, 2] = 1.0
         for k in range(2, PIECE + 1):
             g[:, k + 1] = -c1 * g[:, k] - c2 * g[:, k - 1] - c3 * g[:, k - 2]
-        h = g[:, 2:] - a[:, None] * g[:, 1:-1]
+        h = g[:, 2:] + n1[:, None] * g[:, 1:-1] + n2[:, None] * g[:, :-2]
         age = np.arange(PIECE)[:, None] - np.arange(PIECE)
         self._toeplitz = np.where(age >= 0, h[:, np.maximum(age, 0)], 0.0)
         self._past = np.stack([g[:, 2:], g[:, 1:-1], g[:, :-2]], axis=2)
         """(bank, PIECE, 3) of what the past adds to the first three rows."""
-        self._carried = np.zeros((len(a), _ORDER, _ORDER))
+        self._carried = np.zeros((len(n1), _ORDER, _ORDER))
         """What the last rows of a piece leave of the state: row i is of its part i."""
         for i in range(_ORDER):
             for k in range(i, _ORDER):
@@ -334,27 +357,28 @@ class WhitenerBank:
             m = len(part)
             w = np.matmul(self._toeplitz[:, :m, :m], part, out=out[:, start : start + m])
             w += self._past[:, :m] @ self._state
-            self._state = self._next_state(part[-1], w)
+            self._state = self._next_state(part, w)
         return out
 
-    def _next_state(self, last: Array, w: Array) -> Array:
-        """(bank, 3, width) after a piece: its last row, and its innovations."""
-        c1, c2, c3 = self._c
+    def _next_state(self, rows: Array, w: Array) -> Array:
+        """(bank, 3, width) after a piece: its last rows, and its innovations."""
+        (n1, n2), (c1, c2, c3) = self._n, self._c
         before = self._state
         assert before is not None
-        m = w.shape[1]
+        last, m = rows[-1], w.shape[1]
         if m >= _ORDER:
             state = self._carried @ w[:, -_ORDER:]
-            state[:, 0] -= self._a * last
+            state[:, 0] += n1 * last + n2 * rows[-2]
+            state[:, 1] += n2 * last
             return state
         zero = np.zeros_like(w[:, 0])
-        # State i after a row: -c_i w + state i + 1 before it.
+        # State i after a row: n_i z - c_i w + state i + 1 before it.
         second = before[:, 2] if m == 1 else -c3 * w[:, -2]
-        first = -c2 * w[:, -2] + before[:, 2] if m == 2 else before[:, 1]
+        first = n2 * rows[-2] - c2 * w[:, -2] + before[:, 2] if m == 2 else before[:, 1]
         return np.stack(
             [
-                -self._a * last - c1 * w[:, -1] + first,
-                -c2 * w[:, -1] + second,
+                n1 * last - c1 * w[:, -1] + first,
+                n2 * last - c2 * w[:, -1] + second,
                 -c3 * w[:, -1] + zero,
             ],
             axis=1,

@@ -36,7 +36,7 @@ _DECAYED = 1e-6
 
 def whitened(rows: Array, whitener: Whitener) -> Array:
     """(n, ...) rows, filtered from rest."""
-    return lfilter([1.0, -whitener.a, 0.0, 0.0], [1.0, *whitener.factor], rows)[0]
+    return lfilter([1.0, *whitener.numerator, 0.0], [1.0, *whitener.factor], rows)[0]
 
 
 def memory(whitener: Whitener) -> int:
