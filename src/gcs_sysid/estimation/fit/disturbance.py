@@ -30,7 +30,7 @@ class DisturbanceRules:
 
 
 RULES = DisturbanceRules()
-_AXES = np.arange(3)
+AXES = np.arange(3)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class BankTrial:
         calm = np.array([not whitener.disturbed for whitener in self.whiteners])
         none = calm[:, None] | np.isinf(self.variance)
         answering = np.where(none, np.inf, self.answered).argmin(axis=0)
-        gain = self._gain(self.answered[pick, _AXES], self.answered[answering, _AXES])
+        gain = self._gain(self.answered[pick, AXES], self.answered[answering, AXES])
         shaken = self.detected > RULES.detected  # none where no whitener is of a disturbance
         shaken[2] = False
         return tuple(np.where(shaken & (gain > RULES.detected), answering, pick).tolist())

@@ -12,7 +12,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
-from gcs_sysid.estimation.fit.disturbance import BankTrial
+from gcs_sysid.estimation.fit.disturbance import AXES, BankTrial
 from gcs_sysid.estimation.fit.inference import Outcome
 from gcs_sysid.estimation.fit.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.fit.problem import (
@@ -35,7 +35,6 @@ _SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 30
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
-_AXES = np.arange(3)
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class AxisFit:
     @property
     def cost(self) -> float:
         """Nats a row, summed over the axes."""
-        power = self.trial.variance[list(self.pick), _AXES]
+        power = self.trial.variance[list(self.pick), AXES]
         weak = self.point.weak[0] / self.problem.rows[0]
         return 0.5 * float(np.log(power).sum() + weak)
 
@@ -167,16 +166,14 @@ class BankProblem:
         )
         problem = Problem(moments, self.rows, PLAIN, self.prior, noise, self.deviations)
         point, converged = minimize(problem, problem.extended(unknowns), limit)
-        known = np.median(point.unknowns, axis=0)
-        if fitted is not None:
-            known = problem.extended(fitted)
-        Q = self.deviations.forward(known, known[N_UNKNOWNS:])
-        answered = axis_power(residual_maker(Q), problem.exact)
+        known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
+        T = self._residual_maker(known)
+        answered = axis_power(T, problem.exact)
         if fitted is not None:
             # Where a whitener leaves hardly more than noise an estimate may run away, downhill.
             least = np.where(converged[:, None], -np.inf, answered)
             point = replace(point, power=np.maximum(point.power, least))
-        alike = self._alike(point, noise, known)
+        alike = self._alike(point, noise, T)
         # An axis' noise is its own.
         for axis, own in enumerate(self.data.likeliest):
             alike[[i for i in self.data.likeliest if i != own], axis] = np.inf
@@ -215,8 +212,8 @@ class BankProblem:
         point, _ = minimize(problem, starts, _SCAN)
         axes = self.axes((0, 0, 0))
         known = axes.extended(np.median(point.unknowns, axis=0))
-        alike = self._alike(point, noise, known)
-        power = np.log(alike).reshape(len(some), len(nodes), len(_AXES))
+        alike = self._alike(point, noise, self._residual_maker(known))
+        power = np.log(alike).reshape(len(some), len(nodes), len(AXES))
         weak = axes.weak_cost(starts)
         cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
         best = int(np.argmin(cost))
@@ -225,7 +222,11 @@ class BankProblem:
             starts[:, COORDINATES] = nodes[best]  # plain rows have none
         return self.tried(np.repeat(starts, every, axis=0)[: len(self.total)], TRY)
 
-    def _alike(self, point: Evaluation, noise: Array, known: Array) -> Array:
+    def _residual_maker(self, known: Array) -> Array:
+        """(3, WIDTH) of a vehicle of (N_UNKNOWNS + m,) unknowns."""
+        return residual_maker(self.deviations.forward(known, known[N_UNKNOWNS:]))
+
+    def _alike(self, point: Evaluation, noise: Array, T: Array) -> Array:
         """(K, 3) power of innovations as it would be if all had the same share of known noise.
 
         Input noise biases the minimum of the power towards a vehicle with less response. An
@@ -236,10 +237,9 @@ class BankProblem:
         Args:
             point: K solutions.
             noise: (K, 1, WIDTH, WIDTH) in one row.
-            known: (N_UNKNOWNS + m,) of that vehicle.
+            T: (3, WIDTH) what makes that vehicle's residuals.
         """
-        Q = self.deviations.forward(known, known[N_UNKNOWNS:])
-        of_noise = axis_power(residual_maker(Q), noise)
+        of_noise = axis_power(T, noise)
         return np.maximum(point.power / self.rows + of_noise, LEAST_POWER * point.variance)
 
     def choose_deviations(
@@ -319,4 +319,4 @@ def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None
         return None
     places = list(trial.pick)
     power = own_power(problem.total[places]) / problem.rows
-    return 1.0 - trial.variance[places, _AXES] / np.maximum(power, 1e-300)
+    return 1.0 - trial.variance[places, AXES] / np.maximum(power, 1e-300)

@@ -14,9 +14,9 @@ vehicle's size averages: |1 - a z^-1|^4 in place of its square. The rate loop an
 torque and d are correlated, and least squares attributes d to inertia. A strictly causal loop
 responds only to the past, though: torque is uncorrelated with the *innovation* of v. Filtered by
 the inverse of its spectral factor, all columns alike, rows have innovations for residuals and least
-squares is unbiased, however strong
-the feedback (prediction-error identification in closed loop: Forssell and Ljung 1999, Automatica
-35, 1215-1241). Filters that look both ways, and windows, lose that.
+squares is unbiased, however strong the feedback (prediction-error identification in closed loop:
+Forssell and Ljung 1999, Automatica 35, 1215-1241). Filters that look both ways, and windows, lose
+that.
 
 The strength of d is not known beforehand, so a bank of whiteners runs in parallel. All of them are
 monic and causal, so that the log likelihood of n rows is -(n / 2) ln sigma^2 up to a constant,
@@ -120,7 +120,7 @@ class Whitener:
         return (1.0 + self.b) ** 2 * (self.c2 if self.a else -self.c1)
 
     def power(self, omega: Array) -> Array:
-        """(n,) |(1 - a z^-1) / C|^2 at (n,) rad a row."""
+        """(n,) |(1 - a z^-1)^m / C|^2 at (n,) rad a row."""
         late = np.exp(-1j * omega)
         above, below = (1.0, *self.numerator), (1.0, *self.factor)
         return np.abs(np.polyval(above[::-1], late) / np.polyval(below[::-1], late)) ** 2
