@@ -75,7 +75,7 @@ def test_trim_is_the_moment_held_by_an_offset():
         q = (2.0 * np.pi * 4.0 * T) ** 4 * r
         n, rng = 200_000, np.random.default_rng(axis)
         drive = np.sqrt(q) * rng.standard_normal(n)
-        d = lfilter([1.0], [1.0, -whitener.a], drive)[5000:]
+        d = lfilter([1.0], [1.0, *whitener.numerator], drive)[5000:]
         # The moment that it is, over inertia's unit, against thrust in hover.
         assert trim[place] * HOVER / THETA[axis] == pytest.approx(d.std(), rel=0.1)
         assert np.count_nonzero(trim) == 1

@@ -33,7 +33,7 @@ SILENT = np.zeros((5, 5))
 def residuals_of(whitener, n, seed):
     """(n,) changes of a rate with the noise that a whitener is for."""
     drawn = np.random.default_rng(seed).standard_normal(n + 2000)
-    return lfilter([1.0, *whitener.factor], [1.0, -whitener.a], drawn)[2000:]
+    return lfilter([1.0, *whitener.denominator], [1.0, *whitener.numerator], drawn)[2000:]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_the_likeliest_noise_is_that_of_the_record(true):
     assert not calm.disturbed
     # A search from where that one ended stays there.
     again = likeliest(runs, [np.ones(8000, dtype=bool)] * 2, T, numbers).best
-    np.testing.assert_allclose(again.factor, best.factor, atol=3e-3)
+    np.testing.assert_allclose(again.denominator, best.denominator, atol=3e-3)
 
 
 def test_a_corrected_gyro_is_whitened_exactly():

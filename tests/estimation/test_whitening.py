@@ -10,7 +10,6 @@ from gcs_sysid.estimation.noise.whitening import (
     bank_for,
     gauss_markov,
     leak,
-    spectral_factor,
 )
 from gcs_sysid.estimation.online.online import OnlineEstimator
 from gcs_sysid.estimation.record import whitened_record
@@ -28,14 +27,13 @@ WHITENED, WINDOW = EstimatorTuning(), EstimatorTuning(smoother="window")
 @pytest.mark.parametrize("rho_d", [1e-6, 1e-3, 0.1])
 @pytest.mark.parametrize("rho_u", [0.0, 0.02, 1.0])
 @pytest.mark.parametrize("lags", [1, 2])
-def test_spectral_factor_has_the_spectrum(rho_d, rho_u, lags):
-    a = np.exp(-T)
-    factor = spectral_factor(a, rho_d, rho_u, lags)
-    z = np.exp(-1j * np.linspace(0.0, np.pi, 200))
-    wanted = rho_d + (rho_u + abs(1.0 - z) ** 2) * abs(1.0 - a * z) ** (2 * lags)
-    r = abs(factor[-1]) / a**lags  # sigma^2 c2 = r a, -sigma^2 c3 = r a^2
-    np.testing.assert_allclose(abs(np.polyval([*factor[::-1], 1.0], z)) ** 2 / r, wanted, rtol=1e-7)
-    assert np.all(abs(np.roots([1.0, *factor])) < 1.0)
+def test_a_disturbance_is_whitened_exactly(rho_d, rho_u, lags):
+    f_d, f_u = rho_d ** (0.5 / (1 + lags)) / (2.0 * np.pi * T), rho_u**0.5 / (2.0 * np.pi * T)
+    whitener, omega = gauss_markov(T, f_d, f_u, lags=lags), np.linspace(0.0, np.pi, 200)
+    z = np.exp(-1j * omega)
+    noise = rho_d / abs(1.0 - np.exp(-T) * z) ** (2 * lags) + rho_u + abs(1.0 - z) ** 2
+    np.testing.assert_allclose(whitener.power(omega) * noise * whitener.gyro_share, 1.0, rtol=1e-7)
+    assert np.all(abs(np.roots([1.0, *whitener.denominator])) < 1.0)
 
 
 @pytest.mark.parametrize("lags", [1, 2])
@@ -46,7 +44,7 @@ def test_innovations_of_the_process_are_white(lags):
     rho_d = (2.0 * np.pi * 8.0 * T) ** (2 + 2 * lags)
     gyro, moment = np.sqrt(r) * rng.standard_normal(n + 1), rng.standard_normal(n)
     for _ in range(lags):
-        moment = lfilter([1.0], [1.0, -process.a], moment)
+        moment = lfilter([1.0], [1.0, -np.exp(-T / tau)], moment)
     moment *= np.sqrt(rho_d * r)
     left = (moment + np.diff(gyro))[:, None]
     right, wrong = WhitenerBank([process, leak(T, 0.3)]).update(left)[:, 200:, 0]

@@ -64,92 +64,64 @@ _MOST_WEIGHT = 3.0
 
 @dataclass(frozen=True)
 class Whitener:
-    """w = (1 - a z^-1)^m / ((1 + c1 z^-1 + c2 z^-2 + c3 z^-3) (1 + b z^-1)) z.
+    """w = N / C z, of monic polynomials of the delay z^-1.
 
     Attributes:
         name: what it assumes.
-        a: of the disturbance; 0: none is assumed.
-        c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2 + c3 z^-3.
-        below: Hz, where the disturbance exceeds the gyro's noise.
+        numerator: (2,) of z^-1 and z^-2 in N, by which a disturbance is white noise again.
+        denominator: (3,) of z^-1, z^-2 and z^-3 in C.
+        gyro_share: variance of the gyro's slow noise over that of an innovation, r / sigma^2.
+        below: Hz, where the disturbance exceeds the gyro's noise; 0: none is assumed.
         b: of a gyro whose noise is averaged over neighboring samples; 0: it is white.
         quick: whether the disturbance's time constant is the shorter one.
-        c3: of the spectral factor.
-        lags: m, how often the disturbance was smoothed with its time constant.
         strength: variance of the disturbance over the gyro's.
     """
 
     name: str
-    a: float
-    c1: float
-    c2: float
+    numerator: tuple[float, float] = (0.0, 0.0)
+    denominator: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gyro_share: float = 0.0
     below: float = 0.0
     b: float = 0.0
     quick: bool = False
-    c3: float = 0.0
-    lags: int = 1
     strength: float = 0.0
-
-    @property
-    def numerator(self) -> tuple[float, float]:
-        """Of z^-1 and z^-2."""
-        return (-self.a, 0.0) if self.lags == 1 else (-2.0 * self.a, self.a**2)
-
-    @property
-    def factor(self) -> tuple[float, float, float]:
-        """Of z^-1, z^-2 and z^-3 in the whole denominator: b with c3 would be a fourth."""
-        b, c1, c2 = self.b, self.c1, self.c2
-        return c1 + b, c2 + b * c1, self.c3 + b * c2
 
     @property
     def disturbed(self) -> bool:
         """Whether it assumes a disturbance."""
         return self.below != 0.0
 
-    @property
-    def gyro_share(self) -> float:
-        """Variance of the gyro's slow noise over that of an innovation, r / sigma^2.
-
-        sigma^2 |C|^2 has the same coefficient of the highest lag as r |1 - z^-1|^2 |1 - a z^-1|^2:
-        sigma^2 c2 = r a, or -sigma^2 c3 = r a^2 with two lags; without disturbance sigma^2 c2 = r
-        where the gyro is corrected, as of `corrected`, and else -sigma^2 c1 = r.
-        """
-        if self.lags > 1:
-            return -self.c3 / self.a**2
-        if self.disturbed:
-            return (1.0 + self.b) ** 2 * self.c2 / self.a
-        return (1.0 + self.b) ** 2 * (self.c2 if self.a else -self.c1)
-
     def power(self, omega: Array) -> Array:
-        """(n,) |(1 - a z^-1)^m / C|^2 at (n,) rad a row."""
+        """(n,) |N / C|^2 at (n,) rad a row."""
         late = np.exp(-1j * omega)
-        above, below = (1.0, *self.numerator), (1.0, *self.factor)
+        above, below = (1.0, *self.numerator), (1.0, *self.denominator)
         return np.abs(np.polyval(above[::-1], late) / np.polyval(below[::-1], late)) ** 2
 
 
-def spectral_factor(a: float, rho_d: float, rho_u: float, lags: int = 1) -> tuple[float, ...]:
-    """(c1, c2) or (c1, c2, c3) of C with |C|^2 ~ S_v |1 - a z^-1|^(2 m), zeros inside.
+def whitener_of(name: str, spectrum: np.poly1d, poles: Sequence[float] = ()) -> Whitener:
+    """Whitener of a residual whose spectral factor is C / N.
 
-    With s = z + 1/z that is, over r,
-
-        rho_d + (rho_u + 2 - s) (1 + a^2 - a s)^m
+    A root s of the spectrum is two zeros of z^2 - s z + 1, of which C has the inner one. The
+    highest lag of sigma^2 |C|^2 has the same coefficient as r times the spectrum.
 
     Args:
-        a: 0 to 1, exp(-T / tau).
-        rho_d: q_d / r.
-        rho_u: q_u / r.
-        lags: m.
+        name: of the whitener.
+        spectrum: S_v |N|^2 / r, of s = z + 1 / z: of degree 3 at most.
+        poles: of N, 2 at most, 0 to 1.
     """
-    spectrum = np.poly1d([-1.0, rho_u + 2.0]) * np.poly1d([-a, 1.0 + a * a]) ** lags + rho_d
-    return _factor(spectrum)
-
-
-def _factor(spectrum: np.poly1d) -> tuple[float, ...]:
-    """(c1, ...) of C with |C|^2 ~ a polynomial of s = z + 1/z: of z^2 - s z + 1 the inner roots."""
     s = spectrum.roots.astype(complex)
     apart = np.sqrt(s * s - 4.0)
     pairs = np.stack([0.5 * (s + apart), 0.5 * (s - apart)])
     zeros = np.where(np.abs(pairs[0]) < np.abs(pairs[1]), *pairs)
-    return tuple(np.poly(zeros).real[1:].tolist())
+    factor, shaping = np.poly(zeros).real.tolist(), np.atleast_1d(np.poly(poles)).tolist()
+    n1, n2 = (*shaping, 0.0, 0.0)[1:3]
+    c1, c2, c3 = (*factor, 0.0, 0.0)[1:4]
+    return Whitener(name, (n1, n2), (c1, c2, c3), float(factor[-1] / spectrum.coeffs[0]))
+
+
+def _smoothed(pole: float) -> np.poly1d:
+    """|1 - p z^-1|^2 as a polynomial of s = z + 1 / z."""
+    return np.poly1d([-pole, 1.0 + pole * pole])
 
 
 def gauss_markov(
@@ -161,33 +133,27 @@ def gauss_markov(
         T: s between rows.
         f_d: Hz where the moment's spectrum meets that of the gyro's noise: the change of a rate
             in a step is T d, d's spectrum q_d / (omega T)^(2 m), the noise's r (omega T)^2, so that
-            rho_d = (2 pi f_d T)^(2 + 2 m).
-        f_u: Hz where torque noise does: rho_u = (2 pi f_u T)^2.
+            q_d / r = (2 pi f_d T)^(2 + 2 m).
+        f_u: Hz where torque noise does: q_u / r = (2 pi f_u T)^2.
         tau: s, of the moment.
         lags: m, 1 or 2.
     """
     a = float(np.exp(-T / tau))
     rho_d, rho_u = (2.0 * np.pi * f_d * T) ** (2 + 2 * lags), (2.0 * np.pi * f_u * T) ** 2
-    factor = spectral_factor(a, rho_d, rho_u, lags)
     name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
     name += f", {tau:g} s" if tau != TAU else ""
     name += " twice" if lags > 1 else ""
     # Of 1 / (1 - a z^-1) and of its square, driven by white noise.
     gain = 1.0 / (1.0 - a * a) if lags == 1 else (1.0 + a * a) / (1.0 - a * a) ** 3
-    c1, c2, c3 = (*factor, 0.0)[:3]
-    quick = tau < TAU
-    return Whitener(name, a, c1, c2, f_d, quick=quick, c3=c3, lags=lags, strength=gain * rho_d)
+    spectrum = (_smoothed(1.0) + rho_u) * _smoothed(a) ** lags + rho_d
+    white = whitener_of(name, spectrum, [a] * lags)
+    return replace(white, below=f_d, quick=tau < TAU, strength=gain * rho_d)
 
 
 def torque_noise(T: float, f_u: float) -> Whitener:
-    """Whitener of torque noise that exceeds the gyro's noise below f_u Hz, and of the latter.
-
-    Without a moment the factor 1 - a z^-1 cancels, and C is a leak: with rho_u = (2 pi f_u T)^2
-    the root z of z^2 - (2 + rho_u) z + 1 inside the unit circle.
-    """
-    half = 0.5 * (2.0 * np.pi * f_u * T) ** 2
-    z = 1.0 + half - np.sqrt(half * (half + 2.0))
-    return Whitener(f"torque noise to {f_u:g} Hz", 0.0, -float(z), 0.0)
+    """Whitener of torque noise that exceeds the gyro's noise below f_u Hz, and of the latter."""
+    rho_u = (2.0 * np.pi * f_u * T) ** 2
+    return whitener_of(f"torque noise to {f_u:g} Hz", _smoothed(1.0) + rho_u)
 
 
 def corrected(T: float, corner: float, f_u: float) -> Whitener:
@@ -201,24 +167,32 @@ def corrected(T: float, corner: float, f_u: float) -> Whitener:
         f_u: Hz, see `torque_noise`.
     """
     p, rho_u = float(np.exp(-corner * T)), (2.0 * np.pi * f_u * T) ** 2
-    c1, c2 = _factor(np.poly1d([-1.0, 2.0]) ** 2 + rho_u * np.poly1d([-p, 1.0 + p * p]))
-    return Whitener(f"corrected to {corner:g} rad/s, torque noise to {f_u:g} Hz", p, c1, c2)
+    name = f"corrected to {corner:g} rad/s, torque noise to {f_u:g} Hz"
+    return whitener_of(name, _smoothed(1.0) ** 2 + rho_u * _smoothed(p), [p])
 
 
 def leak(T: float, memory: float) -> Whitener:
     """Whitener of gyro noise alone: rows summed up again, with a memory in s."""
-    return Whitener(f"leak {memory:g} s", 0.0, -float(np.exp(-T / memory)), 0.0)
+    kept = float(np.exp(-T / memory))
+    return Whitener(f"leak {memory:g} s", denominator=(-kept, 0.0, 0.0), gyro_share=kept)
 
 
 def averaged(whitener: Whitener, b: float) -> Whitener:
-    """The same for a gyro whose noise is that of 1 + b z^-1.
+    """The same for a gyro whose noise is that of 1 + b z^-1, another factor of C, of two before.
 
     Filters, means over the samples sent and interpolation to even steps all make neighbors alike.
     """
-    return replace(whitener, name=f"{whitener.name}, averaged {b:g}", b=b)
+    c1, c2, _ = whitener.denominator
+    return replace(
+        whitener,
+        name=f"{whitener.name}, averaged {b:g}",
+        denominator=(c1 + b, c2 + b * c1, b * c2),
+        gyro_share=(1.0 + b) ** 2 * whitener.gyro_share,
+        b=b,
+    )
 
 
-NONE = Whitener("none", 0.0, 0.0, 0.0)
+NONE = Whitener("none")
 
 
 def bank_for(T: float) -> tuple[Whitener, ...]:
@@ -303,7 +277,7 @@ class WhitenerBank:
     def __init__(self, whiteners: Sequence[Whitener]) -> None:
         self.whiteners = tuple(whiteners)
         n1, n2 = np.array([whitener.numerator for whitener in whiteners]).T
-        c1, c2, c3 = np.array([whitener.factor for whitener in whiteners]).T
+        c1, c2, c3 = np.array([whitener.denominator for whitener in whiteners]).T
         self._n = n1[:, None], n2[:, None]
         self._c = c1[:, None], c2[:, None], c3[:, None]
         # g: response of 1 / C; h: of (1 + n1 z^-1 + n2 z^-2) / C.

@@ -36,12 +36,12 @@ _DECAYED = 1e-6
 
 def whitened(rows: Array, whitener: Whitener) -> Array:
     """(n, ...) rows, filtered from rest."""
-    return lfilter([1.0, *whitener.numerator, 0.0], [1.0, *whitener.factor], rows)[0]
+    return lfilter([1.0, *whitener.numerator, 0.0], [1.0, *whitener.denominator], rows)[0]
 
 
 def memory(whitener: Whitener) -> int:
     """Rows after which its response to one has decayed."""
-    poles = np.abs(np.roots([1.0, *whitener.factor]))
+    poles = np.abs(np.roots([1.0, *whitener.denominator]))
     slowest = min(float(poles.max(initial=0.5)), 1.0 - 1e-9)
     return len(poles) + math.ceil(math.log(_DECAYED) / math.log(slowest))
 
@@ -52,7 +52,7 @@ def innovations(run: Array, whitener: Whitener) -> Array:
     What the filter would hold at its start is not known: a few decaying responses, which are taken
     out of all columns alike.
     """
-    out, factor = whitened(run, whitener), [1.0, *whitener.factor]
+    out, factor = whitened(run, whitener), [1.0, *whitener.denominator]
     order = int(np.flatnonzero(factor)[-1])
     if not order:
         return out
@@ -134,7 +134,7 @@ class _Residuals:
     def slopes(self, family: _Family, x: Array) -> Array:
         """(rows that count, k) what (k,) numbers change of the innovations.
 
-        Of e = (1 - a z^-1) / C r the derivative by a is -z^-1 / C r, by the factor of z^-i in C
+        Of e = N / C r the derivative by the factor of z^-i in N is z^-i / C r, by that in C
         -z^-i / C e.
         """
         whitener, out = family.made(x), []
@@ -143,18 +143,18 @@ class _Residuals:
         by_number = np.stack([(to - _factors(whitener)) / h for to, h in changed], axis=1)
         for run, kept in zip(self.runs, self.sound, strict=True):
             both = np.column_stack([run, whitened(run, whitener)])
-            passed = lfilter([1.0], [1.0, *whitener.factor], both)[0]
+            passed = lfilter([1.0], [1.0, *whitener.denominator], both * [1.0, -1.0])[0]
             late = np.zeros((len(run), len(by_number)))
-            late[1:, 0] = passed[:-1, 0]
-            for i in range(1, len(by_number)):
-                late[i:, i] = passed[:-i, 1]
-            out.append(late[kept] @ -by_number)
+            # Of N and of C, at powers of z^-1.
+            for i, (side, lag) in enumerate([(0, 1), (0, 2), (1, 1), (1, 2), (1, 3)]):
+                late[lag:, i] = passed[:-lag, side]
+            out.append(late[kept] @ by_number)
         return np.concatenate(out)
 
 
 def _factors(whitener: Whitener) -> Array:
-    """(4,) of z^-1 in the numerator, then those of the denominator."""
-    return np.array([whitener.a, *whitener.factor])
+    """(5,) of the numerator, then of the denominator."""
+    return np.array([*whitener.numerator, *whitener.denominator])
 
 
 class Likeliest(NamedTuple):
