@@ -17,7 +17,7 @@ from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.drive_health import motor_current
 from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, HoverCommand
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.estimate import Quantity
 
 FLIGHTS = ("00000077", "00000096", "00000108", "00000122")
 """Of one vehicle, at 52 to 58 V."""
@@ -39,7 +39,7 @@ def test_what_is_set_is_nearer_to_the_truth_wherever_the_old_value_lies():
     for _ in range(20_000):
         truth, std, old = random.uniform(0.0, 1.0), 10.0 ** random.uniform(-3.0, -1.0), None
         old = truth + random.choice([0.0, 3.0, 10.0]) * std * random.standard_normal()
-        new = Estimate(truth + std * random.standard_normal(), std, "1")
+        new = Quantity(truth + std * random.standard_normal(), std, "1")
         then = random.choice([None, old + std, 1.3 * old])
         one = Proposal("MOT_THST_HOVER", new, old, use=0.15, then=then)
         verdicts[one.verdict] += 1
@@ -53,10 +53,10 @@ def test_what_is_set_is_nearer_to_the_truth_wherever_the_old_value_lies():
 
 def test_what_is_not_known_is_not_set_and_the_flight_that_shows_it_is_named():
     unknown = Proposal("A", None, 1.0, lacks="no climbs", fly="climb")
-    wide = Proposal("B", Estimate(3.0, 0.5, "1"), 1.0, "by hover", use=0.1, fly="fly longer")
-    unlogged = Proposal("C", Estimate(3.0, 0.1, "1"), None)
-    right = Proposal("D", Estimate(3.0, 0.1, "1"), 3.1)
-    kept = Proposal("E", Estimate(3.0, 0.1, "1"), 1.0, keep="with the gains alone")
+    wide = Proposal("B", Quantity(3.0, 0.5, "1"), 1.0, "by hover", use=0.1, fly="fly longer")
+    unlogged = Proposal("C", Quantity(3.0, 0.1, "1"), None)
+    right = Proposal("D", Quantity(3.0, 0.1, "1"), 3.1)
+    kept = Proposal("E", Quantity(3.0, 0.1, "1"), 1.0, keep="with the gains alone")
     found = [(one.verdict, one.action) for one in (unknown, wide, unlogged, right, kept)]
     assert found == [
         ("cannot tell", "climb"),
@@ -68,7 +68,7 @@ def test_what_is_not_known_is_not_set_and_the_flight_that_shows_it_is_named():
     assert "lies in the interval" in right.reason
     # A throttle that means another thrust once the curve is set goes with it, where that is nearer.
     moved = [
-        Proposal("F", Estimate(value, 0.1, "1"), 3.0, then=4.0) for value in (3.9, 3.1, 4.9, 3.5)
+        Proposal("F", Quantity(value, 0.1, "1"), 3.0, then=4.0) for value in (3.9, 3.1, 4.9, 3.5)
     ]
     assert [one.verdict for one in moved] == ["set", "leave", "set", "leave"]
     assert (moved[0].new, moved[2].new) == (4.0, 4.9)
@@ -140,7 +140,7 @@ def test_a_flight_of_px4_s_own_simulator_has_nothing_to_set(shared_log, capsys):
 
 def hovering(autopilot, parameters, **fields):
     """A vehicle of the layout given, whose CG is in the middle."""
-    still, airframe = Estimate(0.0, 1e-3, "m"), load_airframe("betaflight-quad-x")
+    still, airframe = Quantity(0.0, 1e-3, "m"), load_airframe("betaflight-quad-x")
     return Health(
         "a.log", autopilot=autopilot, airframe=airframe, cg=(still, still), parameters=parameters,
         **fields,
@@ -148,7 +148,7 @@ def hovering(autopilot, parameters, **fields):
 
 
 def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
-    curve = Curve(Estimate(0.6, 0.02, "1"), "speeds over commands")
+    curve = Curve(Quantity(0.6, 0.02, "1"), "speeds over commands")
     command, now = HoverCommand(0.4, 0.16, 0.01), {"thrust_linear": 0.0, "motor_poles": 14.0}
     health = hovering("generic", now, curve=curve, hover_command=command)
     found = by_name(determined([health]))
@@ -228,7 +228,7 @@ def test_the_line_of_motor_currents_is_one_for_all_motors_and_moves_as_a_whole()
 
 def of_notch(autopilot, **now):
     """Proposals for a vehicle whose rotors turn with 100 Hz at a throttle of 0.25."""
-    command, turning = HoverCommand(0.25, 0.0625, 0.01, throttle=0.25), Estimate(100.0, 0.5, "Hz")
+    command, turning = HoverCommand(0.25, 0.0625, 0.01, throttle=0.25), Quantity(100.0, 0.5, "Hz")
     now |= {"MOT_THST_EXPO": 0.0}
     fields = {"hover_command": command, "hover_frequency": turning}
     return by_name(determined([hovering(autopilot, now, **fields)]))

@@ -101,12 +101,14 @@ def test_speeds_beside_commands_or_moments_decide_between_cg_and_rotors():
 
 
 def test_where_rotors_are_unlike_neither_cg_nor_yaw_is_anything_to_act_on():
-    trimmed = replace(HEALTH, yaw_imbalance=Estimate(-0.1, 0.002, "1"))
+    by_hover = Objection("one spin lifts less", by="readings")
+    trimmed = replace(HEALTH, yaw_imbalance=Estimate(-0.1, 0.002, "1"), doubts=(by_hover,))
     loss = Estimate(0.2, 0.004, "1")
     weak = Condition("rotor", 1, loss, 20.0, (0.0, 0.0), None, ())
     differ = Objection("rotors differ, rotor 3 by +23 %", how="check it", by="readings")
     better = {"cg_x": AFT, "cg_y": CENTERED}
     result = replace(result_of(better, verdict="partial"), objections=(differ,))
+    assert beside_analysis(trimmed, result).doubts == (differ,)
     for health in (
         beside_analysis(trimmed, result),
         advised(replace(trimmed, condition=weak)),

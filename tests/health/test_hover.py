@@ -162,6 +162,9 @@ def test_of_commands_whose_range_is_assumed_the_balance_is_shown(airframe, comma
     off = abs(health.cg[0].value - right.cg[0].value)
     assert (off > 0.005) is health.through_motors
     assert off < 1.5 * health.cg[0].std
+    bent = replace(airframe, command=replace(airframe.command, thrust_curve=0.5))
+    gain = told(records, bent, {}).rotors[0].motor_gain
+    assert gain is None or abs(right.rotors[0].motor_gain.value - gain.value) < 2.0 * gain.std
 
 
 def test_of_an_arm_that_is_not_known_only_what_no_arm_allows_is_named(airframe):

@@ -1,7 +1,7 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +14,7 @@ from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
-from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
+from gcs_sysid.health.command_curve import Commanded, Curve, curve_of, thrust_of
 from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.drive_health import (
     battery_of,
@@ -273,14 +273,16 @@ def health_of(
         return replace(unseen, objections=on_sound_data((*sensors, *others)))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
-    otherwise_ranged: list[Array] = []
-    if rotor_input.motors and source.range is not None and source.range.assumed:
-        for start in (-TUNING.range_std, TUNING.range_std):
-            of_range = windows.starting_at(start)
-            bent = curve_of(of_range, airframe.command.thrust_curve, own, own_name)
-            otherwise_ranged.append(thrust_of(of_range.part(sound), bent.c.value))
-    of_curve = curve if rotor_input.motors else None
-    health = _balances(streams, hover, thrust, of_curve, guess, otherwise_ranged)
+    commands, commanded = streams.commands, None
+    if commands is not None and curve is not None:
+        ranged = []
+        if commands.range is not None and commands.range.assumed:
+            for start in (-TUNING.range_std, TUNING.range_std):
+                of_range = windows.starting_at(start)
+                bent = curve_of(of_range, airframe.command.thrust_curve, own, own_name)
+                ranged.append(thrust_of(of_range.part(sound), bent.c.value))
+        commanded = Commanded.of(hover, curve, ranged)
+    health = _balances(streams, hover, thrust, commanded, guess, motors=rotor_input.motors)
     load, lines = load_of(hover, thrust, c), lines_of(streams, flight, airframe.geometry[2])
     health = replace(
         health,
@@ -298,7 +300,7 @@ def health_of(
         drag=drag_of(streams, windows),
         turning=lines.factor,
     )
-    health = with_throttle(health, streams, windows, hover, curve)
+    health = with_throttle(health, streams, hover, thrust, commanded)
     health = _compared(health, given, hover, thrust, c)
     places = [place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
@@ -306,7 +308,7 @@ def health_of(
     unfit = tuple(_misfits(health, guess))
     seen = health.turning is not None
     assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
-    commands, open_range = streams.commands, ""
+    open_range = ""
     if commands is not None:  # beside speeds too
         open_range = assumed_unit(commands.source, commands.range, parameters)
     said = dict.fromkeys((assumed or unseen_scale(rotor_input, parameters, seen=seen), open_range))
@@ -382,8 +384,9 @@ def _as_identified(health: Health, result: Result) -> Health:
         name, of_hover = health.scale
         scale = _better(result, name, of_hover)
         health = health if scale is None else replace(health, scale=(name, scale))
-    unlike = tuple(objection for objection in result.objections if objection.by == READINGS)
-    own = (each for each in health.doubts if each.by != READINGS or not unlike)
+    # Whether rotors are unlike, moments and yaw of all the flight show the analysis alone.
+    unlike = (objection for objection in result.objections if objection.by == READINGS)
+    own = (each for each in health.doubts if each.by != READINGS)
     return advised(replace(health, doubts=(*own, *unlike)))
 
 
@@ -465,25 +468,22 @@ def _balances(
     streams: Streams,
     hover: Windows,
     thrust: Array,
-    curve: Curve | None,
+    commanded: Commanded | None,
     guess: GuessedAirframe,
-    otherwise_ranged: Sequence[Array],
+    *,
+    motors: bool,
 ) -> Health:
-    """CG, shares, yaw balance and scale.
-
-    `otherwise_ranged` are thrusts, were an assumed range of commands off by a standard deviation
-    either way; empty where it is known.
-    """
+    """CG, shares, yaw balance and scale; `motors`: whether thrust is that of commands."""
     airframe = guess.airframe
     x, y, spin = airframe.geometry
+    total = thrust.sum(axis=1)
 
     def balanced(thrust: Array) -> Array:
-        total = thrust.sum(axis=1)
-        share = (thrust / total[:, None]).mean(axis=0)
-        ends = [share @ np.array([x, y]).T, share, [share @ spin, 1.0 / total.mean()]]
+        each = thrust.sum(axis=1)
+        share = (thrust / each[:, None]).mean(axis=0)
+        ends = [share @ np.array([x, y]).T, share, [share @ spin, total.mean() / each.mean()]]
         return np.concatenate(ends)
 
-    total = thrust.sum(axis=1)
     center = balance.cg_of(hover, airframe, thrust)
     cg = center.cg
     shares = (thrust / total[:, None]).mean(axis=0)
@@ -493,59 +493,34 @@ def _balances(
         thrust @ spin / total,
         between=hover.half,
     )
-    yaw_value = float(yaw.value[0])
-    # A curve that is off by dc moves all of it: by central differences.
-    slope = np.zeros(len(shares) + 4)
-    if curve is not None and curve.c.std:
-        step = min(curve.c.std, 0.1)
-        low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
-        ends = [balanced(thrust_of(hover, c)) for c in (low, high)]
-        slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
-        slope[-1] *= total.mean()
-    by_curve, by_given = (slope, slope) if curve is None else curve.parts(slope)
-    if otherwise_ranged:  # the same in every flight, as what is given
-        ends = [*map(balanced, otherwise_ranged)]
-        by_given = np.hypot(by_given, 0.5 * (ends[1] - ends[0]))
+    by_curve, by_given = np.zeros((2, len(shares) + 4))
+    if motors and commanded is not None:
+        by_curve, by_given = commanded.doubt(balanced)
     flown = np.sqrt(np.diag(center.covariance) + by_curve[:2] ** 2)
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)) + by_given[:2] ** 2)
     assumed = np.hypot(assumed, center.level_std)
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
-    places = tuple(
-        Quantity(float(v), float(math.hypot(f, a)), "m", std_given=float(a))
-        for v, f, a in zip(cg, flown, assumed, strict=True)
-    )
+    places = [
+        Quantity(v, f, "m").off_by(given=a)
+        for v, f, a in zip(cg.tolist(), flown.tolist(), assumed.tolist(), strict=True)
+    ]
     share_flown = np.array(
         [balance.mean_of(share, hover.half).std for share in (thrust / total[:, None]).T]
     )
     by_wind = balance.shares_by_wind(airframe, center)
     share_flown = np.sqrt(share_flown**2 + by_curve[2:-2] ** 2 + by_wind**2)
     share_assumed = np.hypot(balance.share_std(shares), by_given[2:-2])
-    gains = motor_gains(streams, hover, curve)
-    shaking = vibration_of(streams, hover)
+    gains, shaking = motor_gains(hover, commanded), vibration_of(streams, hover)
+    alike = Quantity(1.0, 0.0, "1").off_by(given=TUNING.rotor_scatter)
+    each = zip(shares.tolist(), share_flown.tolist(), share_assumed.tolist(), strict=True)
     rotors = tuple(
-        RotorHealth(
-            Quantity(float(s), math.hypot(f, a), "1", std_given=float(a)),
-            Quantity(1.0, TUNING.rotor_scatter, "1", std_given=TUNING.rotor_scatter),
-            gains[i],
-            None,
-            None,
-            shaking[i],
-        )
-        for i, (s, f, a) in enumerate(zip(shares, share_flown, share_assumed, strict=True))
+        RotorHealth(Quantity(s, f, "1").off_by(given=a), alike, gains[i], None, None, shaking[i])
+        for i, (s, f, a) in enumerate(each)
     )
-    yaw_given = abs(float(by_given[-2]))
-    yaw_std = math.hypot(math.sqrt(float(yaw.covariance[0, 0])), float(by_curve[-2]), yaw_given)
-    given = abs(float(by_given[-1])) * per_thrust
-    scale, mass = _scale(
-        airframe,
-        Quantity(
-            per_thrust,
-            math.hypot(per_std, float(by_curve[-1]) * per_thrust, given),
-            "1",
-            std_given=given,
-        ),
-        by_command=curve is not None,
-    )
+    (yaw_own, own), (yaw_given, given) = by_curve[-2:].tolist(), by_given[-2:].tolist()
+    yaw_std = math.sqrt(float(yaw.covariance[0, 0]))
+    lifts = Quantity(per_thrust, per_std, "1").off_by(own * per_thrust, given * per_thrust)
+    scale, mass = _scale(airframe, lifts, by_command=motors)
     return Health(
         "",
         airframe=airframe,
@@ -553,10 +528,10 @@ def _balances(
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
         center=center,
         rotors=rotors,
-        yaw_imbalance=Quantity(yaw_value, yaw_std, "1", std_given=yaw_given),
+        yaw_imbalance=Quantity(float(yaw.value[0]), yaw_std, "1").off_by(yaw_own, yaw_given),
         scale=scale,
         mass=mass,
-        assumptions=_assumptions(guess, curve),
+        assumptions=_assumptions(guess, commanded.curve if motors and commanded else None),
     )
 
 
@@ -569,19 +544,14 @@ def _scale(
     """
     name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
     given = airframe.T_max if by_command else airframe.k_T
-    own, assumed = (each / per_thrust.value for each in (per_thrust.std, per_thrust.std_given))
-
-    def of(value: float, scaled: str, known_to: float) -> Quantity:
-        std, both = math.hypot(own, known_to), math.hypot(assumed, known_to)
-        return Quantity(value, value * std, scaled, std_given=value * both)
-
+    known_to = airframe.uncertainty.scale_share
     if airframe.mass is not None:
-        known_to = airframe.uncertainty.scale_share("mass", airframe.mass)
-        return (name, of(airframe.mass * per_thrust.value, unit, known_to)), None
+        thrust = per_thrust.times(airframe.mass, unit)
+        return (name, thrust.off_by(given=known_to("mass", airframe.mass) * thrust.value)), None
     if given is None:
         return None, None
-    mass = of(given / per_thrust.value, "kg", airframe.uncertainty.scale_share(name, given))
-    return (name, Quantity(given, 0.0, unit)), mass
+    mass = per_thrust.under(given, "kg")
+    return (name, Quantity(given, 0.0, unit)), mass.off_by(given=known_to(name, given) * mass.value)
 
 
 def _compared(

@@ -330,9 +330,8 @@ def _hover(flight: _HoverFlight, c: Quantity, before: float, after: float) -> Qu
     value = air * x.thrust(c.value, after)
     # The curve in force is exact; one that is set is off in all flights alike.
     by_curve = air * abs(after**2 * x.square - after * x.mean) * c.std
-    given = math.hypot(by_air * value, by_curve)
     own = math.hypot(x.share, TUNING.common_command) * value
-    return Quantity(value, math.hypot(own, given), "1", std_given=given)
+    return Quantity(value, own, "1").off_by(given=math.hypot(by_air * value, by_curve))
 
 
 def _then(
@@ -450,18 +449,16 @@ def _drag(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
     # Both by the density of the air (drag_fusion.cpp): M as its root, B as itself.
     linear = drag.linear
     note = f"legs of up to {drag.fastest:.0f} m/s through the air, wind taken off"
-    given = 0.5 * by_air * abs(linear.value)
     value = max(linear.value, 0.0) / math.sqrt(air)
-    found = Quantity(value, math.hypot(linear.std / math.sqrt(air), given), "1/s", std_given=given)
+    found = Quantity(value, linear.std / math.sqrt(air), "1/s")
+    found = found.off_by(given=0.5 * by_air * abs(linear.value))
     use = max(2.0 * TUNING.worth_knowing * value, TUNING.worth_drag)
     yield flight.propose(names[0], found, note, use=use, keep=keep, fly=_LEGS)
     square = drag.square
     ballistic = None
     if square.value > TUNING.sure * square.std:
-        size = 0.5 * TUNING.sea_level * air / square.value
-        given = by_air * size
-        std = math.hypot(square.std / square.value * size, given)
-        ballistic = Quantity(size, std, "kg/m^2", std_given=given)
+        ballistic = square.under(0.5 * TUNING.sea_level * air, "kg/m^2")
+        ballistic = ballistic.off_by(given=by_air * ballistic.value)
     lacks = "" if ballistic is not None else "no legs fast enough for drag of the speed squared"
     use = math.inf if ballistic is None else 4.0 * TUNING.worth_knowing * ballistic.value
     for name in names[1:]:
@@ -488,9 +485,7 @@ def _thrust_hover(flight: _HoverFlight) -> Proposal:
     hover = None if lacks else _hover(flight, c, before, after)
     if hover is not None and after < 1.0 and flight.falls is None:
         # Of another battery's charge, unless thrust falls with the voltage: then made up for.
-        charge = (1.0 - after) * hover.value
-        given = math.hypot(hover.std_given, charge)
-        hover = replace(hover, std=math.hypot(hover.std, charge), std_given=given)
+        hover = hover.off_by(given=(1.0 - after) * hover.value)
     logged = x is not None and x.throttle is not None and not lacks
     fly = _STEADY if logged else "take the autopilot's own log (.bin), with CTUN, MOTB and BAT"
     return flight.propose(
@@ -520,10 +515,9 @@ def _notch(flight: _HoverFlight, name: str, of_hover: float | None, why: str) ->
     if of_hover is None:
         of_hover, keep = math.sqrt(0.5), "below that" if now < hertz.value else ""
     # The thrust of flights to come differs, as does the air; it goes with the speed squared.
-    given = 0.5 * TUNING.common_command * of_hover * hertz.value
-    std = math.hypot(of_hover * hertz.std, given)
     note = f"rotors turn with {hertz.value:.0f} Hz in hover{why}"
-    found = Quantity(of_hover * hertz.value, std, "Hz", std_given=given)
+    found = hertz.times(of_hover, "Hz")
+    found = found.off_by(given=0.5 * TUNING.common_command * found.value)
     return flight.propose(name, found, note, keep=keep and f"{note}; it is {keep}")
 
 
@@ -657,8 +651,8 @@ def _imu(flight: _HoverFlight, prefix: str) -> Iterator[Proposal]:
 
 def _less(place: float, offset: Quantity, variance: float = 0.0) -> Quantity:
     """A place from the CG, m; `variance` is that of what is given of it, beyond the CG's, m^2."""
-    std, given = (math.sqrt(x**2 + variance) for x in (offset.std, offset.std_given))
-    return Quantity(place - offset.value, std, "m", std_given=given)
+    found = Quantity(place - offset.value, offset.std, "m", std_given=offset.std_given)
+    return found.off_by(given=math.sqrt(variance))
 
 
 def check_suffix(path: Path, *, cli: bool = False) -> None:

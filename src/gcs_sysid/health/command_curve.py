@@ -1,6 +1,7 @@
 """The thrust curve over commands: T/T_max = (1 - c) u + c u^2, from ordinary flight."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +25,53 @@ class Curve:
     c: Quantity
     origin: str
 
-    def parts(self, by_curve: Array) -> tuple[Array, Array]:
-        """What an error of c does to numbers: by this flight's part of it, and by what is given."""
-        if not self.c.std:
-            return 0.0 * by_curve, 0.0 * by_curve
-        given = self.c.std_given / self.c.std
-        return math.sqrt(max(1.0 - given**2, 0.0)) * by_curve, given * by_curve
+
+@dataclass(frozen=True)
+class Commanded:
+    """Thrust in hover by commands, and what it would be by another curve or range of them.
+
+    Attributes:
+        curve: of thrust over commands.
+        thrust: (n, rotors) by it.
+        by_curve: thrust by a lower and by a higher c, and what they are apart in standard
+            deviations of it; None where it is given.
+        by_range: by an assumed range whose start is a standard deviation lower and higher; None
+            where it is known.
+    """
+
+    curve: Curve
+    thrust: Array
+    by_curve: tuple[Array, Array, float] | None = None
+    by_range: tuple[Array, Array] | None = None
+
+    @classmethod
+    def of(cls, hover: Windows, curve: Curve, ranged: Sequence[Array]) -> "Commanded":
+        """Of the windows of a hover; `ranged` is `by_range`, empty where the range is known."""
+        c, others = curve.c, None
+        if c.std:
+            step = min(c.std, 0.1)
+            low, high = max(c.value - step, 0.0), min(c.value + step, 1.0)
+            others = thrust_of(hover, low), thrust_of(hover, high), (high - low) / c.std
+        by_range = (ranged[0], ranged[1]) if ranged else None
+        return cls(curve, thrust_of(hover, c.value), others, by_range)
+
+    def doubt(self, numbers: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """Standard deviations of numbers that follow from (n, rotors) thrusts.
+
+        Returns:
+            By what the flight leaves open of the curve; and by what is given or assumed, the same
+            in every flight.
+        """
+        own = given = np.zeros_like(numbers(self.thrust))
+        if self.by_curve is not None:
+            low, high, apart = self.by_curve
+            moved = np.abs(numbers(high) - numbers(low)) / apart
+            share = self.curve.c.std_given / self.curve.c.std
+            own, given = math.sqrt(max(1.0 - share**2, 0.0)) * moved, share * moved
+        if self.by_range is not None:
+            low, high = self.by_range
+            given = np.hypot(given, 0.5 * (numbers(high) - numbers(low)))
+        return own, given
 
 
 def thrust_of(windows: Windows, c: float | None) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
-from gcs_sysid.health.command_curve import Curve, curve_of, gentle_of, thrust_of
+from gcs_sysid.health.command_curve import Commanded, Curve, gentle_of, thrust_of
 from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
@@ -25,54 +25,47 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 
 
-def motor_gains(
-    streams: Streams, hover: Windows, curve: Curve | None
-) -> tuple[Quantity | None, ...]:
+def motor_gains(hover: Windows, commanded: Commanded | None) -> tuple[Quantity | None, ...]:
     """Speed squared for the command over that of the mean rotor."""
-    n = hover.speeds.shape[1]
     # A rotor that turns without a command is no motor at work.
-    commanded = complete_rows(hover.speeds) & (hover.commands > 0.0).all(axis=1)
-    hover = hover.part(commanded)
-    if streams.speeds is None or streams.commands is None:
-        return tuple([None] * n)
-    if len(hover.t) < TUNING.fewest_windows:
-        return tuple([None] * n)
+    rows = complete_rows(hover.speeds) & (hover.commands > 0.0).all(axis=1)
+    if commanded is None or np.count_nonzero(rows) < TUNING.fewest_windows:
+        return tuple([None] * hover.speeds.shape[1])
+
+    def gains(thrust: Array) -> Array:
+        ratio: Array = hover.speeds[rows] / thrust[rows]
+        return ratio / ratio.mean(axis=1, keepdims=True)
+
     # All rotors by the same curve; it matters by the difference of their commands alone.
-    c = (curve_of(hover, None, None, "") if curve is None else curve).c
-    ratio = hover.speeds / thrust_of(hover, c.value)
-    ratio = ratio / ratio.mean(axis=1, keepdims=True)
-    by_curve = np.zeros(n)
-    if c.std:
-        step = _step(c.value)
-        other = hover.speeds / thrust_of(hover, c.value + step)
-        other = other / other.mean(axis=1, keepdims=True)
-        by_curve = (other - ratio).mean(axis=0) / step * c.std
+    own, given = commanded.doubt(lambda thrust: gains(thrust).mean(axis=0))
     out = []
-    for column, extra in zip(ratio.T, by_curve, strict=True):
+    for column, *doubts in zip(gains(commanded.thrust).T, own, given, strict=True):
         fit = balance.robust_fit(np.ones((len(column), 1)), column)
-        std = math.sqrt(float(fit.covariance[0, 0]))
-        out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
+        found = Quantity(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+        out.append(found.off_by(*map(float, doubts)))
     return tuple(out)
 
 
-def _step(c: float) -> float:
-    """From a thrust curve to another one nearby, of 0 to 1."""
-    return 0.05 if c <= 0.95 else -0.05
-
-
 def with_throttle(
-    health: Health, streams: Streams, windows: Windows, hover: Windows, curve: Curve | None
+    health: Health, streams: Streams, hover: Windows, thrust: Array, commanded: Commanded | None
 ) -> Health:
-    """Throttle, thrust to weight, headroom, saturation and drift."""
-    thrust = thrust_of(hover, None if not health.through_motors or curve is None else curve.c.value)
+    """Throttle, thrust to weight, headroom, saturation and drift.
+
+    Args:
+        health: without them.
+        streams: of the log.
+        hover: windows.
+        thrust: (n, rotors) of them.
+        commanded: the same by commands; None without any.
+    """
     lift = balance.lift_of(hover)
     minutes = (hover.t - hover.t.mean()) / 60.0
     effort = np.log(thrust.sum(axis=1) / lift)
     # Thrust for the same command: what falls with the battery.
-    if not health.through_motors and streams.commands is not None and curve is not None:
-        commanded = thrust_of(hover, curve.c.value).sum(axis=1)
-        if np.isfinite(commanded).all() and (commanded > 0.0).all():
-            effort = np.log(commanded / lift)
+    if commanded is not None:
+        asked = commanded.thrust.sum(axis=1)
+        if np.isfinite(asked).all() and (asked > 0.0).all():
+            effort = np.log(asked / lift)
     fit = balance.robust_fit(np.column_stack([np.ones(len(minutes)), minutes]), effort)
     drift = Estimate(-float(fit.value[1]), math.sqrt(float(fit.covariance[1, 1])), "1/min")
     if float(np.ptp(minutes)) < TUNING.shortest_drift / 60.0:
@@ -82,18 +75,17 @@ def with_throttle(
         squares = hover.speeds[turning].mean(axis=1) * GRAVITY / lift[turning]
         hertz = balance.mean_of(np.sqrt(squares) / (2.0 * math.pi), hover.half)
         health = replace(health, hover_frequency=replace(hertz, unit="Hz"))
-    u = hover.commands
-    if streams.commands is None or curve is None:
-        return health
-    u = u[complete_rows(u)]
-    if not len(u):
-        return health
     rows = complete_rows(hover.commands)
-    unit = GRAVITY / lift[rows]
+    if streams.commands is None or commanded is None or not rows.any():
+        return health
+    u, unit = hover.commands[rows], GRAVITY / lift[rows]
+
+    def of_full(thrust: Array) -> Array:
+        share: Array = thrust[rows].mean(axis=1) * unit
+        return share
 
     throttle = balance.mean_of(u.mean(axis=1), hover.half)
-    share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
-    hover_thrust = balance.mean_of(share, hover.half)
+    hover_thrust = balance.mean_of(of_full(commanded.thrust), hover.half)
     command = HoverCommand(
         balance.usual_of(u.mean(axis=1) * unit),
         balance.usual_of(hover.squares[rows].mean(axis=1) * unit),
@@ -101,20 +93,8 @@ def with_throttle(
         _logged(streams, "throttle", hover.part(rows), unit),
         _logged(streams, "share of the full voltage", hover.part(rows)),
     )
-    if curve.c.std:
-        step = _step(curve.c.value)
-        other = thrust_of(hover, curve.c.value + step)[rows].mean(axis=1) * unit
-        by_curve = float((other - share).mean()) / step * curve.c.std
-        own, given = (float(part) for part in curve.parts(np.array(by_curve)))
-        std = math.hypot(hover_thrust.std, own, given)
-        hover_thrust = replace(hover_thrust, std=std, std_given=abs(given))
-    squared = hover_thrust.value**2
-    to_weight = Quantity(
-        1.0 / hover_thrust.value,
-        hover_thrust.std / squared,
-        "1",
-        std_given=hover_thrust.std_given / squared,
-    )
+    doubts = commanded.doubt(lambda thrust: of_full(thrust).mean())
+    hover_thrust = hover_thrust.off_by(*map(float, doubts))
     rotors = []
     for i, rotor in enumerate(health.rotors):
         used = balance.mean_of(u[:, i], hover.half)
@@ -129,7 +109,7 @@ def with_throttle(
         hover_throttle=throttle,
         hover_thrust=hover_thrust,
         hover_command=command,
-        thrust_to_weight=to_weight,
+        thrust_to_weight=hover_thrust.under(1.0, "1"),
         rotors=tuple(rotors),
     )
 

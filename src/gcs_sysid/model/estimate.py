@@ -193,6 +193,21 @@ class Quantity(Estimate):
         """The 95 % interval, as of `Estimate`."""
         return interval95(self.value, self.std, not_negative=self.not_negative)
 
+    def off_by(self, own: float = 0.0, given: float = 0.0) -> "Quantity":
+        """Off by standard deviations more, of the data's and of what is given."""
+        std, both = math.hypot(self.std, own, given), math.hypot(self.std_given, given)
+        return replace(self, std=std, std_given=both)
+
+    def times(self, factor: float, unit: str) -> "Quantity":
+        """In proportion to it."""
+        std, given = abs(factor) * self.std, abs(factor) * self.std_given
+        return replace(self, value=factor * self.value, std=std, std_given=given, unit=unit)
+
+    def under(self, numerator: float, unit: str) -> "Quantity":
+        """A number over it."""
+        found = self.times(numerator / self.value**2, unit)
+        return replace(found, value=numerator / self.value)
+
 
 class IdentifiedEstimate(Quantity):
     """As `Result.identified` returns it."""

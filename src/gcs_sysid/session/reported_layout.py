@@ -8,6 +8,7 @@ an airframe that contradicts them is wrong, which can be reported before take-of
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -252,6 +253,7 @@ def on_circle(shape: str) -> tuple[Rotor, ...]:
     return tuple(Rotor(math.cos(a), math.sin(a), spin) for a, spin in circle)
 
 
+@cache
 def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
     """The frames that autopilots know by name, of so many rotors, at a distance of 1.
 

@@ -7,6 +7,7 @@ loop has answered.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class BankTrial:
     variance: Array
     answered: Array
 
-    @property
+    @cached_property
     def pick(self) -> tuple[int, ...]:
         """Whitener of each axis: of least innovation power.
 
@@ -75,7 +76,7 @@ class BankTrial:
         """Nats a second, of innovations' powers."""
         return np.asarray(-0.5 * np.log(after / before) / self.time)
 
-    @property
+    @cached_property
     def detected(self) -> Array:
         """(3,) nats a second by which some whitener of a disturbance explains an axis better; NaN
         where there is none.
