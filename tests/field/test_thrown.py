@@ -42,7 +42,7 @@ def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log, numbers)
         found = analyze_log(log, airframe).parameters
         assert found["k_T"].value == pytest.approx(k_T, rel=0.1)
         for name in ("cg_x", "cg_y"):
-            low, high = found[name].ci95 or (0.0, 0.0)
+            low, high = found[name].ci95
             held += low <= 0.0 <= high
         claimed = [found[name] for name in ("Ixx", "Iyy") if found[name].status != "unobservable"]
         errors = [abs(each.value / INERTIA - 1.0) for each in claimed]

@@ -149,7 +149,7 @@ def test_propellers_fit_between_their_neighbors():
     said = "takes rotors that do not fit an arm"
     pairs = replace(QUAD, rotors=tuple(rotor for rotor in QUAD.rotors for _ in range(2)))
     hexa = load_airframe("px4-hexa-x").with_arm(0.25)
-    for airframe, share in ((QUAD, 0.025), (pairs, 0.025), (hexa, 0.00625)):
+    for airframe, share in ((QUAD, 0.0392), (pairs, 0.0392), (hexa, 0.0098)):
         assert said in reasons(airframe, k_T=1.04 * share * 0.25**4)
         assert said not in reasons(airframe, k_T=0.96 * share * 0.25**4)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs_sysid.signals.inertial_stream import AHEAD, BEHIND, JOLT, despiked, frozen
+from gcs_sysid.signals.inertial_stream import AHEAD, BEHIND, JOLT, Standstill, despiked
 
 
 def times(n, rate, jitter=0.0, seed=0):
@@ -119,13 +119,21 @@ def test_a_verdict_rests_on_so_many_samples_around_alone(start, length, seed):
     np.testing.assert_array_equal(found[inside], spikes[start : start + length])
 
 
-def test_frozen_rows_repeat_all_columns():
-    x = np.arange(18.0).reshape(6, 3)
-    x[2] = x[1]
-    x[3, 0] = x[2, 0]
-    assert frozen(x).tolist() == [False, False, True, False, False, False]
-    x[4:] = [1.0, np.nan, np.nan]
-    assert frozen(x).tolist() == [False, False, True, False, False, True]
+def test_what_stands_still_repeats_all_columns():
+    x = noise(40, 1.0)
+    x[32] = x[31]
+    x[33, 0] = x[32, 0]
+    x[35:37] = [1.0, np.nan, np.nan]
+    standstill = Standstill(3)
+    found = np.concatenate([standstill.update(part) for part in (x[:32], x[32:36], x[36:])])
+    assert np.flatnonzero(found).tolist() == [32, 36]
+
+
+def test_without_noise_values_stand_from_one_step_of_their_format_to_the_next():
+    x = 0.1 * np.round(multisine(times(2000, 500.0)) / 0.1)
+    assert (np.diff(x, axis=0) == 0.0).all(axis=1).mean() > 0.6
+    assert Standstill(3).update(x).mean() < 0.001
+    assert Standstill(3).update(np.repeat(x[::8], 8, axis=0)).mean() > 0.6
 
 
 QUIET = 0.01 * np.resize([1.0, -1.0, 0.5, -0.5, 0.8, -1.2, 0.3], 140)

@@ -35,9 +35,10 @@ class PlausibleRanges:
     density: Range = (10.0, 2500.0)
     """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
     quad with ducts: 898."""
-    rotor: float = 0.00625
+    rotor: float = 0.0098
     """k_T, kg/m^3, over the fourth power of the distance between neighbors, at most: C_T rho D^4 /
-    (4 pi^2) for a thrust coefficient of 0.16 and a diameter of 1.06 times that distance."""
+    (4 pi^2) for a thrust coefficient of 0.25, as of ducted ones with many blades (the CineRat), and
+    a diameter of 1.06 times that distance."""
     tip: float = 150.0
     """Speed of propeller tips in hover, m/s, at most. Makers allow 140 to 190 at full thrust; with
     the diameter that k_T has at C_T = 0.1, vehicles have 41 to 116."""

@@ -95,18 +95,36 @@ def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]
     return (_filled(t, x, spikes, gap) if spikes.any() else x), spikes
 
 
-def frozen(x: Array) -> Mask:
-    """(n,) whether a row of (n, width) repeats the one before in every column.
+class Standstill:
+    """Finds samples that repeat the one before in every column because nothing was measured.
 
-    Values of noisy sensors never do: nothing was measured.
+    Noise changes some value with every sample. Without it, as in a simulator, values stand until
+    they have moved by a step of their number format: a repeat after a change of one step at most in
+    each column is a measurement. Steps are the least changes so far, so that only samples before
+    count, in any grouping.
+
+    Args:
+        width: columns of the samples.
     """
-    out: Mask = np.zeros(len(x), dtype=bool)
-    # One column nearly always suffices, at a fraction of the cost.
-    out[1:] = x[1:, 0] == x[:-1, 0]
-    if out.any():
-        now, before = x[1:], x[:-1]
-        out[1:] &= ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=1)
-    return out
+
+    def __init__(self, width: int) -> None:
+        self._last = np.full((1, width), np.nan)
+        self._steps = np.full((1, width), np.inf)
+        self._small = False
+        """Whether the latest change was of single steps."""
+
+    def update(self, x: Array) -> Mask:
+        """(n,) which of the next (n, width) samples, NaN where missing, measure nothing."""
+        before, self._last = np.vstack([self._last, x[:-1]]), x[-1:].copy()
+        change = np.where(np.isnan(x) & np.isnan(before), 0.0, np.abs(x - before))
+        least = np.where(change > 0.0, change, np.inf)
+        steps = np.minimum.accumulate(np.vstack([self._steps, least]))
+        self._steps = steps[-1:]
+        repeats = (change == 0.0).all(axis=1)
+        small = np.append(self._small, (change < 2.0 * steps[1:]).all(axis=1))
+        latest = np.maximum.accumulate(np.append(0, np.where(repeats, 0, np.arange(1, len(x) + 1))))
+        self._small = bool(small[latest[-1]])
+        return repeats & ~small[latest[1:]]
 
 
 def _may_spike(x: Array, least: float) -> bool:
@@ -218,7 +236,7 @@ class FaultCounts:
 
     Attributes:
         spikes: samples with an outlier on a gyro axis, replaced by what their neighbors say.
-        frozen: samples that repeat the one before in all six values, not used.
+        frozen: samples that repeat the one before in all six values and measure nothing, not used.
         missing: samples without a finite gyro, not used.
     """
 
@@ -244,8 +262,9 @@ class InertialBuffer(StreamBuffer):
         saturation: Saturation,
         arm: tuple[float, float, float] | None = None,
     ) -> None:
-        super().__init__(6, keep=BEHIND + FAR + _SLOPE)
+        super().__init__(7, keep=BEHIND + FAR + _SLOPE)  # the last one: whether it is frozen
         self._arm = arm
+        self._standstill = Standstill(6)
         self.faults = faults
         self._saturation = saturation
         self.step = 0.0
@@ -268,19 +287,22 @@ class InertialBuffer(StreamBuffer):
 
     def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
         """Add samples whose gyro is finite, their accelerometer need not be; see `StreamBuffer`."""
-        self._saturation.update(t, values[:, :6])
+        values = values[:, :6]
+        self._saturation.update(t, values)
         there = np.isfinite(values[:, :3].sum(axis=1))
         if not there.all():
             self.faults.missing += int(np.count_nonzero(~there))
             marks = np.concatenate([[0], np.cumsum(there)])[marks]
             t, values = t[there], values[there]
+        if len(t):
+            values = np.column_stack([values, self._standstill.update(values)])
         super().extend(t, values, marks)
 
     def settled(self) -> Array:
         """(ticks,) s up to which later samples change nothing, as each tick knows it."""
         t, v = self._arrays()
         latest = t[self._known - 1] - self._ahead * self.gap
-        sound = ~frozen(v)
+        sound = v[:, -1] == 0.0
         count = np.cumsum(sound)[self._known - 1]
         known = t[sound][np.maximum(count - 1 - self._ahead, 0)]
         # A sensor that stands still must not hold everything up: past a gap nothing matters.
@@ -290,7 +312,8 @@ class InertialBuffer(StreamBuffer):
         """(n, 6) values, NaN in gaps, and where a spike cannot be replaced; see `StreamBuffer`."""
         t, v = self._arrays()
         known = self._known[tick]
-        stuck = frozen(v)
+        stuck: Mask = v[:, -1] > 0.0
+        v = v[:, :-1]
         if stuck.any():
             self.faults.frozen += self._new(t[stuck], grid[-1])
             known = np.cumsum(~stuck)[known - 1]

@@ -18,7 +18,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.attitude import from_angles
-from gcs_sysid.signals.inertial_stream import frozen
+from gcs_sysid.signals.inertial_stream import Standstill
 from gcs_sysid.signals.motor_order import motor_outputs
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import EVERY, DataflashLog
@@ -242,7 +242,7 @@ class _EntryReader:
         for instance in _known(number).tolist():
             values = self._named(row.name, row.fields, number == instance)
             assert values is not None
-            measured[instance] = int(np.count_nonzero(~frozen(values)))
+            measured[instance] = int(np.count_nonzero(~Standstill(values.shape[1]).update(values)))
         own, best = min(measured), max(measured, key=measured.__getitem__)
         if measured[own] > 0.9 * measured[best]:  # a loop now and then is faster than its sensor
             return first

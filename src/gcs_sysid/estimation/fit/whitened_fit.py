@@ -33,7 +33,7 @@ from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import TRY, AxisFit, BankProblem
 from gcs_sysid.estimation.noise.uncertainty import inflation, meat, shrunk_inflation, student_factor
-from gcs_sysid.estimation.noise.whitening import WhitenedMoments, find_whiteners
+from gcs_sysid.estimation.noise.whitening import MOST_WEIGHT, WhitenedMoments, find_whiteners
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.significance import FALSE_ALARM_RATE
@@ -283,10 +283,10 @@ def _settled(
         bank = replace(bank, kept=kept)
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = data.of_axes(solved.pick)
-    if data.is_whole:
-        power = axis_power(_innovation_maker(solved), batches) / data.counts[:, None]
-        # Over the median: geometric mean of the axes.
-        relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
+    power = axis_power(_innovation_maker(solved), batches) / data.counts[:, None]
+    # Over the median: geometric mean of the axes.
+    relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
+    if data.is_whole or _gain(relative[kept]) > MOST_WEIGHT:
         bank = replace(bank, data=data.weighed(relative))
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
     for _ in range(_CHOSEN if choice is not None else 0):
@@ -299,6 +299,11 @@ def _settled(
         bank = replace(bank, deviations=chosen)
         solved = bank.solve(solved.trial.pick, solved.point.unknowns[:, :N_UNKNOWNS])
     return bank, solved
+
+
+def _gain(power: Array) -> float:
+    """Times the variance that an estimate has if batches of such innovations count alike."""
+    return float(power.mean() * (1.0 / power).mean())
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ _ORDER = 3
 """Of the denominator."""
 PIECE = 32
 """Rows whitened by one product."""
-_MOST_WEIGHT = 3.0
+MOST_WEIGHT = 3.0
 """Of a batch whose innovations are weak, by chance or because nothing moved."""
 
 
@@ -475,10 +475,13 @@ class WhitenedMoments:
         chance = 2.0 / 3.0 * float(np.mean(1.0 / np.maximum(self.counts, 1)))
         spread = max(float(np.var(np.log(np.maximum(power, 1e-300)))), 1e-300)
         power = power ** max(0.0, 1.0 - chance / spread)
-        weights = 1.0 / np.maximum(power, 1.0 / _MOST_WEIGHT)
+        weights = 1.0 / np.maximum(power, 1.0 / MOST_WEIGHT)
         weights *= self.counts.sum() / float(weights @ self.counts)
         counts = np.maximum(np.round(weights * self.counts), 1).astype(np.int64)
-        return replace(self, counts=counts, weights=counts / np.maximum(self.counts, 1))
+        # Known noise of the inputs is stronger where innovations are, too.
+        share = float(counts @ power / counts.sum() / (self.counts @ power / self.counts.sum()))
+        weights = counts / np.maximum(self.counts, 1)
+        return replace(self, counts=counts, weights=weights, noise=share * self.noise)
 
     def _mute(self, moments: Array) -> Array:
         if not self.muted:
