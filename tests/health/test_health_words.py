@@ -13,7 +13,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
 from gcs_sysid.health.vehicle_health import Health, RotorHealth
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.estimate import Estimate, Objection
+from gcs_sysid.model.estimate import Estimate, Objection, Quantity
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.screen.panels import health_lines
 from tests.known_results import result_of
@@ -29,9 +29,9 @@ HEALTH = Health(
 def loaded(*shares, gain=None):
     """Rotors that carry these shares."""
     own = None if gain is None else Estimate(gain, 0.002, "1")
-    alike = Estimate(1.0, 0.03, "1")
+    alike = Quantity(1.0, 0.03, "1")
     return tuple(
-        RotorHealth(Estimate(share, 0.001, "1"), alike, own, None, None, None) for share in shares
+        RotorHealth(Quantity(share, 0.001, "1"), alike, own, None, None, None) for share in shares
     )
 
 
@@ -116,6 +116,21 @@ def test_where_rotors_are_unlike_neither_cg_nor_yaw_is_anything_to_act_on():
     ):
         assert {found.at for found in health.findings} <= {"the rotors", "rotor 2"}
         assert not any("shift" in text or "heading" in text for text in health.advice)
+
+
+def test_beside_an_analysis_rotors_carry_by_their_own_coefficients():
+    """As they do on four that carry alike, of which one is read a tenth too fast."""
+    squares = (1.0, 1.0, 1.21, 1.0)
+    read = loaded(*(square / sum(squares) for square in squares))
+    health = replace(HEALTH, rotors=read, yaw_imbalance=Quantity(-0.05, 0.002, "1"))
+    k_T = [{"k_T": Estimate(1e-5 / square, 1e-8, "N s^2", "identified")} for square in squares]
+    differ = Objection("rotors differ, rotor 3 by -17 %", by="readings")
+    result = replace(result_of({}), objections=(differ,), rotors=tuple(k_T))
+    shown = beside_analysis(health, result)
+    for rotor in shown.rotors:
+        assert rotor.thrust_share.value == pytest.approx(0.25)
+        assert rotor.thrust_share.std < 0.002
+    assert abs(shown.yaw_imbalance.value) < 2.0 * shown.yaw_imbalance.std
 
 
 def test_battery_travel_is_computed_with_both_masses():

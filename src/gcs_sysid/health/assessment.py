@@ -385,9 +385,31 @@ def _as_identified(health: Health, result: Result) -> Health:
         scale = _better(result, name, of_hover)
         health = health if scale is None else replace(health, scale=(name, scale))
     # Whether rotors are unlike, moments and yaw of all the flight show the analysis alone.
-    unlike = (objection for objection in result.objections if objection.by == READINGS)
+    unlike = tuple(objection for objection in result.objections if objection.by == READINGS)
     own = (each for each in health.doubts if each.by != READINGS)
+    health = _by_own_thrusts(health, result) if unlike else health
     return advised(replace(health, doubts=(*own, *unlike)))
+
+
+def _by_own_thrusts(health: Health, result: Result) -> Health:
+    """Shares and yaw balance by what each rotor was found to lift for the speed that it reads."""
+    lifts = [known for each in result.rotors if (known := each["k_T"].known) is not None]
+    if health.through_motors or not lifts or len(lifts) != len(health.rotors):
+        return health
+    assert health.airframe is not None
+    read = [rotor.thrust_share for rotor in health.rotors]
+    total = sum(share.value * k_T.value for share, k_T in zip(read, lifts, strict=True))
+    rotors, moved, doubts = [], [], []
+    for rotor, share, k_T in zip(health.rotors, read, lifts, strict=True):
+        flown = Quantity(share.value, share.std_data or 0.0, "1").times(k_T.value / total, "1")
+        doubts.append(share.value * k_T.std / total)
+        moved.append(flown.value - share.value)
+        rotors.append(replace(rotor, thrust_share=flown.off_by(doubts[-1])))
+    yaw = health.yaw_imbalance
+    if yaw is not None:
+        by_speed = float(health.airframe.geometry[2] @ moved)
+        yaw = replace(yaw, value=yaw.value + by_speed).off_by(math.hypot(*doubts))
+    return replace(health, rotors=tuple(rotors), yaw_imbalance=yaw)
 
 
 def _better(result: Result, name: str, of_hover: Quantity) -> Quantity | None:
