@@ -17,7 +17,7 @@ def play(recording: Iterable[tuple[int, Frame]], link: Link, pace: Pacing) -> in
     """Send all frames of a recording, of any sender, broken and unknown ones too.
 
     Args:
-        recording: time in us and frame, as `read_tlog` gives them.
+        recording: time in us and frame, as `TlogReader` gives them.
         link: to send on; what comes back is read and ignored.
         pace: as recorded, faster, or by what the other side takes.
 

@@ -331,10 +331,7 @@ GIVEN_OPTIONS: dict[GivenName, str] = {
 def given_words(name: GivenName, value: float, sigma: str | None = None) -> tuple[str, str]:
     """What gives a value on a command line: the option, and the value with its deviation.
 
-    Args:
-        name: of what is given.
-        value: as parsed, or a number.
-        sigma: given behind it; None: as parsed.
+    `sigma` is given behind it; None: as parsed.
     """
     sigma = sigma or getattr(value, "sigma", None)
     return GIVEN_OPTIONS[name], f"{value:.9g}" + ("" if sigma is None else f"+-{sigma}")
@@ -343,10 +340,7 @@ def given_words(name: GivenName, value: float, sigma: str | None = None) -> tupl
 def parse_given(name: GivenName, text: str, what: str) -> Measured:
     """What is given of an airframe, from text that is no option's.
 
-    Args:
-        name: of what is given.
-        text: as typed.
-        what: it is called, for messages.
+    `what` is what it is called, in messages.
 
     Raises:
         InputError: it cannot be understood.
@@ -360,11 +354,7 @@ def parse_given(name: GivenName, text: str, what: str) -> Measured:
 def with_given(airframe: "Airframe", name: GivenName, value: float, by: str) -> "Airframe":
     """The airframe with its arm or its scale as given, and the deviation given with it, if any.
 
-    Args:
-        airframe: with another size or scale, or none.
-        name: of what is given.
-        value: as parsed.
-        by: the option or field that gave it, for messages.
+    `by` is the option or field that gave it, for messages.
 
     Raises:
         InputError: no vehicle is like that.

@@ -211,10 +211,7 @@ def read_text(path: Path, what: str, most: int = MOST_BYTES_OF_TEXT) -> str:
 def parse_toml(text: str, where: str, what: str) -> dict[str, Any]:
     """The table of a TOML file.
 
-    Args:
-        text: of it.
-        where: named in errors.
-        what: the file is to be, such as "a mapping file".
+    `what` is what the file is to be, such as "a mapping file"; `where` is named in errors.
 
     Raises:
         InputError: it is not valid, or would take for ever to read.
@@ -272,10 +269,7 @@ def as_it_is(value: object) -> str:
 def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -> None:
     """See beforehand, because an analysis takes its time, whether a file can be written.
 
-    Args:
-        path: of it.
-        replace: whether one that is there may be replaced.
-        sources: files that it must not replace in any case.
+    The sources must not be replaced in any case.
 
     Raises:
         InputError: it cannot be written, or must not.
@@ -306,10 +300,7 @@ def utf8(text: str) -> bytes:
 def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     """Write a file in one step: readers see all of it or none.
 
-    Args:
-        path: of it.
-        content: all of it; text becomes UTF-8, as of `utf8`.
-        replace: whether one that is there may be replaced.
+    Text becomes UTF-8, as of `utf8`.
 
     Raises:
         InputError: it cannot be written, or exists and must not be replaced.
@@ -399,10 +390,7 @@ class FileWindow:
 def file_windows(file: BinaryIO, size: int, stop: int | None = None) -> Iterator[FileWindow]:
     """Read a file from where it stands; what one window leaves undone comes again with the next.
 
-    Args:
-        file: open.
-        size: bytes read at once.
-        stop: position at which to end; None: where the file ends.
+    `stop` is the position at which to end; None: where the file ends.
     """
     position, rest, final = file.tell(), b"", False
     while not final:
@@ -436,10 +424,7 @@ class StretchSearch:
     def next(self, at: int, limit: int, found_in: Callable[[int, int], list[int]]) -> int | None:
         """The first found from a position to before a limit; None when there is none.
 
-        Args:
-            at: the position.
-            limit: the limit.
-            found_in: all that begins in a stretch, rising, by where that begins and ends.
+        `found_in` gives all that begins in a stretch, rising, by where that begins and ends.
         """
         while at < limit:
             if not self._start <= at < self._stop:

@@ -41,9 +41,7 @@ def _finite(value: Any) -> Any:
 def parse_json(text: str, where: str) -> Any:
     """The document in a text: all of it, or its last line where every line is one.
 
-    Args:
-        text: JSON.
-        where: name of the file, for messages.
+    `where` is the file's name, for messages.
 
     Raises:
         InputError: it is no JSON, or has numbers that are not finite.

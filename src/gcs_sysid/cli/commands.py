@@ -150,10 +150,7 @@ NAME = option("--name", "NAME", "name of the vehicle (default: the airframe's)")
 def layout(unnamed: str = "", default: str | None = None, *more: Option) -> Group:
     """Options of the airframe and its scale.
 
-    Args:
-        unnamed: what the command does without an airframe, in words.
-        default: the airframe that it takes.
-        more: of the same group.
+    `unnamed` is what the command does without an airframe, in words.
     """
     words = "built-in name (paper, px4-quad-x, ...) or .toml file"
     words += f" ({unnamed})" if unnamed else ""

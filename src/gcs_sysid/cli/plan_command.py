@@ -71,9 +71,7 @@ def run(options: argparse.Namespace) -> int:
 def plan_text(plan: Plan, *, unicode: bool = True) -> str:
     """The plan as lines for a terminal or a sheet of paper.
 
-    Args:
-        plan: to show.
-        unicode: whether blocks can be printed; signs of ASCII otherwise.
+    `unicode`: blocks can be printed; signs of ASCII otherwise.
     """
     limits = plan.limits
     lines = [

@@ -84,10 +84,6 @@ def replay_actions(
 def export_result(target: str, result: Result) -> str:
     """Write a result for a simulator, into a file of the present folder that was not there.
 
-    Args:
-        target: one of `EXPORT_TARGETS`.
-        result: as it is at this moment.
-
     Raises:
         GcsSysidError: it lacks what the format needs, or the file cannot be written.
     """
@@ -195,11 +191,6 @@ def _show_on_terminal(session: Session, scene: Scene) -> None:
 
 def _serve(session: Session, scene: Scene, address: tuple[str, int]) -> None:
     """Serve a session until Ctrl-C; the terminal says what it says without a screen.
-
-    Args:
-        session: not yet started; ends with the serving.
-        scene: what the pages show and offer.
-        address: host and port to serve on.
 
     Raises:
         InputError: there is no serving there.

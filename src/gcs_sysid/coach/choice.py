@@ -132,13 +132,8 @@ def choose(
 ) -> Choice | None:
     """The maneuver that brings the widest intervals nearest to the target; None: none can.
 
-    Args:
-        prospect: what is known.
-        library: to choose from.
-        judge: gives the shares of a fit.
-        target: share to reach.
-        achieved: a maneuver as the vehicle was seen to fly it: the same with smaller swings.
-            Expected information is that of the achieved one.
+    `achieved` is a maneuver as the vehicle was seen to fly it: the same with smaller swings, whose
+    information is expected.
     """
     now = judge(prospect.after())
     far = excess(now, _CLOSE * target)
@@ -256,15 +251,7 @@ class Plan:
 def make_plan(
     name: str, prior_vehicle: PriorVehicle, judge: Judge, target: float, limits: Limits
 ) -> Plan:
-    """A plan for a vehicle of which no more is known than is assumed.
-
-    Args:
-        name: of the airframe.
-        prior_vehicle: of it.
-        judge: gives the shares of a fit.
-        target: share to reach.
-        limits: of the maneuvers.
-    """
+    """A plan for a vehicle of which no more is known than is assumed."""
     free = (
         (Coordinate.DELAY, Coordinate.LAG, Coordinate.CURVE)
         if prior_vehicle.craft.rotor_input.motors

@@ -219,11 +219,7 @@ def speed_noise(craft: Craft, std: Array, dt: float) -> Array:
 def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) -> Array:
     """(N_UNKNOWNS, N_UNKNOWNS) that each second of a motion at full swing adds.
 
-    Args:
-        motion: of the maneuver.
-        craft: it is flown with.
-        noise: what disturbs.
-        lag: s, of the motors, where commands are the input.
+    `lag` is s, of the motors, where commands are the input.
     """
     n = len(motion.signals)
     spectrum = np.fft.rfft(motion.signals, axis=0).T / n
@@ -452,11 +448,8 @@ def predicted_information(
 ) -> PredictedInformation:
     """What is known, from a fit and what is assumed.
 
-    Args:
-        fit: so far; `Fit(None, None, 0.0)` before a flight.
-        prior_vehicle: of the airframe.
-        noise: that maneuvers are flown in.
-        free_coordinates: of `estimation.rows.actuator_dynamics`, those that are estimated.
+    The fit is `Fit(None, None, 0.0)` before a flight; `free_coordinates` of
+    `estimation.rows.actuator_dynamics` are estimated.
     """
     kappa = prior_vehicle.kappa
     if fit.translation is not None and fit.translation.kappa > 0.0:

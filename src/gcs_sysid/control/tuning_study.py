@@ -117,9 +117,7 @@ LIMITS = DesignLimits()
 def propose(dynamics: HoverDynamics, loop: RateLoop) -> RateLoop:
     """The loop with gains for this vehicle; filters and rates stay as they are.
 
-    Args:
-        dynamics: the nominal vehicle and draws from its covariance.
-        loop: with the filters that the vehicle has.
+    The dynamics are of the nominal vehicle and draws from its covariance.
 
     Raises:
         InputError: no gains keep the margins.
@@ -149,12 +147,8 @@ def sure_margins(
     """(3, 2) least phase and gain margin (deg, dB) of each axis over all draws.
 
     With and without attitude loop, a loop period later than modeled, with the thrust of a full and
-    of a low battery; and the lower bound of the phase margin by the measured response.
-
-    Args:
-        dynamics: the nominal vehicle and draws.
-        loop: around it.
-        measured: axis -> what the flight shows.
+    of a low battery; and the lower bound of the phase margin by the measured response. The dynamics
+    are of the nominal vehicle and draws.
     """
     omega = frequencies(loop)
     later = replace(dynamics, delay=dynamics.delay + loop.period)
@@ -1012,9 +1006,7 @@ def _gain_table(tuning: TuningStudy) -> list[str]:
 def parameter_text(tuning: TuningStudy, suffix: str) -> str:
     """The proposed gains as a file that a ground station loads.
 
-    Args:
-        tuning: with the gains.
-        suffix: ".params" for QGroundControl, ".param" or ".parm" for Mission Planner.
+    `suffix` is ".params" for QGroundControl, ".param" or ".parm" for Mission Planner.
     """
     assert tuning.proposed is not None
     values = tuning.proposed.as_parameters()

@@ -389,11 +389,6 @@ def drawn_vehicles(vehicle: ExportedVehicle, count: int, seed: int) -> list[Expo
     Parameters with an entry in the covariance of the result are drawn together; others by their
     own standard deviation, where they have one. What must be positive is.
 
-    Args:
-        vehicle: the nominal one.
-        count: how many.
-        seed: of the draws.
-
     Raises:
         InputError: what was given contradicts itself.
         ValueError: the covariance is no such matrix, or hardly a draw is a rigid body.

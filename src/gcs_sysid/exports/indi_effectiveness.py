@@ -49,12 +49,8 @@ def effect_range(vehicle: ExportedVehicle, drawn: Sequence[ExportedVehicle], low
     """(3, 2) least and most that rotors turn drawn vehicles by, over what they do this one.
 
     INDI holds angular acceleration by what its last command did. With the same filters on both,
-    small gain keeps that stable while the true effect is 0 to 2 times the one it is given.
-
-    Args:
-        vehicle: nominal.
-        drawn: from the covariance.
-        low: share of the thrust that a low battery leaves.
+    small gain keeps that stable while the true effect is 0 to 2 times the one it is given. `low` is
+    the share of the thrust that a low battery leaves.
     """
     nominal = g1(vehicle)[1:]
     along = np.array([(g1(one)[1:] * nominal).sum(axis=1) for one in (vehicle, *drawn)])

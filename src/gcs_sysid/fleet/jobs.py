@@ -292,11 +292,8 @@ _GONE = "the Dask scheduler is gone; run the same command again for the rest"
 class LocalPool:
     """Processes of this machine, started when there is work.
 
-    They end when this process does, however it ends, and leave Ctrl-C to it.
-
-    Args:
-        workers: how many.
-        work: what is done with a task.
+    They end when this process does, however it ends, and leave Ctrl-C to it. `work` is what is done
+    with a task.
     """
 
     def __init__(self, workers: int, work: Callable[[Any], Any] = analyze) -> None:
@@ -353,9 +350,7 @@ def _obey(leash: Connection) -> None:
 class ClusterPool:
     """Workers of a Dask cluster, which must see the logs under the same paths.
 
-    Args:
-        address: of the scheduler, such as tcp://10.0.0.1:8786.
-        work: what is done with a task.
+    The address is the scheduler's, such as tcp://10.0.0.1:8786.
 
     Raises:
         InputError: Dask is not installed, there is no scheduler, or its workers cannot do it.
@@ -445,12 +440,8 @@ def complete(pool: Pool, tasks: Iterator[Task], stopped: Callable[[], bool]) -> 
     """Do tasks side by side.
 
     When a process dies, all tasks under way in the pool are lost, and which one killed it is
-    unknown. Each of them is tried again, alone: one that dies twice was the cause.
-
-    Args:
-        pool: does them.
-        tasks: taken one by one, when there is room.
-        stopped: asked now and then whether to leave it.
+    unknown. Each of them is tried again, alone: one that dies twice was the cause. `stopped` is
+    asked now and then whether to leave it.
 
     Yields:
         Each task with its document or the exception that it ended with, in the order of ending.

@@ -270,10 +270,6 @@ def _scale(entry: dict[str, Any] | None) -> Scale | None:
 def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
     """Prediction for the next flight of an unchanged vehicle.
 
-    Args:
-        flights: at least one.
-        scatter: between flights.
-
     Returns:
         The last one's result with the values expected, and their standard deviations with the
         scatter in them.
@@ -308,9 +304,7 @@ def sound(estimate: Estimate | None) -> Quantity | None:
 def mean(known: Sequence[Quantity], between: float) -> tuple[float, float]:
     """Weighted mean of sound estimates and its variance.
 
-    Args:
-        known: at least one.
-        between: variance between flights.
+    `between` is the variance between flights.
     """
     weights = [1.0 / (_variance_of(estimate) + between) for estimate in known]
     total = sum(weights)

@@ -78,9 +78,7 @@ class _Waiting:
 class Inspector:
     """Takes the records of one vehicle, block by block.
 
-    Args:
-        telemetry: of the log or link, beside its records.
-        airframe: of the vehicle; None: its type gives the number of rotors.
+    Without an airframe the vehicle's type gives the number of rotors.
     """
 
     def __init__(self, telemetry: Telemetry, airframe: Airframe | None = None) -> None:
@@ -211,13 +209,7 @@ class Inspector:
         kind: str,
         problems: tuple[str, ...] = (),
     ) -> Inspection:
-        """All that was found, judged.
-
-        Args:
-            source: name of the log or link.
-            kind: as `Inspection.kind`.
-            problems: that a link has.
-        """
+        """All that was found, judged."""
         if self._chain is None:
             self._chain = self._new_chain()
         chain = self._chain

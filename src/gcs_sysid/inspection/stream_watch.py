@@ -27,9 +27,6 @@ from gcs_sysid.telemetry.monitor import Counts, SampleLoss
 class FlightWatch:
     """When the vehicle flies, as the chain's samples have it.
 
-    Args:
-        detector: whose judgement the samples carry.
-
     Attributes:
         known: s of the session up to which that is known.
         spans: s from take-off to landing, of each flight.

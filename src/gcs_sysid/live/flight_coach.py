@@ -93,11 +93,8 @@ class Coach:
     """Watches a chain and says what to fly next.
 
     To weigh all maneuvers takes a tenth of a second: `look` now and then, `think` when there is
-    nothing else to do. `advise` does both.
-
-    Args:
-        chain: fed elsewhere; the coach observes its samples.
-        options: settings.
+    nothing else to do. `advise` does both. The chain is fed elsewhere; the coach observes its
+    samples.
     """
 
     def __init__(self, chain: Chain, options: CoachOptions | None = None) -> None:

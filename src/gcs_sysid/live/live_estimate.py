@@ -217,10 +217,7 @@ class LiveEstimate:
     ) -> Result:
         """The final result; after a defect, the last good one.
 
-        Args:
-            complete: adds what only the link knows.
-            last: the latest there was, complete.
-            problem: why it may be the last, if it is known.
+        `complete` adds what only the link knows; `problem` is why it may be the last.
         """
         if self.duty is Duty.IDENTIFY:
             try:
@@ -235,12 +232,7 @@ class LiveEstimate:
         return object_to(last, [Objection(early, verdict="identified", by="session")])
 
     def snapshot(self, result: Result, link: LinkStatus) -> Snapshot:
-        """How things stand.
-
-        Args:
-            result: the latest, with what only the link knows.
-            link: health of it.
-        """
+        """How things stand."""
         self._check_airframe()
         acceleration = self._prediction.acceleration()
         target = (self._options.coach or CoachOptions()).target
@@ -290,12 +282,7 @@ _NEW_FLIGHT = ("reboot", "reset", "vehicle")
 
 
 class HoverWatch:
-    """Keeps the last minutes of records, and assesses the vehicle's health by their hover.
-
-    Args:
-        telemetry: the vehicle, and its parameters.
-        source: what health names as its source.
-    """
+    """Keeps the last minutes of records, and assesses the vehicle's health by their hover."""
 
     def __init__(self, telemetry: Telemetry, source: str) -> None:
         self._telemetry = telemetry
@@ -327,9 +314,7 @@ class HoverWatch:
         They are a health file's content, whose verdict is "refused" where nothing hovers, and the
         words on a rotor that is weak and was not before, if one is.
 
-        Args:
-            airframe: with the scale in force.
-            result: the latest of the identification; called where it is time to look.
+        `result` is called where it is time to look.
         """
         if self._now - self._looked < _EVERY:
             return None

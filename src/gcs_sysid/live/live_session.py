@@ -69,8 +69,7 @@ class CommandQueue:
     def grant(self, note: Callable[[str], None]) -> Exception | None:
         """Carry out the requests. One that fails is reported, and the session continues.
 
-        Args:
-            note: called with what could not be done.
+        `note` is called with what could not be done.
 
         Returns:
             The first defect, if one was met.

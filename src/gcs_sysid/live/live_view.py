@@ -176,12 +176,7 @@ def link_status(
 ) -> LinkStatus:
     """Figures of the moment.
 
-    Args:
-        state: of the link.
-        source: where the data come from.
-        station: that asks.
-        intake: that counts.
-        too_slow: whether the session cannot keep up.
+    `too_slow`: the session cannot keep up.
     """
     chosen = None if intake.vehicle is None else intake.vehicle.address
     return LinkStatus(

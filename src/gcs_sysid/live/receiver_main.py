@@ -104,11 +104,7 @@ class Outbox:
 
 
 class RequestsDone:
-    """Executes the requests of `RelayedRequests`, through the gate alone, and can undo them.
-
-    Args:
-        gate: decides what is sent.
-    """
+    """Executes the requests of `RelayedRequests`, through the gate alone, and can undo them."""
 
     def __init__(self, gate: Gate) -> None:
         self._gate = gate
@@ -150,11 +146,7 @@ class RequestsDone:
 class ReceiverMain:
     """Drives a reception by the orders that come.
 
-    Args:
-        reception: to drive.
-        requests: sends requests to the vehicle.
-        outbox: to the session.
-        orders: names and arguments; None at their end.
+    The orders are names and arguments; None at their end.
     """
 
     def __init__(

@@ -105,10 +105,7 @@ _MOST_EVENTS = 100
 class RelayedRequests:
     """Proxy for the gate where that is in another process: forwards requests to it.
 
-    Args:
-        send: called with a method of `Gate`, the protocol version and the arguments.
-        listen_only: as of `Gate`.
-        signing: as of `Gate`.
+    `send` is called with a method of `Gate`, the protocol version and the arguments.
     """
 
     def __init__(

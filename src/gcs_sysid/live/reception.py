@@ -169,9 +169,7 @@ class RecordingReport:
 class Reception:
     """Receives, records and hands over, whenever it is asked to.
 
-    Args:
-        transceiver: `close` closes it.
-        recording: of what is received.
+    `close` closes the transceiver.
     """
 
     withheld = 0

@@ -140,9 +140,7 @@ _MOST_SHARE = 0.5
 def parse_sigma(entry: object, where: str) -> Sigma:
     """A standard deviation from a file or an option.
 
-    Args:
-        entry: a number, or text: a number or a percentage such as "1%".
-        where: for messages.
+    Of a number, or text: a number or a percentage such as "1%".
 
     Raises:
         InputError: it is neither.
@@ -534,10 +532,6 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
 
 def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     """Make an airframe of a parsed TOML table.
-
-    Args:
-        table: the parsed file.
-        where: file name for messages.
 
     Raises:
         InputError: a key is unknown, missing or has a value that makes no sense.

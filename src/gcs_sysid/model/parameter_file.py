@@ -53,12 +53,8 @@ def parameter_lines(
 ) -> list[str]:
     """Lines of a file: each parameter, a real number, below what is said of it.
 
-    Args:
-        values: name -> value.
-        notes: name -> words, for some or all of them.
-        suffix: of the file: ".params" is QGroundControl's, ".txt" whole numbers for Betaflight's
-            CLI, others are Mission Planner's.
-        address: system and component of the vehicle.
+    The suffix ".params" is QGroundControl's, ".txt" has whole numbers for Betaflight's CLI, others
+    are Mission Planner's.
     """
     named = suffix == ".params"
     lines = ["# Vehicle-Id Component-Id Name Value Type"] if named else []

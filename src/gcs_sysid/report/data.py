@@ -227,10 +227,7 @@ class ReportData:
 def predicted(result: Result, recorder: FlightRecorder, airframe: Airframe) -> Prediction | None:
     """Measured and predicted angular acceleration of the flight; None where nothing flew.
 
-    Args:
-        result: of the analysis that the recorder looked at.
-        recorder: its samples are read once more.
-        airframe: with its anchor.
+    The recorder looked at the result's analysis; its samples are read once more.
     """
     if recorder.dt is None:
         return None
@@ -267,10 +264,7 @@ _FIXED = (
 def signal_table(result: Result, recorder: FlightRecorder, airframe: Airframe) -> Table:
     """Column -> (n,) values.
 
-    Args:
-        result: of the analysis that the recorder looked at.
-        recorder: its samples are read twice more.
-        airframe: that the analysis was made with.
+    The recorder looked at the result's analysis; its samples are read twice more.
     """
     what = result.rotor_input
     names = [*_FIXED, *(f"rotor_{what}_{i}" for i in range(1, len(airframe.rotors) + 1))]

@@ -67,16 +67,8 @@ class ChartData:
     ) -> dict[str, Any]:
         """Add a chart of lines.
 
-        Args:
-            name: of the chart.
-            title: of it.
-            group: charts that are zoomed together.
-            x: name of the array of all lines' abscissas.
-            unit: of y.
-            lines: to draw.
-            axis: label and unit of x.
-            log: whether y is logarithmic.
-            marks: events.
+        Charts of a group are zoomed together; `x` names the array of all lines' abscissas, `unit`
+        is of y.
         """
         drawn = [
             {"x": x, "y": self.array(line.array, line.y), "class": line.kind, "name": line.name}
@@ -135,14 +127,7 @@ def add_history(
 ) -> bool:
     """One parameter's estimate over the flight; whether there is one.
 
-    Args:
-        figures: to add `history-NAME` to.
-        history: of all.
-        name: of the parameter.
-        most: instants that are drawn.
-        truth: drawn as a level; None: unknown.
-        also: values that must be seen.
-        unit: of the values; None: SI.
+    At most about `most` instants are drawn, the truth as a level; what `also` has must be seen.
     """
     t, value, half = known_history(history, name)
     if len(t) < 2:

@@ -135,13 +135,7 @@ def number_figures(
 ) -> Figures:
     """A number with the half of its 95 % interval, 0 if it is exact, whatever its status.
 
-    Args:
-        value: SI.
-        half: SI.
-        unit: of both.
-        notation: as of `figures`.
-        exponent: as of `figures`.
-        digits: as of `figures`.
+    Arguments are SI; the others are as of `figures`.
     """
     power = exponent or 0
     scaled, around = value * 10.0**-power, half * 10.0**-power
@@ -424,11 +418,8 @@ def result_table(
 ) -> str:
     """The result as lines of text, with truth and error where truth is known.
 
-    Args:
-        result: to show.
-        truth: name -> true value.
-        width: columns to keep to, from 80 on; what is least needed is left out then. None: no
-            limit.
+    `width` is columns to keep to, from 80 on; what is least needed is left out then. None: no
+    limit.
     """
     if (
         result.verdict == "refused"

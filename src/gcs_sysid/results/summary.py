@@ -114,11 +114,7 @@ def complete(
 ) -> dict[str, Estimate]:
     """Estimates as a result has them: within physical bounds, and with what they rest on.
 
-    Args:
-        estimates: by name.
-        fit: that they come from.
-        anchor: in force.
-        bounds: estimates whose `std` are the Cramer-Rao bounds, where they were computed.
+    `bounds` are estimates whose `std` are the Cramer-Rao bounds, where they were computed.
     """
     leaning = rests_on_prior(fit.rotation) if fit.rotation is not None else frozenset()
     support = anchor.origin or "prior"
@@ -214,10 +210,7 @@ def event_of(
 ) -> dict[str, Any]:
     """A change as a result reports it.
 
-    Args:
-        event: as the tracker found it.
-        before: parameters of the segment before.
-        after: those of the one after; None where there is none.
+    `after` is None where there is no segment behind.
     """
     out: dict[str, Any] = {
         "t": event.onset,

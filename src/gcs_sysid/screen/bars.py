@@ -129,10 +129,7 @@ _TITLE = len("✗ unobservable ")
 def verdict_lines(snapshot: Snapshot, width: int, *, large: bool) -> list[Line]:
     """The verdict in large letters with three lines beside them, or in one line where none fit.
 
-    Args:
-        snapshot: to show.
-        width: columns.
-        large: whether there are lines enough for large letters.
+    `large`: there are lines enough for large letters.
     """
     standing = standing_of(snapshot)
     for text in (headline(snapshot), short_headline(snapshot)) if large else ():

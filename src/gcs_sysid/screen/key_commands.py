@@ -149,13 +149,7 @@ def bindings_of(commands: Sequence[KeyCommand]) -> list[Binding]:
 
 
 class Dialog(ModalScreen[str | None]):
-    """A question in a box; escape gives None.
-
-    Args:
-        title: of the box.
-        keys: that answer it.
-        hint: a line below.
-    """
+    """A question in a box; escape gives None."""
 
     BINDINGS: ClassVar[list[BindingType]] = [("escape", "cancel", "Cancel")]
 
@@ -184,10 +178,7 @@ class Dialog(ModalScreen[str | None]):
 class Choose(Dialog):
     """One of a list: enter or a click takes it.
 
-    Args:
-        title: of the box.
-        options: value and text of each.
-        hint: a line below.
+    Of each option, value and text.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [("q", "cancel", "Cancel")]
@@ -209,11 +200,7 @@ class Choose(Dialog):
 class Enter(Dialog):
     """A line of text: enter takes it.
 
-    Args:
-        title: of the box.
-        hint: what to write, and what comes of it.
-        value: that stands there already.
-        suggestions: offered while one types; the right arrow takes one.
+    `suggestions` are offered while one types; the right arrow takes one.
     """
 
     def __init__(
@@ -255,12 +242,7 @@ def help_text(commands: Sequence[KeyCommand] = COMMANDS, *, ended: bool = False)
 
 
 class HelpScreen(ModalScreen[None]):
-    """Help over the main screen; any of its keys closes it.
-
-    Args:
-        commands: what keys do.
-        ended: whether the flight is over.
-    """
+    """Help over the main screen; any of its keys closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         ("escape,question_mark,q,enter,space", "dismiss", "Close help"),

@@ -142,11 +142,7 @@ def named(
 ) -> str:
     """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`.
 
-    Args:
-        group: to name.
-        room: columns.
-        shares: whether each has its share.
-        target: what is above it never reads as within it.
+    What is above the target never reads as within it.
     """
     words = [
         f"{name} ±{PLAIN.percent(share, target=target)}" if shares and share is not None else name

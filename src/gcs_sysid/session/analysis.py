@@ -139,12 +139,8 @@ def _with_parameters_of_later(
     """Blocks of a log, each with the share read up to its end.
 
     A ground station fetches the parameters soon after it connects: known before the samples, they
-    spare most logs that the estimate starts again.
-
-    Args:
-        chain: learns the parameters of blocks to come.
-        log: not yet read.
-        most: blocks that are kept waiting, some 2 MB each.
+    spare most logs that the estimate starts again. At most `most` blocks are kept waiting, some 2
+    MB each.
     """
     waiting: deque[tuple[RecordBlock, float]] = deque()
     for block in log.blocks():
@@ -156,12 +152,7 @@ def _with_parameters_of_later(
 
 
 def aligned_samples(log: Log, airframe: Airframe) -> Iterator[SampleBlock]:
-    """The samples that an analysis would take, without an estimate.
-
-    Args:
-        log: not yet read.
-        airframe: whose rotors and kind of input.
-    """
+    """The samples that an analysis would take, without an estimate."""
     selector = RotorSourceSelector(airframe, None)
     sampler = Sampler(selector, len(airframe.rotors), imu_arm=airframe.imu_arm)
     for block in log.blocks():
@@ -184,13 +175,7 @@ def analyze_pair(
 ) -> list[Result]:
     """Identify from two flights of one vehicle, the second with a known mass added.
 
-    Args:
-        paths: of the two logs.
-        added_mass: kg.
-        airframe: with any anchor; it does not count.
-        wanted: as of `analyze_log`.
-        options: of the chain.
-        progress: called with the share done of the log at hand.
+    `added_mass` is kg; the airframe's anchor does not count.
 
     Raises:
         InputError: a file cannot be read, or the flights cannot separate the masses.

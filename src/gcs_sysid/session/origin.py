@@ -78,13 +78,7 @@ class Origin:
     def complete(
         self, result: Result, airframe: Airframe, events: Sequence[dict[str, Any]]
     ) -> Result:
-        """A chain's result with its source, vehicle and telemetry.
-
-        Args:
-            result: by the records alone.
-            airframe: that it was made with.
-            events: of the telemetry, as in a result.
-        """
+        """A chain's result with its source, vehicle and telemetry."""
         vehicle = self.telemetry.vehicle
         telemetry = {**self.telemetry.as_dict(), **result.telemetry}
         doubt = self.clock_doubt

@@ -153,12 +153,7 @@ def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> Reported
 
 
 def suggested_airframe(kind: str, vehicle: MavlinkSystem | None) -> str | None:
-    """The built-in airframe to try where no parameters report a layout; None: any is a guess.
-
-    Args:
-        kind: of the log.
-        vehicle: that flew.
-    """
+    """The built-in airframe to try where no parameters report a layout; None: any is a guess."""
     # Betaflight numbers motors in one way; its logs do not hold where they are.
     quad = vehicle is not None and vehicle.vehicle_type == mavlink.MAV_TYPE_QUADROTOR
     return "betaflight-quad-x" if kind == "blackbox" and quad else None

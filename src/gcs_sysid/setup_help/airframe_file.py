@@ -122,12 +122,7 @@ _ASPECT = 2.0
 
 
 def draw(rotors: tuple[Rotor, ...], pen: Pen) -> str:
-    """The layout seen from above, front up: arms, motor numbers and spins.
-
-    Args:
-        rotors: in motor order.
-        pen: `UNICODE` or `ASCII`.
-    """
+    """The layout seen from above, front up: arms, motor numbers and spins."""
     reach_x = max(abs(r.x) for r in rotors)
     reach_y = max(abs(r.y) for r in rotors)
     most_lines, most_columns, margin = 6, 18, 7  # from the center outwards; labels beside

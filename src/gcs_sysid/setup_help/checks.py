@@ -271,12 +271,7 @@ _GROUPS = ("dialout", "uucp")
 def check_serial(
     devices: "Sequence[SerialDevice]", system: str = platform.system()
 ) -> list[SetupFinding]:
-    """One finding for each device, or one for there being none.
-
-    Args:
-        devices: that are plugged in.
-        system: "Linux", "Darwin" or "Windows".
-    """
+    """One finding for each device, or one for there being none."""
     if not devices:
         text = "no serial device (not needed for a network link)"
         missing = missing_group(_usual_group()) if system == "Linux" else None

@@ -45,9 +45,7 @@ def open_ears(
 ) -> tuple[list[Ear], list[SetupFinding]]:
     """Open links to listen on.
 
-    Args:
-        urls: of the links.
-        lacking: how bad it is that another program has a port, or that nothing comes there.
+    `lacking` is how bad it is that another program has a port, or that nothing comes there.
 
     Returns:
         Those that could be opened, and a finding on every one.
@@ -93,13 +91,7 @@ def _who_has(port: int) -> str:
 def listen(
     ears: Sequence[Ear], seconds: float, clock: Callable[[], float] = time.monotonic
 ) -> None:
-    """Listen for vehicles on all links at once, then close the links.
-
-    Args:
-        ears: open.
-        seconds: how long.
-        clock: any steady clock, s.
-    """
+    """Listen for vehicles on all links at once, then close the links."""
     turn = 0.05  # s for all links
     receivers = [(Receiver(ear.link), ear) for ear in ears]
     end = clock() + seconds

@@ -242,10 +242,7 @@ def _known_prior(text: str) -> tuple[str, float, float]:
 class Wizard:
     """Asks for what is not given.
 
-    Args:
-        ask: shows a question and gives the answer, one line. What it raises ends all.
-        say: shows lines.
-        pen: to draw with.
+    What `ask` raises ends all.
     """
 
     def __init__(self, ask: Callable[[str], str], say: Callable[[str], None], pen: Pen) -> None:

@@ -248,12 +248,8 @@ class FaultCounts:
 class InertialBuffer(StreamBuffer):
     """Recent samples of gyro and accelerometer, (n, 6), given out without outliers, at the CG.
 
-    Its values up to `settled` depend on the samples alone, not on when they are requested.
-
-    Args:
-        faults: counts what is found.
-        saturation: counts what is at a limit.
-        arm: m, where the accelerometer sits, from the CG; None: there, as far as is known.
+    Its values up to `settled` depend on the samples alone, not on when they are requested. `arm` is
+    m, where the accelerometer sits, from the CG; None: there, as far as is known.
     """
 
     def __init__(

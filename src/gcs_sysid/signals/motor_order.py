@@ -119,10 +119,7 @@ class MotorOrder:
     ) -> "MotorOrder":
         """By the parameters so far.
 
-        Args:
-            autopilot: as above.
-            parameters: by name.
-            rotors: how many the airframe has; None: as many as there are outputs for.
+        `rotors` is how many the airframe has; None: as many as there are outputs for.
         """
         drivers = motor_outputs(autopilot, parameters)
         known = {motor for outputs in drivers.values() for motor in outputs}

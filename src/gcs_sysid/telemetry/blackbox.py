@@ -81,9 +81,7 @@ _POSITIONS = (
 def read_blackbox(path: Path, session: int | None = None) -> Recording:
     """Read a session of a .bbl file.
 
-    Args:
-        path: of the file.
-        session: from 1 on; None: the first.
+    Sessions count from 1 on; None: the first.
 
     Raises:
         InputError: it cannot be read, or the session holds no flight data.

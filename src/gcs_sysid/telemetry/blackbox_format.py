@@ -401,9 +401,7 @@ def _signed(words: Array, bits: Array) -> Array:
 class _Tag2:
     """TAG2_3S32 and TAG2_3SVARIABLE: three fields, with their widths in the tag's highest bits.
 
-    Args:
-        first: index of its first field.
-        variable: whether the widths are those of TAG2_3SVARIABLE.
+    `variable`: the widths are those of TAG2_3SVARIABLE.
     """
 
     count = 3
@@ -482,12 +480,7 @@ parts at (k,) positions; `read` gives (k, which) of the fields, counted from 0."
 
 
 class FrameLayout:
-    """How the fields of one type of frame lie in it.
-
-    Args:
-        definition: of the frame.
-        version: of the data.
-    """
+    """How the fields of one type of frame lie in it."""
 
     def __init__(self, definition: Definition, version: float) -> None:
         self.definition = definition

@@ -494,11 +494,7 @@ def read_frames(
 ) -> BlackboxFrames:
     """Read the frames of a session.
 
-    Args:
-        data: the file.
-        header: of the session.
-        stop: where the session ends, at the latest.
-        wanted: columns of main and S frames to compute, where they are there; None: all.
+    Of main and S frames the columns wanted are computed, where they are there; None: all.
 
     Raises:
         InputError: it claims more values than its bytes can hold.

@@ -107,9 +107,7 @@ def _is_read(name: str, column: str) -> bool:
 def read_dataflash(path: Path, window: int | None = None) -> Recording:
     """Read a .bin file.
 
-    Args:
-        path: of the file.
-        window: bytes read at once, which change no number.
+    `window` is bytes read at once, which change no number.
 
     Raises:
         InputError: it cannot be read or is no dataflash log.

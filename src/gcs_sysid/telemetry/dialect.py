@@ -37,13 +37,8 @@ def declare(number: int, name: str, definition: str) -> type[Any]:
     """Make the class of a message as pymavlink's generator does.
 
     Fields go onto the wire by size, the largest first, and CRC_EXTRA is a checksum of their names
-    and types (https://mavlink.io/en/guide/serialization.html).
-
-    Args:
-        number: message id.
-        name: of the message.
-        definition: types and names of the fields, separated by commas; `int32_t[4] rpm` is an
-            array.
+    and types (https://mavlink.io/en/guide/serialization.html). The definition is types and names of
+    the fields, separated by commas; `int32_t[4] rpm` is an array.
     """
     base = mavlink.MAVLink_message
     fields = []  # (type, length of the array or 0, name)

@@ -429,12 +429,9 @@ class FrameGathering:
     """Frames of a link that wait, unread, until the vehicle's clock has passed a tick of the chain.
 
     Before that they change nothing that anybody sees, and reading a few at a time costs as much as
-    reading all of a tenth of a second at once. How long they wait changes no number.
-
-    Args:
-        intake: makes the records.
-        until_tick: s of the vehicle's clock until records change what anybody sees; asked when
-            frames come after those last read.
+    reading all of a tenth of a second at once. How long they wait changes no number. `until_tick`
+    gives s of the vehicle's clock until records change what anybody sees; it is asked when frames
+    come after those last read.
     """
 
     _MOST_WAITING = 1024

@@ -239,10 +239,6 @@ def _parameters(path: Path, table: Any) -> dict[str, float]:
 def read_table(path: Path, mapping_path: Path) -> Recording:
     """Read a table as a log.
 
-    Args:
-        path: of a .csv or .parquet file.
-        mapping_path: of its mapping.
-
     Raises:
         InputError: either cannot be read, or they do not fit each other.
     """

@@ -81,12 +81,7 @@ FOLLOW_UPS = {"SIH_MASS": _SIH}
 
 
 def wanted_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
-    """Names of the parameters to read; none of an unknown autopilot.
-
-    Args:
-        autopilot: "px4", "ardupilot", ...
-        rotors: how many the airframe has.
-    """
+    """Names of the parameters to read; none of an unknown autopilot."""
     layout = layout_parameters(autopilot, rotors)
     if autopilot == "px4":
         return (*layout, *_PX4, *[n.format(i + 1) for i in range(rotors) for n in _PX4_RANGES])

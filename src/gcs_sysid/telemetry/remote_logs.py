@@ -179,11 +179,7 @@ class RemoteLogs:
     ) -> None:
         """Read what a file lacks of a log.
 
-        Args:
-            log: as listed.
-            file: to read and write, with a beginning of the log or nothing; other content is
-                replaced.
-            progress: called with the share that is there.
+        The file has a beginning of the log or nothing; other content is replaced.
 
         Raises:
             LinkError: nothing came any more; what came is in the file.

@@ -39,12 +39,8 @@ ASKS_AT_MOST = 60
 class GroupRequests:
     """Keeps the asked rates of groups going, and gives the vehicle's own back.
 
-    ArduPilot before 4.0 sets rates by groups of messages alone.
-
-    Args:
-        gate: sends.
-        vehicle: that is asked.
-        arriving: message name -> Hz before anything was asked for: the vehicle's own rates.
+    ArduPilot before 4.0 sets rates by groups of messages alone. `arriving` is message name -> Hz
+    before anything was asked for: the vehicle's own rates.
 
     Attributes:
         asked: name of the message that a group was asked for -> Hz.

@@ -111,12 +111,7 @@ class RosBag:
     def _topic(self, name: str, kind: str, encoding: str, form: str, text: str) -> _Columns | None:
         """A topic, if it is wanted and can be read.
 
-        Args:
-            name: of the topic.
-            kind: of its messages.
-            encoding: of its messages.
-            form: of the definition of its messages; empty where there is none.
-            text: the definition.
+        `form` is the definition's; empty where there is none.
         """
         kind = short_type(kind)
         if name in self.kinds:
@@ -308,9 +303,7 @@ def _printable(error: Exception) -> str:
 def read_rosbag(path: Path, mapping_path: Path | None = None) -> Recording:
     """Read a recording of ROS 2.
 
-    Args:
-        path: of a file or folder.
-        mapping_path: of a mapping file whose columns are `topic.field`; None: by their types.
+    The columns of a mapping file are `topic.field`; None: by their types.
 
     Raises:
         InputError: it cannot be read, or holds nothing of a flight.

@@ -152,12 +152,7 @@ def _read_state(state: Path | None) -> int:
 
 
 class Signer:
-    """Signs frames of version 2.
-
-    Args:
-        key: 32 bytes.
-        clock: gives the times.
-    """
+    """Signs frames of version 2."""
 
     def __init__(self, key: bytes, clock: SigningClock) -> None:
         self._key = key

@@ -78,10 +78,7 @@ class Whereabouts:
     def accept(self, found: list[Frame], source: Address | None, now: float) -> list[Frame]:
         """Take the frames of one datagram.
 
-        Args:
-            found: of any sender and validity.
-            source: address that it came from.
-            now: any steady clock, s.
+        `now` is of any steady clock, s.
 
         Returns:
             Those accepted.

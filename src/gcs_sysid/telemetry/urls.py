@@ -75,9 +75,7 @@ def _takes_any_rate(device: str) -> bool:
 def parse_url(text: str, baud: int | None = None) -> LinkUrl:
     """Understand a link's name.
 
-    Args:
-        text: as in `FORMS`.
-        baud: of a serial device that does not name its own as DEVICE,BAUD.
+    `baud` is that of a serial device that does not name its own as DEVICE,BAUD.
 
     Raises:
         InputError: one line saying what is wrong with it.

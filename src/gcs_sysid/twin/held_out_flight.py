@@ -88,13 +88,7 @@ def fly_own_flight(
 ) -> TwinFlight:
     """The same of a result of this flight, whose analysis the recorder has looked at.
 
-    Args:
-        result: of the log.
-        recorder: with what was flown.
-        log: that was analyzed.
-        airframe: with a scale.
-        wanted: as of `fly_held_out`.
-        start: s after the first record, from which the log was analyzed.
+    The recorder has what was flown; the rest is as of `fly_held_out`.
 
     Raises:
         InputError: the log cannot be read.
@@ -174,13 +168,7 @@ def _settled(times: Array, since: float, until: float) -> FlightPart:
 
 
 def is_same_flight(result: Result, whole: Result, log: Path) -> bool:
-    """Whether a result is of this log: of the same file, or of the same data by another name.
-
-    Args:
-        result: that was given.
-        whole: of the whole log.
-        log: its path.
-    """
+    """Whether a result is of this log: of the same file, or of the same data by another name."""
     if _alike(result.validation, whole.validation):
         return True
     source = Path(result.source)

@@ -34,11 +34,7 @@ T = TypeVar("T")
 
 
 class WorkerPool:
-    """A few processes at once; later jobs wait.
-
-    Args:
-        most: processes at once.
-    """
+    """A few processes at once; later jobs wait."""
 
     def __init__(self, most: int) -> None:
         self._free = asyncio.Semaphore(most)
