@@ -18,7 +18,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.records import Samples
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import stack_vehicles
@@ -105,7 +105,7 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
     hover = [*FLIGHT[:2], "--mission", "hover", *FLIGHT[4:], "--duration", str(seconds)]
     cost_of("sim_bridge", *hover, "--speed", "max", "--tlog", str(log))
     intake = Intake()
-    records = intake.frames(frame for _, frame in read_tlog(log))
+    records = intake.frames(frame for _, frame in TlogReader(log))
     watch, airframe = HoverWatch(intake, "link"), load_airframe("paper")
     size = max(round(0.02 * len(records) / seconds), 1)
     blocks = [block_of(records[i : i + size]) for i in range(0, len(records), size)]

@@ -50,9 +50,9 @@ def read_decoder(path: str) -> int:
 
 def read_windows(path: str) -> int:
     """The same, window by window, keeping nothing."""
-    from gcs_sysid.telemetry.tlog import read_tlog
+    from gcs_sysid.telemetry.tlog import TlogReader
 
-    return sum(len(rows) for part in read_tlog(path).messages(FOUR) for rows in part.values())
+    return sum(len(rows) for part in TlogReader(path).messages(FOUR) for rows in part.values())
 
 
 def read_records(path: str) -> None:

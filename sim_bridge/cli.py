@@ -19,7 +19,7 @@ from gcs_sysid.argument_types import OneLineParser, baud, between, not_negative,
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.files import never_fail_to_print, read_bytes
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
 from sim_bridge.ardupilot import ArduPilot
@@ -357,7 +357,7 @@ def _play(args: argparse.Namespace) -> None:
             raise InputError(f"--play and --{name.replace('_', '-')} exclude each other")
     if args.fault:
         raise InputError("--play and --fault exclude each other")
-    recording = read_tlog(args.play)
+    recording = TlogReader(args.play)
     link = open_link(args.connect or DEFAULT_CONNECT, args.baud)
     try:
         wait_for_somebody(link)

@@ -24,7 +24,7 @@ from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import logs
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.track_collector import TrackCollector
 from testbed.emulated import Truth
 
@@ -272,7 +272,7 @@ def thinned(log: Path, to: Path, seed: int, drop: float = 0.05) -> Path:
     every = {MESSAGE_IDS[name]: k for name, k in _FAST.items()}
     kept = {MESSAGE_IDS[name] for name in _KEPT}
     with open(to, "wb") as file:
-        for time_us, frame in read_tlog(log):
+        for time_us, frame in TlogReader(log):
             seen[frame.message_id] += 1
             step = every.get(frame.message_id, 1)
             if seen[frame.message_id] % step != seed % step:

@@ -23,7 +23,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.cli import main as sim_bridge
 
 # The same examples in every run. Not all that is drawn must hold: of one damaged frame in 65 536
@@ -88,7 +88,7 @@ class Flight:
 
     def records(self) -> list[Record]:
         """What the recording's frames say, as the chain takes it."""
-        return Intake().frames(frame for _, frame in read_tlog(self.tlog))
+        return Intake().frames(frame for _, frame in TlogReader(self.tlog))
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ from gcs_sysid.live import live_session as live_session
 from gcs_sysid.live.reception import Reception, SessionRecording
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from tests.autopilots import GROUPS, INTERVALS, MESSAGES, READS, SETS, Autopilot
@@ -324,7 +324,7 @@ def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
     recordings = sorted(folder.glob("*.tlog"))
     assert len(recordings) == 2  # one of each vehicle
     for recording in recordings:
-        reader = read_tlog(recording)
+        reader = TlogReader(recording)
         assert sum(1 for _ in reader) > 0
         assert reader.counts.garbage_bytes == 0
 

@@ -26,7 +26,7 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.significance import Z95
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from testbed import judge as truth_judge
 from testbed import recordings, study
 from testbed.recordings import AIR_TIMES, OPEN_LOOP, SHARED, given
@@ -124,7 +124,7 @@ def change_in(log: Path) -> Change | None:
     truth = json.loads(file.read_text()) if file.exists() else {}
     for event in truth.get("events", ()):
         if "mass_after" in event and log.suffix == ".tlog":
-            began, _ = next(iter(read_tlog(log)))
+            began, _ = next(iter(TlogReader(log)))
             return event["unix"] - 1e-6 * began, truth["mass"], event["mass_after"]
     return None
 

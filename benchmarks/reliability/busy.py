@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from testbed.fast_link import Tool, parser_of, play, rows_of_times, table
 from testbed.ground_cycles import FAST, emulate
 
@@ -107,8 +107,8 @@ def main() -> int:
         finally:
             for each in busy:
                 each.kill()
-        sent = [frame.raw for _, frame in read_tlog(flight)]
-        found = compare(sent, [frame.raw for _, frame in read_tlog(own)])
+        sent = [frame.raw for _, frame in TlogReader(flight)]
+        found = compare(sent, [frame.raw for _, frame in TlogReader(own)])
         again = analyze_log(own, load_airframe("paper"))
     told = run.result["telemetry"]["receiver"]
     worst = largest_difference(run.result, again)

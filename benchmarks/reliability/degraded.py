@@ -22,7 +22,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.significance import Z95
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
 from sim_bridge.links import TlogLink
@@ -174,7 +174,7 @@ def returns(case: Case, flight: Flight, seed: int) -> list[Return]:
         chain, link = linked(load_airframe(AIRFRAME))
         waiting = ends.tolist()
         used, back = None, np.inf
-        for time_us, frame in read_tlog(record(case, flight, seed, folder)):
+        for time_us, frame in TlogReader(record(case, flight, seed, folder)):
             now = 1e-6 * (time_us - EPOCH_US - BOOT_US)
             if waiting and now >= waiting[0]:
                 seconds = 0.0 if chain.estimator is None else chain.estimator.seconds

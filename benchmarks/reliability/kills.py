@@ -26,7 +26,7 @@ from pathlib import Path
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import Validity
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.playback import moments
 from testbed.study import arguments, flown, free_port, say
 
@@ -83,7 +83,7 @@ class Player(threading.Thread):
         """Send until it is ended."""
         began = time.monotonic()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            for t, frames in moments(read_tlog(self._flight)):
+            for t, frames in moments(TlogReader(self._flight)):
                 if self.ended.wait(max(began + t - time.monotonic(), 0.0)):
                     return
                 with contextlib.suppress(ConnectionError):  # a session that was killed
@@ -159,7 +159,7 @@ def kill_one(number: int, after: float, flight: Path, folder: Path) -> Kill:
         process.kill()
         process.communicate()
     try:
-        reader = read_tlog(path)
+        reader = TlogReader(path)
         frames = [frame for _, frame in reader]
     except InputError:
         # Killed before anything could be written: nothing is there to be read.

@@ -35,7 +35,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
 from testbed.study import arguments, flown
@@ -104,7 +104,7 @@ class Played(Link):
 
     def __init__(self, recording: Path) -> None:
         super().__init__(parse_url("udpin:127.0.0.1:14550"))
-        self._rest: Iterator[tuple[float, list[bytes]]] = moments(read_tlog(recording))
+        self._rest: Iterator[tuple[float, list[bytes]]] = moments(TlogReader(recording))
 
     def receive(self, timeout: float) -> list[ReceivedBytes]:
         """The next few."""

@@ -13,7 +13,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.result_view import result_table
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 from tests.known_results import result_of
 
@@ -64,7 +64,7 @@ def no_imu(paper_flight, tmp_path):
     """A recording without its IMU messages."""
     path = tmp_path / "no-imu.tlog"
     with TlogWriter(path) as writer:
-        for time_us, frame in read_tlog(paper_flight.tlog):
+        for time_us, frame in TlogReader(paper_flight.tlog):
             if frame.message_id != 105:  # HIGHRES_IMU
                 writer.write(time_us, [frame])
     return path

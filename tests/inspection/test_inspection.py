@@ -20,7 +20,7 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from testbed.recordings import block_of
@@ -358,7 +358,7 @@ class ScriptedLink(Link):
 
     def __init__(self, path=None):
         super().__init__(parse_url("udpin:127.0.0.1:14550"))
-        self.frames = [] if path is None else [(us * 1e-6, f.raw) for us, f in read_tlog(path)]
+        self.frames = [] if path is None else [(us * 1e-6, f.raw) for us, f in TlogReader(path)]
         self.now = self.frames[0][0] if self.frames else 0.0
         self.sent = []
         self.closed = False

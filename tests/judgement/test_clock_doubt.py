@@ -12,7 +12,7 @@ from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.signals.rotor_units import is_simulated
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from testbed.linked import linked
 
 
@@ -26,7 +26,7 @@ def received(paper_flight, tmp_path_factory):
     """The article's flight, received by a computer against whose clock the vehicle's is fast."""
 
     def received(ppm):
-        frames = list(read_tlog(paper_flight.tlog))
+        frames = list(TlogReader(paper_flight.tlog))
         first = frames[0][0]
         path = tmp_path_factory.mktemp("drift") / "flight.tlog"
         with open(path, "wb") as file:
@@ -79,7 +79,7 @@ def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, paper_result)
 @pytest.mark.thorough
 def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
     chain, link = linked(airframe, ChainOptions())
-    for time_us, frame in read_tlog(received(8000.0)):
+    for time_us, frame in TlogReader(received(8000.0)):
         chain.take(link.gather([frame], time_us * 1e-6))
     chain.take(link.rest())
     live = chain.finish()

@@ -21,7 +21,7 @@ from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import PersistentLink, TcpLink, UdpLink
 from gcs_sysid.telemetry.signing import Signer, SigningClock
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import LinkUrl
 
 LISTEN = LiveOptions(listen_only=True, refit_interval=5.0)
@@ -111,13 +111,13 @@ def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airf
     assert latest.result == final
     assert latest.link.state is LinkState.ENDED
     assert latest.link.vehicle.endswith("1:1")
-    assert latest.link.received == sum(1 for _ in read_tlog(path))
+    assert latest.link.received == sum(1 for _ in TlogReader(path))
 
 
 def replay(path, port, address="127.0.0.1"):
     """Send a recording's frames as datagrams, at a pace that a receive buffer holds."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for _, frame in read_tlog(path):
+        for _, frame in TlogReader(path):
             sender.sendto(frame.raw, (address, port))
 
 
@@ -149,7 +149,7 @@ def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, flight, tmp
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
     session.start()
-    raws = [frame.raw for _, frame in read_tlog(flight.tlog)]
+    raws = [frame.raw for _, frame in TlogReader(flight.tlog)]
     half = len(raws) // 2
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for raw in raws[:half]:
@@ -218,7 +218,7 @@ def test_faults_of_disk_and_listener_cost_no_numbers(udp, airframe, flight, tmp_
     assert isinstance(session.problem, ZeroDivisionError)
     final, last = session.final, session.latest()
     assert final.verdict == "identified"
-    count = sum(1 for _ in read_tlog(flight.tlog))
+    count = sum(1 for _ in TlogReader(flight.tlog))
     assert final.telemetry["recording"] == {"missing": count}
     told = [event.text for event in last.events]
     assert "internal error (ZeroDivisionError: a defect): results are no longer written" in told
@@ -252,7 +252,7 @@ def test_a_tcp_connection_that_breaks_costs_nothing_of_a_signed_flight(
     key, path = tmp_path / "key", tmp_path / "live.tlog"
     key.write_text(PASSPHRASE + "\n", encoding="ascii")
     signer = Signer(hashlib.sha256(PASSPHRASE.encode()).digest(), SigningClock())
-    frames = [frame for _, frame in read_tlog(flight.tlog)]
+    frames = [frame for _, frame in TlogReader(flight.tlog)]
     count = len(frames)
     # First the same without signatures: nobody believes it.
     raws = [frame.raw for frame in frames]
@@ -276,7 +276,7 @@ def test_a_tcp_connection_that_breaks_costs_nothing_of_a_signed_flight(
     assert final.telemetry["garbage_bytes"] == 0
     assert_same_numbers(final, analyzed)
     assert_same_numbers(final, analyze_log(path, airframe))
-    assert all(frame.signed for _, frame in read_tlog(path))
+    assert all(frame.signed for _, frame in TlogReader(path))
     assert set(tmp_path.iterdir()) == {key, path}
     told = [event.text for event in session.latest().events]
     assert any("waiting for it to return" in text for text in told)
@@ -336,7 +336,7 @@ def test_another_vehicle_begins_anew_in_a_recording_of_its_own(udp, airframe, fl
     session.start()
     with pytest.raises(InputError, match="no vehicle 2:1"):
         session.choose_vehicle((2, 1))
-    frames = [frame.raw for _, frame in read_tlog(flight.tlog)]
+    frames = [frame.raw for _, frame in TlogReader(flight.tlog)]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for raw in frames[: len(frames) // 4]:
             sender.sendto(raw, ("127.0.0.1", udp.port))

@@ -19,7 +19,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import LinkUrl
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot
@@ -189,7 +189,7 @@ def live(wire, airframe, send, options=LISTEN, path=None):
 
 def played(wire, recording, airframe, path=None):
     """Play a recording to a live session that only listens; its final result."""
-    return live(wire, airframe, lambda: play(read_tlog(recording), wire.out, wire.pace), path=path)
+    return live(wire, airframe, lambda: play(TlogReader(recording), wire.out, wire.pace), path=path)
 
 
 def numbers(value, name=""):
@@ -245,7 +245,7 @@ def test_recorded_flights_of_real_autopilots_give_live_what_analyze_gives(wire, 
     final = played(wire, shared_logs / name, airframe)
     assert final.telemetry["used_seconds"] > 100.0
     assert_same(final, analyze_log(shared_logs / name, airframe))
-    span = [time_us for time_us, _ in read_tlog(shared_logs / name)]
+    span = [time_us for time_us, _ in TlogReader(shared_logs / name)]
     assert wire.pace.times[-1] == pytest.approx(1e-6 * (span[-1] - span[0]), abs=1e-3)
 
 

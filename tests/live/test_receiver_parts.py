@@ -20,7 +20,7 @@ from gcs_sysid.live.reception import (
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
 from gcs_sysid.telemetry.signing import Refusal
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Rival
 from testbed.payloads import unpack
 
@@ -29,7 +29,7 @@ HERE = ("10.0.0.1", 14550)
 
 @pytest.fixture
 def frames(paper_flight):
-    return [frame for _, frame in read_tlog(paper_flight.tlog)][:50]
+    return [frame for _, frame in TlogReader(paper_flight.tlog)][:50]
 
 
 def test_items_and_figures_arrive_as_they_were(frames):

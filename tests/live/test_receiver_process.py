@@ -20,7 +20,7 @@ from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.live.reception import Ended, RecordingCut, ResetMark, Toggled
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.urls import LinkUrl
 from testbed.payloads import unpack
@@ -45,7 +45,7 @@ def receiver():
 
 
 def raws_of(path):
-    return [frame.raw for _, frame in read_tlog(path)]
+    return [frame.raw for _, frame in TlogReader(path)]
 
 
 def send(receiver, raws):

@@ -12,7 +12,7 @@ from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 from testbed.recordings import airframe_of
 
@@ -261,7 +261,7 @@ def test_it_goes_on_over_a_reboot(fly):
 def test_a_long_silence_is_skipped(flight, tmp_path):
     """The frames of 6 s are missing; who watches is not kept waiting."""
     path = tmp_path / "silent.tlog"
-    frames = list(read_tlog(flight.tlog))
+    frames = list(TlogReader(flight.tlog))
     times = [1e-6 * (time_us - frames[0][0]) for time_us, _ in frames]
     write(path, [f for f, t in zip(frames, times, strict=True) if t < 1.0 or 7.0 < t < 9.0])
     stage = Stage(path)
@@ -294,7 +294,7 @@ def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
         *("--mission", "all-axes", "--rate", "20", "--duration", "12", "--seed", "5"),
         *("--autopilot", "ardupilot"),
     )
-    frames = list(read_tlog(flight.tlog))
+    frames = list(TlogReader(flight.tlog))
     sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     answer = mavlink.MAVLink_param_value_message(b"INS_GYRO_FILTER", 40.0, 9, 1, 0).pack(sender)
     path = tmp_path / "late.tlog"

@@ -21,7 +21,7 @@ from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import LinkUrl
 
 MEGABYTE = 2**20
@@ -230,7 +230,7 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
 
 
 def recorded(path):
-    return [frame.raw for _, frame in read_tlog(path)]
+    return [frame.raw for _, frame in TlogReader(path)]
 
 
 def flown(link, count, start=0):

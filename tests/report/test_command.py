@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from gcs_sysid.cli.program import run
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 PAPER = ("--airframe", "paper")
@@ -45,7 +45,7 @@ def words_of(value):
 def test_a_refused_recording_is_reported_with_its_reasons(paper_flight, tmp_path, capsys):
     log, page = tmp_path / "no-imu.tlog", tmp_path / "no-imu.html"
     with TlogWriter(log) as writer:
-        for time_us, frame in read_tlog(paper_flight.tlog):
+        for time_us, frame in TlogReader(paper_flight.tlog):
             if frame.message_id != HIGHRES_IMU:
                 writer.write(time_us, [frame])
     assert run(["analyze", str(log), *PAPER, "--report", str(page)]) == 1

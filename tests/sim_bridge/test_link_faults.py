@@ -11,7 +11,7 @@ import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Validity, read_frame
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BEHIND, QUEUE, BadLine
 from sim_bridge.cli import main
@@ -230,7 +230,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[tup
         for fault in faults:
             options += ["--fault", fault]
         assert main(options) == 0
-        return list(read_tlog(path))
+        return list(TlogReader(path))
 
     return fly
 

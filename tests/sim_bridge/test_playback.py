@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.cli import main
 from sim_bridge.playback import MOST_PAUSE, moments, play
 
@@ -49,7 +49,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def restamped(path: Path, folder: Path, stamps: list[int]) -> Path:
     """The first frames of a recording under other times."""
     out = folder / "restamped.tlog"
-    frames = [frame.raw for _, frame in read_tlog(path)][: len(stamps)]
+    frames = [frame.raw for _, frame in TlogReader(path)][: len(stamps)]
     records = [struct.pack(">Q", t) + raw for t, raw in zip(stamps, frames, strict=True)]
     out.write_bytes(b"".join(records))
     return out
@@ -57,8 +57,8 @@ def restamped(path: Path, folder: Path, stamps: list[int]) -> Path:
 
 def test_every_frame_leaves_untouched_when_it_came(recording: Path) -> None:
     sink = Sink()
-    records = list(read_tlog(recording))
-    assert play(read_tlog(recording), sink, Waits(sink)) == len(records)
+    records = list(TlogReader(recording))
+    assert play(TlogReader(recording), sink, Waits(sink)) == len(records)
     assert [raw for _, raw in sink.sent] == [frame.raw for _, frame in records]
     first = records[0][0]
     wanted = [1e-6 * (time_us - first) for time_us, _ in records]
@@ -70,7 +70,7 @@ def test_time_never_goes_back_and_long_pauses_are_cut(recording: Path, tmp_path:
     day = 86_400_000_000
     stamps = [day, day + 1000, day + 500, day + 500, day + 700, day + 700 + 3_600_000_000]
     path = restamped(recording, tmp_path, stamps)
-    times = [flown for flown, _ in moments(read_tlog(path))]
+    times = [flown for flown, _ in moments(TlogReader(path))]
     assert times == pytest.approx([0.0, 1e-3, 1e-3, 1.2e-3, 1.2e-3 + MOST_PAUSE])
 
 
@@ -98,5 +98,5 @@ def test_the_command_says_what_it_played(
 ) -> None:
     # Nobody listens there; datagrams do not mind.
     assert main(["--play", str(recording), "udpout:127.0.0.1:9", "--speed", "max"]) == 0
-    count = sum(1 for _ in read_tlog(recording))
+    count = sum(1 for _ in TlogReader(recording))
     assert f"played {count} frames" in capsys.readouterr().err

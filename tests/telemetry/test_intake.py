@@ -11,7 +11,7 @@ from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.vehicles import VehicleSelector
 
 
@@ -255,7 +255,7 @@ def test_damaged_and_unknown_frames_are_counted_and_make_no_records(sender):
 )
 def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name, vehicle, streams):
     intake = Intake()
-    frames = (f for _, (_, f) in zip(range(40_000), read_tlog(shared_logs / name), strict=False))
+    frames = (f for _, (_, f) in zip(range(40_000), TlogReader(shared_logs / name), strict=False))
     records = intake.frames(frames)
     assert str(intake.vehicle) == vehicle
     assert {record.stream for record in records} == streams

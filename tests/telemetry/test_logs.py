@@ -14,7 +14,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from testbed.recordings import records_of
 
 WALL = 1_750_000_000.0
@@ -223,7 +223,7 @@ def test_a_pipe_that_nobody_writes_to_holds_nothing_up(tmp_path):
         with pytest.raises(InputError, match="pipe or a device"):
             open_log(tmp_path / name)
     with pytest.raises(InputError, match="pipe or a device"):
-        read_tlog(tmp_path / "a.tlog")
+        TlogReader(tmp_path / "a.tlog")
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device there")

@@ -11,7 +11,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.messages import LAYOUTS, message_arrays
-from gcs_sysid.telemetry.tlog import read_messages, read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader, read_messages
 
 START = 1_750_000_000_000_000
 
@@ -121,7 +121,7 @@ def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
     path = tmp_path / "hurt.tlog"
     for seed in seeds:
         path.write_bytes(damage(as_log(raws), random.Random(seed)))
-        good = [frame for _, frame in read_tlog(path) if frame.valid is Validity.OK]
+        good = [frame for _, frame in TlogReader(path) if frame.valid is Validity.OK]
         assert {frame.raw for frame in good} <= set(raws), seed
         arrays, counts = read_messages(path)
         found = sum(map(len, arrays.values()))

@@ -14,7 +14,7 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.frames import Validity
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_writer import TlogWriter, unused_path
 from tests.telemetry.in_memory import as_bytes
 
@@ -112,7 +112,7 @@ def test_what_is_written_is_read(tmp_path, flight):
     with TlogWriter(path) as writer:
         write_all(writer, flight)
     assert path.read_bytes() == as_bytes(flight)
-    assert list(read_tlog(path)) == flight
+    assert list(TlogReader(path)) == flight
     assert writer.summary() == f"recorded to {path}"
 
 
@@ -145,7 +145,7 @@ def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path, flight, monk
         write_all(writer, flight)
         until(writer, "continues in")
     assert path.read_bytes() == b"precious"
-    assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight
+    assert list(TlogReader(tmp_path / "flight-2.tlog")) == flight
 
 
 def test_a_recording_of_nothing_is_not_kept(tmp_path):
@@ -170,7 +170,7 @@ def test_an_unwritable_folder_is_told_and_nothing_is_lost_once_it_is_writable(tm
         in_the_way.unlink()
         until(writer, f"recording continues in {path}")
         assert writer.problem == ""
-    assert list(read_tlog(path)) == flight
+    assert list(TlogReader(path)) == flight
     assert writer.dropped == 0
 
 
@@ -245,7 +245,7 @@ def test_a_disk_that_does_not_answer_holds_up_nobody(disk, flight, tmp_path, mon
 def read_tlog_of(disk, folder):
     path = folder / "content.tlog"
     path.write_bytes(disk.content.getvalue())
-    reader = read_tlog(path)
+    reader = TlogReader(path)
     yield from reader
     assert reader.counts.garbage_bytes == 0
 
@@ -276,7 +276,7 @@ def test_a_slow_sync_does_not_hold_up_the_writing(tmp_path, flight, monkeypatch)
         assert syncing.wait(PATIENCE)
         write_all(writer, flight)
         writer.flush()
-        assert list(read_tlog(path)) == flight
+        assert list(TlogReader(path)) == flight
         go_on.set()
 
 
@@ -298,8 +298,8 @@ def test_a_sync_that_fails_begins_another_file(tmp_path, flight, monkeypatch):
         until(writer, "Input/output error")
         write_all(writer, flight[5:])
         until(writer, "continues in")
-    assert list(read_tlog(path)) == flight[:5]
-    assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight[5:]
+    assert list(TlogReader(path)) == flight[:5]
+    assert list(TlogReader(tmp_path / "flight-2.tlog")) == flight[5:]
     assert writer.summary() == f"recorded to {path} and {tmp_path / 'flight-2.tlog'}"
 
 
@@ -314,7 +314,7 @@ def test_a_file_that_was_removed_is_begun_anew(tmp_path, flight, monkeypatch):
         path.parent.rmdir()
         until(writer, "recording continues in")
         write_all(writer, flight[5:])
-    assert list(read_tlog(path)) == flight[5:]
+    assert list(TlogReader(path)) == flight[5:]
     assert writer.recorded == (path,)
 
 
@@ -363,7 +363,7 @@ def test_a_recording_killed_in_flight_is_readable(tmp_path):
         process.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
         process.wait()
         process.stdout.close()
-    reader = read_tlog(path)
+    reader = TlogReader(path)
     records = list(reader)
     assert len(records) > 200
     assert all(frame.valid is Validity.OK for _, frame in records)

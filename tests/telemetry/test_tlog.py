@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from tests.telemetry.in_memory import as_bytes
 
 START = 1_750_000_000_000_000
@@ -18,7 +18,7 @@ def test_a_truncated_last_record_is_left_out(tmp_path, flight):
     path = tmp_path / "cut.tlog"
     for cut in range(1, len(flight[-1][1].raw) + 8):
         path.write_bytes(data[:-cut])
-        reader = read_tlog(path)
+        reader = TlogReader(path)
         assert list(reader) == flight[:-1]
         assert reader.counts.cut_short == 8 + len(flight[-1][1].raw) - cut
 
@@ -27,6 +27,6 @@ def test_what_is_no_record_is_not_taken_for_one_cut_short(tmp_path, flight):
     path = tmp_path / "whole.tlog"
     for after in (b"", bytes(9), bytes(8) + b"\xfd\x09\x02", bytes(8) + b"\xfe\x00" + bytes(9)):
         path.write_bytes(as_bytes(flight) + after)
-        reader = read_tlog(path)
+        reader = TlogReader(path)
         assert list(reader) == flight
         assert reader.counts.cut_short == 0

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from tests.blackbox_logs import blackbox_of
 from tests.screen import fake
 
@@ -349,7 +349,7 @@ def command(tmp_path):
 @pytest.mark.thorough
 def test_live_with_a_page(web, command, fly):
     flight = fly("--mission", "all-axes", "--rate", "50", "--duration", "15", "--seed", "5")
-    vehicle = TcpVehicle(frame for _, frame in read_tlog(flight.tlog))
+    vehicle = TcpVehicle(frame for _, frame in TlogReader(flight.tlog))
     try:
         run = command("live", vehicle.url, "--airframe", "paper", "--no-record", "--web", "0")
         page = web.page(run.pilot, WIDTHS["phone"])

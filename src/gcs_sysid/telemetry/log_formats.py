@@ -110,7 +110,7 @@ FORMATS = (
     LogFormat("ulog", "PX4's own log (.ulg)", (".ulg",), partial(_begins, b"ULog"),
               "ulog:read_ulog"),
     LogFormat("tlog", "recording of a ground station (.tlog)", (".tlog",), _is_tlog,
-              "tlog:read_tlog", (".rlog",)),
+              "tlog:TlogReader", (".rlog",)),
     LogFormat("table", "table of signals", tuple(sorted(TABLE_SUFFIXES)), lambda _: False,
               "mapped_table:read_table"),
 )  # fmt: skip

@@ -30,7 +30,7 @@ from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.log_formats import BY_NAME, format_of, unpack, usual_endings
 from gcs_sysid.telemetry.monitor import Counts, SampleLoss
-from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
@@ -42,7 +42,7 @@ class TlogLog(Intake):
 
     def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
         super().__init__(wanted)
-        self._reader = read_tlog(path)
+        self._reader = TlogReader(path)
         self._size = max(path.stat().st_size, 1)
 
     def blocks(self) -> Iterator[RecordBlock]:

@@ -108,10 +108,6 @@ class Scanner:
     def scan(self, content: bytes, *, final: bool) -> tuple[FrameBlock, int]:
         """Cut one piece.
 
-        Args:
-            content: from where the last piece was done.
-            final: whether the file ends with it.
-
         Returns:
             The frames that are decided, and how many bytes are done. The bytes after that must
             come again, before those that follow.
@@ -474,19 +470,12 @@ class TlogReader:
             yield message_arrays(block, names)
 
 
-def read_tlog(path: Path | str) -> TlogReader:
-    """Open a .tlog for reading; `InputError` when it is none."""
-    return TlogReader(path)
-
-
 def read_messages(
     path: Path | str, names: Collection[str] | None = None
 ) -> tuple[dict[str, Array], ScanCounts]:
     """All messages of a .tlog.
 
-    Args:
-        path: of the file.
-        names: of the message types wanted; None: all that the dialect knows.
+    Without names: of all types that the dialect knows.
 
     Returns:
         Message name -> structured array in the order of the file, see `message_arrays`, and
