@@ -20,7 +20,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.cli.airframe_choice import beside_result
 from gcs_sysid.cli.output import as_json, check_outputs, deliver, is_device, say, write_text
 from gcs_sysid.control.frequency_response import BAND, Replay
-from gcs_sysid.control.loop_margins import check_needs, frequencies, open_loops
+from gcs_sysid.control.loop_margins import bode, check_needs, frequencies, open_loops
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot, RateLoop
 from gcs_sysid.control.tuning_study import (
     LIMITS,
@@ -49,7 +49,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput
-from gcs_sysid.report.drawing import BLUE, INK, PALE, line, picture, polyline, text
+from gcs_sysid.report.drawing import BLUE, INK, PALE, area, line, picture, polyline, text
 from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.signals.sampling import SampleBlock
@@ -297,8 +297,7 @@ def _replayed(flown: Replay, axis: int, top: float) -> Iterator[Markup]:
     yield _rule(left, middle, left + _COLUMN, middle)
     yield _label(left, top - 6.0, f"{AXES[axis]}, {flown.t[-1]:.0f} s, up to {most:.0f} deg/s")
     outline = at(shown["then_high"]) + at(shown["then_low"])[::-1]
-    band = " ".join(f"{x:.1f},{y:.1f}" for x, y in outline)
-    yield element("polygon", points=band, fill=_STROKES["proposed"], fill_opacity="0.2")
+    yield area(outline, _STROKES["proposed"])
     strokes = {"setpoint": PALE, "flown": INK, "now": _STROKES["now"], "then": BLUE}
     for name, stroke in strokes.items():
         yield polyline(at(shown[name]), stroke, 1.0)
@@ -309,17 +308,10 @@ def _curves(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Markup
     omega = omega[(omega >= _LOW) & (omega <= _HIGH)]
     loops = open_loops(tuning.dynamics, loop, omega)
     for axis in range(3):
-        own = loops[:, :, axis]
-        size = 20.0 * np.log10(np.maximum(np.abs(own), 1e-9))
-        first = np.angle(own[:, :1])
-        first = np.where(first > 1e-6, first - 2.0 * np.pi, first)
-        phase = np.degrees(np.unwrap(np.angle(own), axis=1) - np.angle(own[:, :1]) + first)
-        for values, place in ((size, _upper), (phase, _lower)):
+        for values, place in zip(bode(loops[:, :, axis]), (_upper, _lower), strict=True):
             low, high = np.percentile(values, BAND, axis=0)
             band = [*zip(omega, high, strict=True), *zip(omega[::-1], low[::-1], strict=True)]
-            yield element(
-                "polygon", points=_points(axis, band, place), fill=stroke, fill_opacity="0.2"
-            )
+            yield area(((_x(axis, float(w)), place(float(v))) for w, v in band), stroke)
             nominal = ((_x(axis, w), place(v)) for w, v in zip(omega, values[0], strict=True))
             yield polyline(nominal, stroke, 1.5)
     yield from _measured(tuning, loop, stroke)
@@ -331,8 +323,7 @@ def _measured(tuning: TuningStudy, loop: RateLoop, stroke: str) -> Iterator[Mark
         found = one.torque
         shown = found.claimed & (found.omega >= _LOW) & (found.omega <= _HIGH)
         omega, half = found.omega[shown], np.minimum(found.half_width[shown], 0.99)
-        rate, angle, _ = loop.controllers(omega)
-        own = (rate + angle / (1j * omega[:, None]))[:, axis] * found.values[shown]
+        own = loop.feedback(omega)[:, axis] * found.values[shown]
         size, phase = 20.0 * np.log10(np.abs(own)), np.degrees(np.angle(own))
         phase = np.where(phase > 0.0, phase - 360.0, phase)
         turn = np.degrees(np.arcsin(half))
@@ -360,11 +351,6 @@ def _lower(degrees: float) -> float:
     low, high = _DEGREES
     share = (high - min(max(degrees, low), high)) / (high - low)
     return _TOP + _UPPER + _GAP + _LOWER * share
-
-
-def _points(axis: int, pairs: list[tuple[float, float]], place: object) -> str:
-    assert callable(place)
-    return " ".join(f"{_x(axis, float(w)):.1f},{place(float(v)):.1f}" for w, v in pairs)
 
 
 def _grid(axis: int) -> Iterator[Markup]:

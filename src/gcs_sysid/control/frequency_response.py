@@ -219,11 +219,7 @@ def measured_axes(
 ) -> dict[str, MeasuredAxis]:
     """Roll, pitch and yaw, as far as the flight shows them.
 
-    Args:
-        flight: signals.
-        dynamics: identified.
-        loop: that flew.
-        gyro: as of `measured_response`.
+    `gyro` is as of `measured_response`.
     """
     found = {}
     for axis, name in enumerate(AXES):
@@ -403,12 +399,7 @@ class SmoothRatio:
         return np.vander(np.log(omega / self._from), 3)
 
     def drawn(self, count: int, seed: int) -> Array:
-        """(1 + count, w) ratios at `omega`, the estimate first, then with errors of the measured.
-
-        Args:
-            count: of draws.
-            seed: of these.
-        """
+        """(1 + count, w) ratios at `omega`, the estimate first, then with errors of that."""
         normal = np.random.default_rng(seed).standard_normal((2, 3, count))
         errors = np.hstack([np.zeros((3, 1)), self._root @ (normal[0] + 1j * normal[1])])
         return np.exp(self._powers(self.omega) @ (self._coefficients[:, None] + errors)).T
@@ -449,12 +440,7 @@ def measured_margins(
 ) -> Margins | None:
     """Margins of an axis by its measured response: the estimate, then draws of its errors.
 
-    Args:
-        one: of the axis.
-        dynamics: the model, whose response times the smooth ratio is taken.
-        loop: whose controllers are around the vehicle.
-        axis: 0 roll, 1 pitch, 2 yaw.
-        seed: of the draws.
+    The smooth ratio is taken times the model's response, with the loop's controllers.
 
     Returns:
         None where what is claimed does not reach the crossover.
@@ -462,8 +448,7 @@ def measured_margins(
     smooth = smooth_ratio(one.torque, one.model)
     if smooth is None:
         return None
-    rate, angle, _ = loop.controllers(smooth.omega)
-    own = (rate + angle / (1j * smooth.omega[:, None]))[:, axis]
+    own = loop.feedback(smooth.omega)[:, axis]
     own = own * dynamics.first(1).response(smooth.omega, loop.period)[0, :, axis, axis]
     margins = margins_of(smooth.omega, own * smooth.drawn(100, seed))
     return margins if np.isfinite(margins.crossover[0]) else None

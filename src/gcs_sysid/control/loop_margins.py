@@ -300,16 +300,10 @@ def open_loops(
 ) -> Array:
     """(N, w, 3) loop transfer of each axis, broken at its torque, the other axes closed.
 
-    Args:
-        dynamics: of N vehicles.
-        loop: around them.
-        omega: (w,) rad/s.
-        attitude: whether the attitude loop is closed, as in any mode but Acro.
+    At (w,) rad/s; `attitude`: the attitude loop is closed, as in any mode but Acro.
     """
     G = dynamics.response(omega, loop.period)
-    rate, angle, _ = loop.controllers(omega)
-    H = rate + angle / (1j * omega[:, None]) if attitude else rate
-    difference = np.eye(3) + H[None, :, :, None] * G
+    difference = np.eye(3) + loop.feedback(omega, attitude=attitude)[None, :, :, None] * G
     own = np.diagonal(np.linalg.inv(difference), axis1=-2, axis2=-1)
     return 1.0 / own - 1.0
 
@@ -337,14 +331,17 @@ def closed_loops(
 
 def margins_of(omega: Array, loops: Array) -> Margins:
     """Margins of (N, w) loop transfers at (w,) rad/s, by interpolation."""
-    logs = np.log(omega)
-    size = 20.0 * np.log10(np.maximum(np.abs(loops), 1e-12))
+    rows = [_of_one(np.log(omega), *each) for each in zip(*bode(loops), strict=True)]
+    return Margins(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def bode(loops: Array) -> tuple[Array, Array]:
+    """Size in dB and phase in deg, without jumps, of (N, w) loop transfers."""
     first = np.angle(loops[:, :1])
     # An integrator or two begin at -90 to -270 deg, never above 0.
-    first = np.where(first > 1e-6, first - 2.0 * np.pi, first)
-    phase = np.degrees(first + np.unwrap(np.angle(loops), axis=1) - np.angle(loops[:, :1]))
-    rows = [_of_one(logs, s, p) for s, p in zip(size, phase, strict=True)]
-    return Margins(*(np.array(column) for column in zip(*rows, strict=True)))
+    start = np.where(first > 1e-6, first - 2.0 * np.pi, first)
+    phase = np.degrees(start + np.unwrap(np.angle(loops), axis=1) - first)
+    return 20.0 * np.log10(np.maximum(np.abs(loops), 1e-12)), phase
 
 
 def _of_one(logs: Array, size: Array, phase: Array) -> tuple[float, float, float, float]:
@@ -399,13 +396,8 @@ def step_response(
 ) -> StepResponse:
     """Response of attitude to its set-point, or of the rate to its own with no attitude loop.
 
-    Of a square wave so long that each half settles, by its Fourier series.
-
-    Args:
-        dynamics: of N vehicles.
-        loop: around them.
-        axis: 0 roll, 1 pitch, 2 yaw.
-        of: "attitude" or "rate".
+    Of a square wave so long that each half settles, by its Fourier series. `of` is "attitude" or
+    "rate".
     """
     half = round(_SECONDS * loop.rate)
     t = np.arange(half) * loop.period

@@ -124,6 +124,8 @@ class RateLoop:
     Attributes:
         autopilot: whose law it is.
         rate: Hz, of the rate loop.
+        mixer: (n, 3) thrust command of each rotor per normalized torque.
+        gains: of roll, pitch and yaw.
         gyro_cutoff: Hz, second-order low-pass of the gyro; 0: none.
         derivative_cutoff: Hz on each axis, first-order low-pass of the derivative; 0: none.
         error_cutoff: Hz on each axis, of the error (ArduPilot), or of what P acts on
@@ -131,8 +133,6 @@ class RateLoop:
         target_cutoff: Hz on each axis, of the rate set-point (ArduPilot); 0: none.
         torque_cutoff: Hz on each axis, of the torque (PX4, yaw); 0: none.
         curve: c of T/T_max = (1 - c) u + c u^2 that the autopilot inverts.
-        mixer: (n, 3) thrust command of each rotor per normalized torque.
-        gains: of roll, pitch and yaw.
         gyro_filters: of the gyro, besides.
         derivative_filters: of the derivative, besides.
         besides: what else has to be set so that the gains are these, by name.
@@ -142,14 +142,14 @@ class RateLoop:
 
     autopilot: Autopilot
     rate: float
-    gyro_cutoff: float
-    derivative_cutoff: tuple[float, float, float]
-    error_cutoff: tuple[float, float, float]
-    target_cutoff: tuple[float, float, float]
-    torque_cutoff: tuple[float, float, float]
-    curve: float
     mixer: Array
     gains: tuple[AxisGains, AxisGains, AxisGains]
+    gyro_cutoff: float = 0.0
+    derivative_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    error_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    target_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    curve: float = 0.0
     gyro_filters: tuple[SignalFilter, ...] = ()
     derivative_filters: tuple[SignalFilter, ...] = ()
     besides: tuple[tuple[str, float], ...] = ()
@@ -256,6 +256,11 @@ class RateLoop:
             reference = (PID + FF) * self._first_order(self.target_cutoff, z_inverse)
         return torque * rate, torque * reference * attitude, torque * reference
 
+    def feedback(self, omega: Array, *, attitude: bool = True) -> Array:
+        """(w, 3) response to the body rates at (w,) rad/s, with or without the attitude loop."""
+        rate, angle, _ = self.controllers(omega)
+        return rate + angle / (1j * omega[:, None]) if attitude else rate
+
     def _first_order(self, cutoffs: tuple[float, float, float], z_inverse: Array) -> Array:
         """(w, 3) of y += a (x - y), a = dt / (dt + 1 / (2 pi f)), on each axis; 1 where f is 0."""
         f = np.array(cutoffs)
@@ -355,15 +360,13 @@ def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     return RateLoop(
         "px4",
         _rate(reader, "IMU_GYRO_RATEMAX", 400.0),
-        reader.get("IMU_GYRO_CUTOFF", 40.0),
-        (cutoff, cutoff, cutoff),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, reader.get("MC_YAW_TQ_CUTOFF", 2.0)),
-        reader.get("THR_MDL_FAC", 0.0, 1.0),
         px4_mixer(*_px4_rotors(reader.parameters, rotors)),
         _gains(reader, "px4"),
-        (*_px4_notches(reader, len(rotors)),),
+        reader.get("IMU_GYRO_CUTOFF", 40.0),
+        (cutoff, cutoff, cutoff),
+        torque_cutoff=(0.0, 0.0, reader.get("MC_YAW_TQ_CUTOFF", 2.0)),
+        curve=reader.get("THR_MDL_FAC", 0.0, 1.0),
+        gyro_filters=(*_px4_notches(reader, len(rotors)),),
     )
 
 
@@ -389,10 +392,7 @@ def _harmonics(
 ) -> Iterator[float]:
     """Hz of the rotors' harmonics in hover.
 
-    Args:
-        reader: that knows the hover.
-        otherwise: Hz of the first where the rotors' frequency is not known; 0: there is none.
-        numbers: of the harmonics.
+    `otherwise` is Hz of the first where the rotors' frequency is not known; 0: there is none.
     """
     first = reader.hover.rotor_frequency
     if first is None:
@@ -416,15 +416,14 @@ def _ardupilot(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     return RateLoop(
         "ardupilot",
         _rate(reader, "SCHED_LOOP_RATE", 400.0),
+        ardupilot_mixer(rotors),
+        _gains(reader, "ardupilot"),
         reader.get("INS_GYRO_FILTER", 20.0),
         derivative,  # type: ignore[arg-type]
         error,  # type: ignore[arg-type]
         target,  # type: ignore[arg-type]
-        (0.0, 0.0, 0.0),
-        reader.get("MOT_THST_EXPO", 0.65, 1.0),
-        ardupilot_mixer(rotors),
-        _gains(reader, "ardupilot"),
-        (*_ardupilot_notches(reader, len(rotors)),),
+        curve=reader.get("MOT_THST_EXPO", 0.65, 1.0),
+        gyro_filters=(*_ardupilot_notches(reader, len(rotors)),),
     )
 
 
@@ -510,17 +509,12 @@ def _betaflight(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop
     return RateLoop(
         "betaflight",
         1e6 / max(loop_time, 1.0),
-        0.0,
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, reader.get("yaw_lowpass_hz", 100.0)),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        0.0,
         2.0 * ardupilot_mixer(rotors),
         _gains(reader, "betaflight"),
-        tuple(gyro),
-        tuple(derivative),
-        tuple(rising),
+        error_cutoff=(0.0, 0.0, reader.get("yaw_lowpass_hz", 100.0)),
+        gyro_filters=tuple(gyro),
+        derivative_filters=tuple(derivative),
+        besides=tuple(rising),
     )
 
 
@@ -541,20 +535,14 @@ def _inav(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         gyro += [SignalFilter("notch", least, quality)] * 3
     kind = _KINDS[min(int(reader.optional("dterm_lpf_type", 2.0)), len(_KINDS) - 1)]
     cutoff = reader.get("dterm_lpf_hz", 110.0)
-    off = (0.0, 0.0, 0.0)
     return RateLoop(
         "inav",
         1e6 / max(reader.get("looptime", 500.0), 1.0),
-        0.0,
-        off,
-        (0.0, 0.0, reader.get("yaw_lpf_hz", 0.0)),
-        off,
-        off,
-        0.0,
         2.0 * ardupilot_mixer(rotors),
         _gains(reader, "inav"),
-        tuple(gyro),
-        (SignalFilter(kind, cutoff),) if cutoff > 0.0 else (),
+        error_cutoff=(0.0, 0.0, reader.get("yaw_lpf_hz", 0.0)),
+        gyro_filters=tuple(gyro),
+        derivative_filters=(SignalFilter(kind, cutoff),) if cutoff > 0.0 else (),
     )
 
 
@@ -585,10 +573,7 @@ def _low_passes(
 ) -> Iterator[SignalFilter]:
     """The first low-pass, which may follow the throttle, and the second.
 
-    Args:
-        reader: of the parameters.
-        signal: "gyro" or "dterm".
-        usual: Hz, lower and upper of the first, and of the second.
+    Of "gyro" or "dterm"; `usual` is Hz, lower and upper of the first, and of the second.
     """
     first, second = f"{signal}_lpf1", f"{signal}_lpf2"
     dynamic = f"{first}_dyn_hz[0]" in reader.parameters or f"{first}_static_hz" not in (

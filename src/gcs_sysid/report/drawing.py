@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from gcs_sysid.health.health_trend import Series
 from gcs_sysid.report.parts import Markup, element
+from gcs_sysid.results.history import with_margin
 from gcs_sysid.results.words import PAGE, power_of_ten, round_numbers, times_power
 from gcs_sysid.significance import Z95
 
@@ -28,14 +29,7 @@ def text(
 def picture(
     size: tuple[float, float], title: str, parts: Iterable[Markup], *, letters: int = 14
 ) -> str:
-    """A picture that is a file of its own; complete, nothing is loaded.
-
-    Args:
-        size: width and height.
-        title: of it, for who cannot see it.
-        parts: what is drawn, the first below the others.
-        letters: their size.
-    """
+    """A picture that is a file of its own; complete, nothing is loaded."""
     svg = element(
         "svg",
         element("title", title),
@@ -53,8 +47,18 @@ def picture(
 
 def polyline(points: Iterable[tuple[float, float]], stroke: str, width: float) -> Markup:
     """Straight lines from point to point."""
-    places = " ".join(f"{_at(x)},{_at(y)}" for x, y in points)
-    return element("polyline", points=places, fill="none", stroke=stroke, stroke_width=width)
+    return element(
+        "polyline", points=_places(points), fill="none", stroke=stroke, stroke_width=width
+    )
+
+
+def area(outline: Iterable[tuple[float, float]], fill: str) -> Markup:
+    """A pale area within an outline."""
+    return element("polygon", points=_places(outline), fill=fill, fill_opacity="0.2")
+
+
+def _places(points: Iterable[tuple[float, float]]) -> str:
+    return " ".join(f"{_at(x)},{_at(y)}" for x, y in points)
 
 
 def line(x1: float, y1: float, x2: float, y2: float, kind: str, **style: str | float) -> Markup:
@@ -200,9 +204,7 @@ class FlightsChart:
 
     @property
     def _range(self) -> tuple[float, float]:
-        low, high = self.span
-        room = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-        return low - room, high + room
+        return with_margin(*self.span)
 
     def axes(self) -> list[Markup]:
         """Title and unit, lines at round numbers, flights below."""

@@ -152,5 +152,10 @@ def settled_range(
         low = min(low, max(float(edges.min()), low - reach))
         high = max(high, min(float(edges.max()), high + reach))
     low, high = min([low, *also]), max([high, *also])
+    return with_margin(low, high)
+
+
+def with_margin(low: float, high: float) -> tuple[float, float]:
+    """A range with some room around it; an empty one too."""
     margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
     return low - margin, high + margin
