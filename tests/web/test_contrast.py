@@ -28,7 +28,7 @@ def contrast(one, other):
 def page_themes():
     return {
         re.search(r'"(\w+)"', heads)[1]: {n: Color.parse(v) for n, v in _COLOR.findall(body)}
-        for heads, body in _BLOCK.findall(asset("page.css"))
+        for heads, body in _BLOCK.findall(asset("page.css", "web"))
     }
 
 
@@ -60,7 +60,7 @@ def test_the_pages_text_can_be_read(name):
 
 def test_the_pages_colors_are_all_the_themes():
     """None stands elsewhere in the style sheet, where no theme and no test would see it."""
-    css = _BLOCK.sub("", asset("page.css"))
+    css = _BLOCK.sub("", asset("page.css", "web"))
     assert set(re.findall(r"#[0-9a-fA-F]{3,8}\b", css)) == {"#000a", "#fff"}
     names = {name for theme in page_themes().values() for name in theme}
     assert set(re.findall(r"var\(--([\w-]+)\)", css)) <= names

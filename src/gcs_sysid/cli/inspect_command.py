@@ -27,9 +27,8 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection
-from gcs_sysid.results.words import wrapped
+from gcs_sysid.results.words import STREAM_WORDS, losses, wrapped
 from gcs_sysid.session.reported_layout import suggested_airframe
-from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX, BY_NAME, usual_endings
 from gcs_sysid.telemetry.message_table import RPM
@@ -42,20 +41,12 @@ _ROLES = {
     "other": "other",
     "unknown": "no heartbeat",
 }
-_STREAMS = {
-    Stream.IMU: "IMU",
-    Stream.ATTITUDE: "attitude",
-    Stream.ROTOR_SPEED: "rotor speed",
-    Stream.ROTOR_COMMAND: "commands",
-    Stream.VELOCITY: "velocity",
-}
 _RECOGNIZED_BY = {
     "autopilot": "",
     "rotors": " (armed with rotors turning; not reported by the autopilot)",
     "arming": " (armed; flight is not reported by the autopilot)",
     "": "",
 }
-_VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so Izz and k_M are poorly "
@@ -84,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
     # Lines of more than 120 columns are hard to read.
     width = min(shutil.get_terminal_size((80, 24)).columns, 120)
     document = (options.json, lambda: output.as_json(found.as_json()))
-    text = "\n".join([report(found, width), *_next_lines(found, options)])
+    command = next_command(found, options)
+    text = "\n".join([report(found, width), *(["", f"Next: {command}"] if command else [])])
     output.deliver(text, document, force=options.force)
     return 0 if found.is_received else 1
 
@@ -143,7 +135,11 @@ def report(found: Inspection, width: int = 80) -> str:
         _rotors(found, width),
         _motion(found),
         _parameters(found, width),
-        _verdict(found, width),
+        [
+            f"Can be identified from: {found.verdict.upper()}",
+            *_entry("Obtainable", obtainable(found), width),
+            *objection_lines(found.objections, width),
+        ],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
@@ -207,7 +203,10 @@ def _streams(found: Inspection, width: int) -> list[str]:
         lines += _entry("  other", _others(others), width)
     received = found.telemetry.get("received", 0)
     if received:
-        lines += _entry("  all", f"{received} messages, {_losses(found.telemetry)}", width)
+        lost = f"{found.telemetry.get('lost', 0)} lost"
+        share = f"{found.telemetry.get('lost_percent', 0.0):.2f} %"
+        text = ", ".join([f"{received} messages", f"{lost} ({share})", *losses(found.telemetry)])
+        lines += _entry("  all", text, width)
     return lines
 
 
@@ -223,7 +222,7 @@ def _stream_row(parts: Sequence[StreamFacts]) -> str:
     longest = f"{max(part.longest_gap for part in parts):.1f} s" if gaps else "-"
     message = first.message if len(parts) == 1 else f"{first.message} ({len(parts)} parts)"
     return (
-        f"  {_STREAMS.get(first.stream, first.stream):<{_NAME - 2}}{message:<22}{rate:>10}"
+        f"  {STREAM_WORDS.get(first.stream, first.stream):<{_NAME - 2}}{message:<22}{rate:>10}"
         f"{gaps:>6}{longest:>9}"
         f"{_percent(first.missing_percent):>9}"
         f"{_percent(min(part.repeats_percent for part in parts)):>9}"
@@ -243,18 +242,6 @@ def _others(messages: Mapping[str, Mapping[str, float | None]]) -> str:
     more = ["..."] if len(by_count) > most else []
     kinds = "1 kind" if len(by_count) == 1 else f"{len(by_count)} kinds"
     return f"{kinds}: {', '.join(named + more)}"
-
-
-def _losses(telemetry: Mapping[str, float]) -> str:
-    words = [f"{telemetry.get('lost', 0)} lost ({telemetry.get('lost_percent', 0.0):.2f} %)"]
-    for key, what in (
-        ("unknown", "of unknown kinds"),
-        ("bad_crc", "with a wrong checksum"),
-        ("garbage_bytes", "bytes of garbage"),
-    ):
-        if telemetry.get(key):
-            words.append(f"{telemetry[key]} {what}")
-    return ", ".join(words)
 
 
 def _clock(found: Inspection, width: int) -> list[str]:
@@ -338,17 +325,10 @@ def _parameters(found: Inspection, width: int) -> list[str]:
     return lines
 
 
-def _verdict(found: Inspection, width: int) -> list[str]:
-    return [
-        f"Can be identified from: {_VERDICTS[found.verdict]}",
-        *_entry("Obtainable", obtainable(found), width),
-        *objection_lines(found.objections, width),
-    ]
-
-
 def obtainable(found: Inspection) -> str:
     """What can be had from the data."""
-    return _OBTAINABLE[found.obtainable] + _of_hover(found)
+    hover = f"; {found.hover:.0f} s of hover" if found.hover else ""
+    return _OBTAINABLE[found.obtainable] + hover
 
 
 def objection_lines(objections: Sequence[Objection], width: int) -> list[str]:
@@ -372,15 +352,6 @@ def next_command(found: Inspection, options: argparse.Namespace) -> str:
         found.source, found.layout, options, suggestion,
         command="health" if found.verdict == "no" else "analyze",
     )  # fmt: skip
-
-
-def _next_lines(found: Inspection, options: argparse.Namespace) -> list[str]:
-    command = next_command(found, options)
-    return ["", f"Next: {command}"] if command else []
-
-
-def _of_hover(found: Inspection) -> str:
-    return f"; {found.hover:.0f} s of hover" if found.hover else ""
 
 
 def _short(rate: float) -> str:

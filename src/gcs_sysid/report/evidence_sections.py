@@ -31,7 +31,7 @@ from gcs_sysid.report.parts import (
     table,
 )
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.results.words import PAGE, event_text
+from gcs_sysid.results.words import PAGE, STREAM_WORDS, event_text, losses
 from gcs_sysid.significance import Z95
 from gcs_sysid.twin.twin_flight import SHOWN, TwinFlight
 
@@ -42,13 +42,6 @@ _NEEDED = {
     "attitude": THRESHOLDS.attitude_rate,
 }
 """Hz."""
-_STREAMS = {
-    "imu": "IMU",
-    "attitude": "attitude",
-    "rotor_speed": "rotor speeds",
-    "rotor_command": "commands",
-    "velocity": "velocity",
-}
 AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 
@@ -98,8 +91,8 @@ def _agreement(found: Mapping[str, Any], axis: str) -> str:
     return f"R² {r_squared}, Theil {theil}"
 
 
-def _number(value: float | None, digits: int) -> str:
-    return PAGE.nothing if value is None else PAGE.fixed(value, digits)
+def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return PAGE.nothing if value is None else PAGE.fixed(factor * value, digits)
 
 
 _TWIN_UNITS = {
@@ -235,7 +228,7 @@ def residual(data: ReportData, figures: ChartData) -> Markup | None:
         rows.append(
             [
                 "Gyroscopic torque found (1 is a rigid body)",
-                *(f"{_number(share[a], 2)} ± {_half(std[a])}" for a in AXES),
+                *(f"{_number(share[a], 2)} ± {_number(std[a], 2, Z95)}" for a in AXES),
             ]
         )
     return section(
@@ -250,10 +243,6 @@ def residual(data: ReportData, figures: ChartData) -> Markup | None:
                        for axis in AXES)) if shown else None,
         _per_axis("Whiteness of the residual, per axis", rows),
     )  # fmt: skip
-
-
-def _half(std: float | None) -> str:
-    return PAGE.nothing if std is None else PAGE.fixed(Z95 * std, 2)
 
 
 def _probability(p: float | None) -> str:
@@ -382,7 +371,7 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
     missing = stream["missing_percent"]
     offset = f" from rotor {stream['offset'] + 1}" if stream["offset"] else ""
     return [
-        _STREAMS.get(kind, kind) + offset,
+        STREAM_WORDS.get(kind, kind) + offset,
         stream["message"],
         f"{needed:g} Hz" if needed else PAGE.nothing,
         got,
@@ -399,17 +388,6 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
     if "received" in counts:
         lost, share = counts.get("lost", 0), counts.get("lost_percent", 0.0)
         out["Messages"] = f"{counts['received']}, lost {lost} ({PAGE.fixed(share, 2)} %)"
-    damaged = [
-        f"{counts[key]} {words}"
-        for key, words in (
-            ("bad_crc", "with a wrong checksum"),
-            ("garbage_bytes", "bytes of garbage"),
-            ("unknown", "of unknown kinds"),
-            ("late", "too late"),
-            ("repeated", "repeated"),
-        )
-        if counts.get(key)
-    ]
     outliers = {kind: n for kind, n in counts.get("imu_outliers", {}).items() if n}
     if outliers:
         out["Outliers of the IMU"] = ", ".join(f"{n} {kind}" for kind, n in outliers.items())
@@ -418,7 +396,7 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         out["Use"] = ", ".join(f"{n} {fate}" for fate, n in fates.items())
     if counts.get("recorded"):
         out["Recorded"] = str(counts["recorded"])
-    out["Damaged or dropped"] = ", ".join(damaged) or "none"
+    out["Damaged or dropped"] = ", ".join(losses(counts)) or "none"
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)
     pace = "drift unknown" if drift is None else f"{PAGE.fixed(drift, 0)} ppm against the recorder"

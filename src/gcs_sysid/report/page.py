@@ -6,7 +6,7 @@ That is the vehicle seen from above, with shares, CG and what to move: a section
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import resources
+from pathlib import PureWindowsPath
 from typing import Any
 
 from gcs_sysid.health.health_trend import Series
@@ -28,6 +28,7 @@ from gcs_sysid.report.parts import (
     Child,
     Column,
     Markup,
+    asset,
     element,
     facts,
     html_page,
@@ -53,7 +54,7 @@ def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -
     """
     rotors = [(r["x"], r["y"]) for r in document["airframe"]["rotors"]]
     view = PlanView(rotors, (250.0, 304.0), 162.0, 60.0)
-    name = str(document["source"]).replace("\\", "/").rpartition("/")[2]
+    name = PureWindowsPath(document["source"]).name  # of any system
     about = f"{document['seconds_of_hover']:.0f} s of hover; seen from above, nose up"
     parts = [
         text(40.0, 44.0, f"Health of {name}", size=21),
@@ -164,19 +165,6 @@ def _trends(series: Sequence[Series], top: float) -> Iterator[Markup]:
         yield element("g", *chart_of(one, one.name, 266.0, 140.0), transform=place)
 
 
-_CONTENTS = (
-    ("health", "Health"),
-    ("verdict", "Verdict"),
-    ("parameters", "Parameters"),
-    ("convergence", "Convergence"),
-    ("prediction", "Prediction"),
-    ("twin", "Twin"),
-    ("residual", "Residual"),
-    ("excitation", "Excitation"),
-    ("events", "Events"),
-    ("telemetry", "Telemetry"),
-    ("settings", "Settings"),
-)
 _KEYS = (
     "Drag across a figure to zoom, double click to see all again. With the keyboard: Tab to a "
     "figure, then + and − to zoom, ← and → to move, 0 to see all."
@@ -199,10 +187,10 @@ def render(data: ReportData) -> str:
         "telemetry": evidence_sections.telemetry(data),
         "settings": _settings(data),
     }
-    name = _file_name(data.result.source)
+    name = PureWindowsPath(data.result.source).name
     contents = element(
         "nav",
-        *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections.get(key)),
+        *(element("a", key.capitalize(), href=f"#{key}") for key in sections if sections[key]),
         aria_label="Contents",
     )
     answer = first_answer(data.health or None, data.result)
@@ -224,12 +212,6 @@ def render(data: ReportData) -> str:
         element("script", _json(figures), type="application/json", id="data"),
         script=asset("charts.js") + asset("report.js"),
     )
-
-
-def asset(name: str) -> str:
-    """A file of the report's page, with the line ends of every system."""
-    asset = resources.files("gcs_sysid.report") / "assets" / name
-    return asset.read_text(encoding="utf-8").replace("\r\n", "\n")
 
 
 def _heading(data: ReportData, name: str) -> Markup:
@@ -258,7 +240,7 @@ def _settings(data: ReportData) -> Markup:
     scale = result.scale
     entries: dict[str, Child] = {
         "Command": element("code", _command_line(made.command)),
-        "Recording": f"{_file_name(result.source)}, {made.log_bytes} bytes",
+        "Recording": f"{PureWindowsPath(result.source).name}, {made.log_bytes} bytes",
         "SHA-256": element("code", made.log_sha256, class_="hash"),
         "Estimate": result.estimator,
         "Rotor input": result.rotor_input.words,
@@ -304,11 +286,6 @@ def _command_line(words: tuple[str, ...]) -> str:
         word if word and set(word) <= plain else '"' + word.replace('"', '\\"') + '"'
         for word in words
     )
-
-
-def _file_name(source: str) -> str:
-    """The last part of a path of any system."""
-    return source.replace("\\", "/").rstrip("/").rpartition("/")[2] or source
 
 
 def _json(figures: ChartData) -> Markup:

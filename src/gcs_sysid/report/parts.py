@@ -9,6 +9,7 @@ import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Literal
 
 _VOID = frozenset({"meta", "br", "hr", "col"})
@@ -68,11 +69,7 @@ def joined(*children: Child) -> Markup:
 def html_page(title: str, style: str, *body: Child, script: str = "") -> str:
     """A page that loads nothing, and obeys nothing but its own style and script.
 
-    Args:
-        title: of the window.
-        style: of all of it.
-        body: header, main part, footer, data of the script.
-        script: runs at the end.
+    The body is header, main part, footer and data of the script, which runs at the end.
     """
     style_hash, script_hash = (
         "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
@@ -98,6 +95,12 @@ def html_page(title: str, style: str, *body: Child, script: str = "") -> str:
     return f"<!DOCTYPE html>\n{element('html', head, element('body', *body, end), lang='en')}\n"
 
 
+def asset(name: str, room: str = "report") -> str:
+    """A file of a room's pages, with the line ends of every system."""
+    file = resources.files("gcs_sysid") / room / "assets" / name
+    return file.read_text(encoding="utf-8").replace("\r\n", "\n")
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a table: its title, and whether it holds numbers."""
@@ -121,14 +124,9 @@ def table(
 ) -> Markup:
     """A table whose first column names the rows.
 
-    Roles are explicit, because a table with another layout loses them.
-
-    Args:
-        caption: what it shows.
-        columns: of it.
-        rows: their cells.
-        layout: what becomes of it where the page is narrow: "stacked" rows become cards, each cell
-            with its column's title; "axes" fits as it is, with words wrapped.
+    Roles are explicit, because a table with another layout loses them. What becomes of it where the
+    page is narrow: "stacked" rows become cards, each cell with its column's title; "axes" fits as
+    it is, with words wrapped.
     """
     head = element(
         "tr",
@@ -191,11 +189,7 @@ def facts(entries: Mapping[str, Child]) -> Markup:
 def figure(name: str, title: str, text: str = "", *, size: str = "wide") -> Markup:
     """A place that the page's script draws a figure in.
 
-    Args:
-        name: of the figure.
-        title: its caption.
-        text: more to say, under the title.
-        size: "wide", "small" or "strip".
+    The text says more, under the title; the size is "wide", "medium", "low", "small" or "strip".
     """
     caption = element(
         "figcaption",

@@ -209,10 +209,7 @@ class Notation:
     ) -> tuple[str, str, str, int]:
         """A value and the half of its interval on one scale.
 
-        Args:
-            value: in SI.
-            half: of its interval.
-            exponent: power of ten of the scale; None: by the size.
+        `exponent` is the scale's power of ten; None: by the size.
 
         Returns:
             The value, the half, the power of ten as text, and that power.
@@ -323,6 +320,28 @@ CHANGE: dict[Change, Word] = {
     "no_change_seen": Word("=", "no change seen"),
     "cannot_tell": Word("?", "undetermined"),
 }
+
+
+STREAM_WORDS = {
+    "imu": "IMU",
+    "attitude": "attitude",
+    "rotor_speed": "rotor speed",
+    "rotor_command": "commands",
+    "velocity": "velocity",
+}
+"""Streams that are shown, by `signals.records.Stream`."""
+_LOSSES = {
+    "unknown": "of unknown kinds",
+    "bad_crc": "with a wrong checksum",
+    "garbage_bytes": "bytes of garbage",
+    "late": "too late",
+    "repeated": "repeated",
+}
+
+
+def losses(telemetry: Mapping[str, Any]) -> list[str]:
+    """What of a result's `telemetry` came to nothing, by its kind."""
+    return [f"{telemetry[key]} {what}" for key, what in _LOSSES.items() if telemetry.get(key)]
 
 
 def label(name: str) -> str:

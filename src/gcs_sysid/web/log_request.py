@@ -46,9 +46,6 @@ class AnalysisRequest:
 def parse_request(document: object) -> AnalysisRequest:
     """A page's request.
 
-    Args:
-        document: JSON as it came.
-
     Raises:
         InputError: it is none, in one line.
     """
@@ -57,7 +54,7 @@ def parse_request(document: object) -> AnalysisRequest:
     kind: Kind | None = next((k for k in get_args(Kind) if k == airframe.get("kind")), None)
     if kind is None:
         raise InputError(f"airframe: kind must be one of {', '.join(get_args(Kind))}")
-    name = _text(airframe.get("name", ""), "airframe: name", _MOST_NAME)
+    name = short_text(airframe.get("name", ""), "airframe: name", _MOST_NAME)
     if kind == "builtin" and name not in builtin_names():
         raise InputError(f"no built-in airframe {name!r}: choose one from the list")
     drawn = None
@@ -68,7 +65,7 @@ def parse_request(document: object) -> AnalysisRequest:
     return AnalysisRequest(
         kind,
         name or "airframe.toml",
-        _text(airframe.get("text", ""), "airframe: text", 60_000),
+        short_text(airframe.get("text", ""), "airframe: text", 60_000),
         drawn,
         None if arm in (None, "") else _number(arm, "arm"),
         _scale(table.get("scale")),
@@ -105,12 +102,17 @@ def _table(value: object, what: str, known: set[str]) -> Mapping[str, Any]:
     return value
 
 
-def _text(value: object, what: str, most: int) -> str:
+def short_text(value: object, what: str, most: int) -> str:
+    """Text of so many characters at most.
+
+    Raises:
+        InputError: it is none.
+    """
     if not isinstance(value, str) or len(value) > most:
         raise InputError(f"{what}: must be text of at most {most} characters")
     return value
 
 
 def _number(value: object, name: GivenName) -> Measured:
-    text = _text(str(value) if isinstance(value, int | float) else value, name, 40)
+    text = short_text(str(value) if isinstance(value, int | float) else value, name, 40)
     return parse_given(name, text, _MEANING[name])

@@ -4,6 +4,7 @@ browser.
 
 import math
 from collections.abc import Mapping
+from pathlib import PureWindowsPath
 from typing import Any
 
 from gcs_sysid.errors import InputError
@@ -263,7 +264,7 @@ def _link(link: LinkStatus) -> dict[str, Any]:
         "rates": rates,
         "lost": f"{PAGE.fixed(link.lost_percent, 1)} %",
         "gaps": link.gaps,
-        "recording": link.recording.replace("\\", "/").rpartition("/")[2],
+        "recording": PureWindowsPath(link.recording).name,
         "vehicles": [
             {"address": list(one.address), "name": one.name, "chosen": one.chosen}
             for one in link.vehicles

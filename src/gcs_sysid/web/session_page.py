@@ -6,19 +6,20 @@ goes into the session's command queue as from there. Nothing here knows a link o
 
 import asyncio
 import contextlib
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from aiohttp import web
 
 from gcs_sysid.errors import InputError, one_line
+from gcs_sysid.files import real_number
+from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.report.page import health_picture
 from gcs_sysid.results.health_view import absent_health
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.view import Scene, SnapshotSource
 from gcs_sysid.strict_json import json_text
-from gcs_sysid.web.log_request import PICTURE
+from gcs_sysid.web.log_request import PICTURE, short_text
 from gcs_sysid.web.page_json import health_view, history_view, session_view
 from gcs_sysid.web.site import json_of, present_role, refuse
 from gcs_sysid.web.workbench import PICTURE_HEADERS
@@ -205,23 +206,17 @@ def _event(document: Mapping[str, Any]) -> bytes:
 
 
 def _text(arguments: Mapping[str, Any], key: str) -> str:
-    value = arguments.get(key, "")
-    if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise InputError(f"{key}: must be text of at most {_MOST_TEXT} characters")
-    return one_line(value)
+    return one_line(short_text(arguments.get(key, ""), key, _MOST_TEXT))
 
 
 def _real(arguments: Mapping[str, Any], key: str) -> float:
-    value = arguments.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e9:
-        raise InputError(f"{key}: must be a number")
-    return float(value) if math.isfinite(value) else 0.0
+    return real_number(arguments.get(key), f"{key}:")
 
 
 def _scale(arguments: Mapping[str, Any]) -> str:
     name = _text(arguments, "name")
-    if name not in ("mass", "k_T", "T_max"):
-        raise InputError("scale: name must be mass, k_T or T_max")
+    if name not in ANCHORS:
+        raise InputError(f"scale: name must be one of {', '.join(ANCHORS)}")
     return name
 
 

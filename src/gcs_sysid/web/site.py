@@ -19,13 +19,12 @@ import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from contextvars import ContextVar
-from importlib import resources
 from typing import Any, Literal, Protocol
 
 from aiohttp import web
 
 from gcs_sysid.errors import GcsSysidError, InputError, one_line
-from gcs_sysid.report.page import asset as report_asset
+from gcs_sysid.report.parts import asset
 
 Role = Literal["pilot", "viewer"]
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -298,7 +297,7 @@ class Site:
             middlewares=[self.access.middleware, _errors_in_a_line], client_max_size=64 << 10
         )
         application.on_response_prepare.append(self.access.prepare)
-        page = asset(self._content.page)
+        page = asset(self._content.page, "web")
 
         async def index(_: web.Request) -> web.StreamResponse:
             return web.Response(text=page, content_type="text/html")
@@ -307,7 +306,7 @@ class Site:
             name = request.match_info["name"]
             if name not in (*_ASSETS, *_CHARTS):
                 raise web.HTTPNotFound
-            text = report_asset(name) if name in _CHARTS else asset(name)
+            text = asset(name, "report" if name in _CHARTS else "web")
             return web.Response(text=text, content_type=_TYPES[name.rpartition(".")[2]])
 
         async def role(_: web.Request) -> web.StreamResponse:
@@ -318,12 +317,6 @@ class Site:
         )
         self._content.add_to(application)
         return application
-
-
-def asset(name: str) -> str:
-    """A file of the pages, with the line ends of every system."""
-    text = (resources.files("gcs_sysid.web") / "assets" / name).read_text(encoding="utf-8")
-    return text.replace("\r\n", "\n")
 
 
 @web.middleware
