@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import ANCHORS, Airframe, builtin_names, load_airframe
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, builtin_names, load_airframe
 
 if TYPE_CHECKING:  # only a log or a link needs these, which take a while to load
     from gcs_sysid.live.receiver_process import ReceiverProcess
@@ -23,7 +23,7 @@ _NO_SCALE = (
 )
 
 
-def given_scale(options: argparse.Namespace) -> tuple[GivenName, float] | None:
+def given_scale(options: argparse.Namespace) -> tuple[AnchorName, float] | None:
     """What an option sets the scale to; None: none does."""
     for name in ANCHORS:
         value: float | None = getattr(options, name.lower())
@@ -56,10 +56,8 @@ def airframe_of(
 ) -> Airframe:
     """The airframe with its scale and priors, as the options say.
 
-    Args:
-        options: of the command line.
-        reported: the layout that the vehicle reports, which replaces `--airframe`.
-        relative: whether there may be no scale.
+    `reported`, the layout that the vehicle reports, replaces `--airframe`; `relative`: there may be
+    no scale.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
@@ -107,10 +105,7 @@ def of_log(
 ) -> tuple[Airframe, "Log | None"]:
     """The airframe for a log, named or by the parameters in it; the log, if that took reading it.
 
-    Args:
-        path: of the log.
-        options: of the command line.
-        relative: whether mass, and with it the size, may be missing.
+    `relative`: mass, and with it the size, may be missing.
 
     Raises:
         InputError: the log cannot be read; or the line names every option that is missing.
@@ -118,6 +113,7 @@ def of_log(
     if not is_auto(options):
         return airframe_of(options, relative=relative), None
     from gcs_sysid.health.assessment import ReadLog
+    from gcs_sysid.results.result_view import names_text
     from gcs_sysid.session.reported_layout import suggested_airframe
     from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR
 
@@ -128,7 +124,8 @@ def of_log(
     lacking = _lacking(layout, options, suggested_airframe(read.log.kind, vehicle))
     relative = relative and not _is_scale_given(options)
     if lacking and not (relative and layout is not None):
-        what, give = _listed([one.what for one in lacking]), _listed([one.words for one in lacking])
+        what = names_text([one.what for one in lacking])
+        give = names_text([one.words for one in lacking])
         raise InputError(f"{path}: the log does not contain the vehicle's {what}: give {give}")
     return _by_layout(layout, options, str(path), relative=relative), read.again()
 
@@ -194,10 +191,6 @@ def command_for(
         if not (assumed and one.what == "layout")
     ]
     return " ".join(words)
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:

@@ -5,9 +5,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from gcs_sysid.cli.airframe_choice import given_scale
 from gcs_sysid.cli.output import check_outputs, show, terminal_width, write_text
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
+from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.setup_help.airframe_file import (
     ASCII,
     UNICODE,
@@ -88,18 +89,12 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> GivenAnswers:
-    scales: dict[AnchorName, float | None] = {
-        "mass": options.mass,
-        "k_T": options.k_t,
-        "T_max": options.t_max,
-    }
-    scale = next(((name, value) for name, value in scales.items() if value is not None), None)
     return GivenAnswers(
         layout=options.layout,
         arm=None if options.arm is None else arm_lengths(options.arm),
         rotors=tuple(rotor(text) for text in options.rotor),
         spin=options.spin,
-        scale=scale,
+        scale=given_scale(options),
         imu_position=None if options.imu is None else imu_position(options.imu),
         priors={name: (value, std) for name, value, std in options.prior},
         name=None if options.name is None else plain_name(options.name),

@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _default_mass(options: argparse.Namespace) -> None:
     """Where nothing sets the scale, weigh the emulated vehicle as a user would weigh a real one."""
-    if options.mass is not None or options.k_t is not None or options.t_max is not None:
+    if airframe_choice.given_scale(options) is not None:
         return
     if load_airframe(options.airframe).anchor() is None:
         with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:

@@ -18,7 +18,14 @@ from types import FrameType
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import cannot_write, check_target, log_file, read_text, write_whole
+from gcs_sysid.files import (
+    cannot_write,
+    check_target,
+    log_file,
+    read_text,
+    real_number,
+    write_whole,
+)
 from gcs_sysid.strict_json import json_text, parse_json
 
 if TYPE_CHECKING:
@@ -121,15 +128,11 @@ def read_truth(path: str) -> dict[str, float]:
     table = parse_json(read_text(Path(path), "the truth file"), path)
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
-    numbers = {
-        name: value
+    return {
+        name: real_number(value, f"{path}: {name}")
         for name, value in table.items()
         if isinstance(value, int | float) and not isinstance(value, bool)
     }
-    for name, value in numbers.items():
-        if not abs(value) <= sys.float_info.max:  # whole numbers of JSON have no limit
-            raise InputError(f"{path}: {name} must be a finite number")
-    return {name: float(value) for name, value in numbers.items()}
 
 
 def open_output(path: str, *, force: bool) -> TextIO:
@@ -149,10 +152,7 @@ def open_output(path: str, *, force: bool) -> TextIO:
 def check_outputs(*paths: str | None, force: bool, sources: Iterable[str] = ()) -> None:
     """See beforehand whether `write_text` can write there.
 
-    Args:
-        paths: None where nothing is asked for.
-        force: whether files may be replaced.
-        sources: logs and results read, which never are.
+    A path of None is none; `sources`, the logs and results read, are never replaced.
 
     Raises:
         InputError: as of `write_text`.
@@ -163,23 +163,17 @@ def check_outputs(*paths: str | None, force: bool, sources: Iterable[str] = ()) 
             check_target(Path(path), replace=force, sources=inputs)
 
 
-def deliver(
-    text: str, *files: tuple[str | None, Callable[[], str]], force: bool, stdout: bool = True
-) -> None:
+def deliver(text: str, *files: tuple[str | None, Callable[[], str]], force: bool) -> None:
     """Give all that a command has: a text, unless a file goes to standard output, and files.
 
-    Args:
-        text: for people.
-        files: path, `-` for standard output or None for none, and what makes the content.
-        force: whether files that are there may be replaced.
-        stdout: whether the text is wanted at all.
+    Of files: path, `-` for standard output or None for none, and what makes the content.
 
     Raises:
         InputError: something cannot be written; the rest is.
         OSError: who read it has gone.
     """
     deliveries = Deliveries()
-    if stdout and text and all(path != "-" for path, _ in files):
+    if text and all(path != "-" for path, _ in files):
         deliveries.give(lambda: show(text))
     for path, content in files:
         if path is not None:

@@ -187,11 +187,6 @@ def _schema() -> Any:
     return pa.schema(columns, metadata={"schema": _OF_TABLE})
 
 
-def _required() -> set[str]:
-    """Columns without which a table cannot be used; older ones have no health."""
-    return set(_schema().names) - {"health", "hover", "proposed"}
-
-
 def write_table(path: Path, rows: list[Row]) -> None:
     """Write the rows, by path, in place of the table that is there.
 
@@ -233,7 +228,8 @@ def read_table(path: Path) -> list[Row]:
         reason = getattr(error, "strerror", None) or "not Parquet"
         raise InputError(f"{path}: cannot read the table: {reason}") from error
     known = (table.schema.metadata or {}).get(b"schema")
-    if known != _OF_TABLE.encode() or not _required() <= set(table.schema.names):
+    required = set(_schema().names) - {"health", "hover", "proposed"}  # older ones have none
+    if known != _OF_TABLE.encode() or not required <= set(table.schema.names):
         raise InputError(f"{path}: not a table of gcs-sysid batch (of this version)")
     rows: list[Row] = table.to_pylist()
     return rows
@@ -247,12 +243,9 @@ _NAME = re.compile(r".*-([0-9a-f]{16})\.json")
 class Store:
     """Documents by the key of their task.
 
-    A file is there whole or not at all, and its name holds the key of content and settings: what
-    is there is done, whenever and however the program ended.
-
-    Args:
-        folder: of the batch; made if need be.
-        force: whether nothing that is there counts, and all of it may be overwritten.
+    A file is there whole or not at all, and its name holds the key of content and settings: what is
+    there is done, whenever and however the program ended. `force`: nothing that is there counts,
+    and all of it may be overwritten.
 
     Raises:
         InputError: it cannot be made, or holds something else than a batch.
@@ -408,15 +401,11 @@ class BatchRun:
 def find_logs(paths: Iterable[Path], mapping: Path | None = None) -> list[Path]:
     """The logs among files and in folders, each once.
 
-    A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
-    is what its content or its name says is one; a log that is damaged from the beginning is found
-    by its name. Names that begin with a dot are skipped. A blackbox log of several sessions counts
+    A file that is named counts as a log whatever it is. In a folder and the folders in it, a log is
+    what its content or its name says is one; a log that is damaged from the beginning is found by
+    its name. Names that begin with a dot are skipped. A blackbox log of several sessions counts
     once for each that holds frames, as `LOG.bbl#2`. A table of signals is a log where a mapping
-    says what its columns are.
-
-    Args:
-        paths: of files and folders.
-        mapping: of all tables; None: a columns.toml beside them.
+    says what its columns are. `mapping` is that of all tables; None: a columns.toml beside them.
 
     Returns:
         As reached from `paths`, in their order, and by name within a folder.

@@ -11,6 +11,7 @@ from gcs_sysid.judgement.received import NO_ATTITUDE, loss_of
 from gcs_sysid.judgement.status import level_of, on_sound_data
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.model.parameters import AXES
+from gcs_sysid.results.result_view import names_text
 from gcs_sysid.signals.records import ROTOR_STREAMS, Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR
@@ -264,7 +265,7 @@ def _motion(found: Inspection) -> Iterator[Objection]:
     if not little:
         return
     identified = ", ".join(_IDENTIFIED_BY_AXIS[axis] for axis in little)
-    axes = " and ".join(filter(None, [", ".join(little[:-1]), little[-1]]))
+    axes = names_text(little)
     now = "right now " if found.kind == "link" else ""
     yield replace(
         _limits(

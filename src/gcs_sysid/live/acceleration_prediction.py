@@ -162,9 +162,6 @@ class LivePrediction:
 
     Blocks are gathered while the fit is unchanged, or not viewed: a prediction costs as much for
     one block as for ten.
-
-    Args:
-        chain: to look at.
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -179,7 +176,8 @@ class LivePrediction:
     def add_samples(self, block: SampleBlock) -> None:
         """Predict what this block adds by the fit there is; the chain takes it afterwards."""
         waiting = self._waiting
-        if waiting and (block.fresh or block.dt != waiting[-1].dt or not self._is_in_force()):
+        others = self._chain.fit.rotation is not self._by  # of another fit
+        if waiting and (block.fresh or block.dt != waiting[-1].dt or others):
             self._predict()
         if not waiting:
             self._model = self._model_in_force()
@@ -229,10 +227,6 @@ class LivePrediction:
             self._rows.append(rows.part(new))
         while self._rows and self._rows[0].t[-1] < last.t[-1] - KEPT:
             self._rows.popleft()
-
-    def _is_in_force(self) -> bool:
-        """Whether what waits was taken with the fit there is."""
-        return self._chain.fit.rotation is self._by
 
     def _model_in_force(self) -> Model | None:
         chain = self._chain

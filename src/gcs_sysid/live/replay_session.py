@@ -204,12 +204,6 @@ def survey(
 ) -> Recorded:
     """Analyze a log that will be played.
 
-    Args:
-        path: of the file.
-        airframe: with a scale anchor.
-        wanted: as of `analyze_log`.
-        progress: as of `analyze_log`.
-
     Raises:
         InputError: the file cannot be read as a log.
     """
@@ -412,7 +406,7 @@ class ReplaySession(Session):
             self._actions.get()()
             self._changed = True
         wait = self._advance()
-        if self._changed and (wait >= _IDLE or self._is_publishing_due()):
+        if self._changed and (wait >= _IDLE or self._clock() - self._published >= 0.2):
             self._publish()
         return wait
 
@@ -517,9 +511,6 @@ class ReplaySession(Session):
             late = self._position - due
             self._result_reported_at = due + late // RESULT_EVERY * RESULT_EVERY
             self._on_result(self._chain.result())
-
-    def _is_publishing_due(self) -> bool:
-        return self._clock() - self._published >= 0.2
 
     def _publish(self) -> None:
         result = self._recorded.result if self._ended else self._chain.result()

@@ -96,11 +96,7 @@ def health_fact(
 ) -> tuple[str, str] | None:
     """The name of a number and its value with its interval; None where that says nothing.
 
-    Args:
-        health: the file's content.
-        key: of the number in it.
-        notation: of numbers.
-        whole: whether all is said, where there is room.
+    `whole`: all is said, where there is room.
     """
     quantity = health[key]
     name, factor, unit, besides, span = _WORDS[key]
@@ -144,17 +140,14 @@ def short_facts(health: Mapping[str, Any]) -> list[tuple[str, str]]:
         out.append(("rotors carry", f"{', '.join(short(one, 100.0) for one in shares)} %"))
     for key, (name, factor, unit, besides, span) in _WORDS.items():
         # What is much like none is not worth a line.
-        if telling(health[key], span) and (span is None or _differs(health[key])):
-            out.append((name, f"{short(health[key], factor)} {unit}{besides}"))
+        found = health[key]
+        if telling(found, span) and (span is None or abs(float(found["value"])) > half_of(found)):
+            out.append((name, f"{short(found, factor)} {unit}{besides}"))
     for key in ("k_T", "T_max", "mass"):
         quantity = health.get(key)
         if telling(quantity) and quantity is not None and quantity["std"]:
             out.append((key, quantity_text(quantity)))
     return out
-
-
-def _differs(quantity: Mapping[str, Any]) -> bool:
-    return abs(float(quantity["value"])) > half_of(quantity)
 
 
 _CELLS = (
@@ -166,9 +159,7 @@ _CELLS = (
 def rotor_cells(rotor: Mapping[str, Any], unit: str) -> list[str]:
     """Share of thrust, motor gain, throttle left, time at full command, vibration of a rotor.
 
-    Args:
-        rotor: of a health file.
-        unit: m/s^2, as it is written there.
+    `unit` is m/s^2, as it is written there.
     """
     cells = []
     for key, factor, behind, digits in (*_CELLS, ("vibration", 1.0, f" {unit}", 3)):

@@ -112,11 +112,8 @@ def covariance_of(result: ResultData) -> tuple[tuple[str, ...], Array]:
             "the result has no covariance: nothing was identified, or an earlier version wrote it; "
             "analyze the log again"
         )
-    try:
-        matrix = np.asarray(result.covariance.get("matrix"), np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
+    matrix = _finite(result.covariance.get("matrix"))
+    if matrix.shape != (len(names), len(names)):
         raise InputError("the result's covariance is malformed: matrix and names do not fit")
     return tuple(map(str, names)), matrix
 
@@ -191,11 +188,8 @@ def found_in_flight(
     found = result.telemetry.get(what)
     if found is None:
         return np.zeros(shape)
-    try:
-        value = np.asarray(found["value"], np.float64)
-    except (TypeError, ValueError, KeyError):
-        value = np.empty(0)
-    if value.shape != shape or not np.isfinite(value).all():
+    value = _finite(found.get("value") if isinstance(found, dict) else None)
+    if value.shape != shape:
         raise InputError(f"the result's {what} is malformed")
     return value
 
@@ -236,13 +230,17 @@ def covariance_root(covariance: Array) -> Array:
 
 def _effects(result: ResultData, count: int) -> Array | None:
     """(names, causes) effects of errors in given values on the parameters; None: unknown."""
+    effects = _finite(result.covariance.get("given"))
+    return effects if effects.ndim == 2 and len(effects) == count else None
+
+
+def _finite(value: object) -> Array:
+    """Numbers of a file; an empty array where they are none, or not all finite."""
     try:
-        effects = np.asarray(result.covariance.get("given"), np.float64)
+        found = np.asarray(value, np.float64)
     except (TypeError, ValueError):
-        return None
-    if effects.ndim != 2 or len(effects) != count or not np.isfinite(effects).all():
-        return None
-    return effects
+        return np.empty(0)
+    return found if np.isfinite(found).all() else np.empty(0)
 
 
 def _shares(result: ResultData, name: str, rotors: int) -> Array:

@@ -110,7 +110,7 @@ class SysidApp(App[None]):
         self.selected = ""
         self.paused = False
         self._time = time_source
-        self._snapshot: Snapshot | None = None
+        self.snapshot: Snapshot | None = None
         self._exponents: dict[str, int] = {}
         self._received = (-1, time_source())
         self._last_event: Event | None = None
@@ -124,11 +124,6 @@ class SysidApp(App[None]):
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = DARK.name
-
-    @property
-    def snapshot(self) -> Snapshot | None:
-        """What is shown."""
-        return self._snapshot
 
     def get_driver_class(self) -> type[Driver]:
         """Textual's, which ends when its terminal is closed."""
@@ -181,13 +176,13 @@ class SysidApp(App[None]):
         self.announcer.see(snapshot)
         if self.paused and not force:
             return
-        changed = snapshot is not self._snapshot
+        changed = snapshot is not self.snapshot
         # While a link is silent nothing arrives, yet the time of silence grows.
         lost = snapshot is not None and snapshot.link.state is LinkState.LOST
         if not (changed or lost or force):
             return
         if not self.paused:
-            self._snapshot = snapshot
+            self.snapshot = snapshot
             self._report_newest_event()
         self.draw()
 
@@ -195,21 +190,21 @@ class SysidApp(App[None]):
         """Draw the present view, unless the screen is being left: nothing can be added then."""
         if not self._main.is_attached:
             return
-        if self._snapshot is not None:
+        if self.snapshot is not None:
             self._exponents = fmt.choose_exponents(
-                self._snapshot.result, self.truth, self._exponents
+                self.snapshot.result, self.truth, self._exponents
             )
         names = self._names()
         if self.selected not in names:
             self.selected = self._first_choice()
         view = View(
-            snapshot=self._snapshot,
+            snapshot=self.snapshot,
             truth=self.truth,
             selected=self.selected,
             exponents=self._exponents,
             silence=self._time() - self._received[1],
             paused=self.paused,
-            shares={} if self._snapshot is None else shares(self._snapshot.result),
+            shares={} if self.snapshot is None else shares(self.snapshot.result),
             baseline="" if self.baseline is None else self.baseline.name,
             comparison=self._compare(),
         )
@@ -220,9 +215,9 @@ class SysidApp(App[None]):
 
     def _compare(self) -> Comparison | None:
         """The present result with the baseline; built again only where either is new."""
-        if self._snapshot is None or self.baseline is None:
+        if self.snapshot is None or self.baseline is None:
             return None
-        before, after = self.baseline.result, self._snapshot.result
+        before, after = self.baseline.result, self.snapshot.result
         known = self._compared
         if known is None or known.before is not before or known.after is not after:
             try:
@@ -234,20 +229,20 @@ class SysidApp(App[None]):
         return known
 
     def _names(self) -> list[str]:
-        if self._snapshot is None:
+        if self.snapshot is None:
             return []
-        return [parameter.name for parameter, _ in rows(self._snapshot.result)]
+        return [parameter.name for parameter, _ in rows(self.snapshot.result)]
 
     def _first_choice(self) -> str:
         """The first parameter that is being identified: a given one has no history to watch."""
-        if self._snapshot is None:
+        if self.snapshot is None:
             return ""
-        found = rows(self._snapshot.result)
+        found = rows(self.snapshot.result)
         free = [p.name for p, estimate in found if estimate.status != "given"]
         return (free or self._names() or [""])[0]
 
     def _report_newest_event(self) -> None:
-        newest = self._snapshot.events[-1] if self._snapshot and self._snapshot.events else None
+        newest = self.snapshot.events[-1] if self.snapshot and self.snapshot.events else None
         if newest is not None and newest != self._last_event:
             self._answer(newest.text, newest.t)
         self._last_event = newest
@@ -256,7 +251,7 @@ class SysidApp(App[None]):
 
     def say(self, text: str) -> None:
         """Answer an action with a sentence above the footer."""
-        self._answer(text, None if self._snapshot is None else self._snapshot.t)
+        self._answer(text, None if self.snapshot is None else self.snapshot.t)
 
     def _answer(self, text: str, t: float | None) -> None:
         self._main.answer.say(text, t)
@@ -533,7 +528,7 @@ class SysidApp(App[None]):
 
     def action_help(self) -> None:
         """Show the help screen."""
-        snapshot = self._snapshot
+        snapshot = self.snapshot
         ended = snapshot is not None and snapshot.link.state is LinkState.ENDED
         self.push_screen(HelpScreen(ended=ended))
 

@@ -200,16 +200,14 @@ class MainScreen(Screen[None]):
         """Bring everything that is visible up to date; hidden panels cost nothing."""
         self._view = view
         for panel in self.walk_children():
-            if isinstance(panel, Shown) and (isinstance(panel, Hiding) or _displayed(panel)):
-                panel.show(view)
+            if isinstance(panel, Shown):
+                shown = all(node.display for node in panel.ancestors_with_self)
+                if shown or isinstance(panel, Hiding):
+                    panel.show(view)
 
     def _show_again(self) -> None:
         if self._view is not None:
             self.show(self._view)
-
-
-def _displayed(panel: Widget) -> bool:
-    return all(node.display for node in panel.ancestors_with_self)
 
 
 _LINK_WORDS = {

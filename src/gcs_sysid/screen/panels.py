@@ -247,9 +247,7 @@ _UNEQUAL = "± includes unequal rotors (3 %)"
 def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
     """A health file's content as lines.
 
-    Args:
-        health: None before the first look.
-        width: columns.
+    `health` is None before the first look.
     """
     if health is None or health["verdict"] == "refused":
         return [[(line, fmt.MUTED)] for line in textwrap.wrap(absent_health(health), width)]
@@ -393,10 +391,6 @@ def _unit(view: View, row: ParameterRow) -> Cell:
     return scaled_unit(row.parameter.unit, _exponent(view, row)).ljust(11), ""
 
 
-def _percent(view: View, row: ParameterRow) -> Cell:
-    return row.figures.percent.rjust(6), ""
-
-
 def _status(view: View, row: ParameterRow) -> Cell:
     known = row.status == row.estimate.status
     style = fmt.STATUS_STYLE[row.estimate.status] if known else fmt.MUTED
@@ -419,10 +413,6 @@ def _truth(view: View, row: ParameterRow) -> Cell:
     return fmt.aligned(row.truth / 10.0 ** _exponent(view, row), 3), ""
 
 
-def _error(view: View, row: ParameterRow) -> Cell:
-    return percent_column(row.error, signed=True).rjust(7), ""
-
-
 def _change(view: View, row: ParameterRow) -> Cell:
     found = None if view.comparison is None else view.comparison.differences.get(row.name)
     if found is None or row.estimate.status == "given":
@@ -434,24 +424,21 @@ def _change(view: View, row: ParameterRow) -> Cell:
     return text, fmt.CHANGE_STYLE[found.verdict]
 
 
-def _has_truth(view: View) -> bool:
-    return bool(view.truth)
-
-
-def _has_baseline(view: View) -> bool:
-    return view.comparison is not None
-
-
 BAR = 7
 COLUMNS = (
     TableColumn("   value ± 95 %    ", _value),
     TableColumn("unit       ", _unit),
-    TableColumn("  ± % ", _percent, 1),
+    TableColumn("  ± % ", lambda _, row: (row.figures.percent.rjust(6), ""), 1),
     TableColumn("status        ", _status),
     TableColumn("target ", _converged, 3),
-    TableColumn(" change ", _change, 2, _has_baseline),
-    TableColumn("   truth", _truth, 5, _has_truth),
-    TableColumn("  error", _error, 4, _has_truth),
+    TableColumn(" change ", _change, 2, lambda view: view.comparison is not None),
+    TableColumn("   truth", _truth, 5, lambda view: bool(view.truth)),
+    TableColumn(
+        "  error",
+        lambda _, row: (percent_column(row.error, signed=True).rjust(7), ""),
+        4,
+        lambda view: bool(view.truth),
+    ),
 )
 """In this order from left to right."""
 NAME_HEAD = f" {'name':<{fmt.LABEL_WIDTH}}"

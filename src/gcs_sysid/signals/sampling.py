@@ -264,7 +264,8 @@ class Sampler:
                 selector.gap()  # samples since landing do not bear on the next flight
             waited = waits
             # Once there was a judgement nothing waits any more.
-            waits = not self._is_judged and self._waits(held.part(ready if waits else first, stop))
+            judged = selector.choice is not None or selector.judged
+            waits = not judged and self._waits(held.part(ready if waits else first, stop))
             if not waited and first > ready and (waits or self._reading != before):
                 # What was ready at earlier ticks is read as was believed then.
                 yield self._read(held.part(ready, first), before, newest_at)
@@ -284,10 +285,6 @@ class Sampler:
     @property
     def _reading(self) -> _Reading:
         return self.rotor_selector.choice, self.rotor_selector.twin
-
-    @property
-    def _is_judged(self) -> bool:
-        return self.rotor_selector.choice is not None or self.rotor_selector.judged
 
     def _waits(self, newest: _Held) -> bool:
         """Whether what is held, with the newest, may have a rotor stream yet."""

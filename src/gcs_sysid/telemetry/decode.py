@@ -199,7 +199,7 @@ class RecordDecoder:
         self._dropped: Counter[str] = Counter()
         self._sensors: dict[str, int] = {}
         self._q_last = np.array([1.0, 0.0, 0.0, 0.0])
-        self._imu_times: list[tuple[Array, Array]] = []
+        self._imu_times = _NO_TIMES
         self._forget_times()
 
     @property
@@ -231,10 +231,8 @@ class RecordDecoder:
         State messages are not read; the caller gives them to `take_state` one by one, with the
         clock of `ClockTimes`.
 
-        Args:
-            frames: the next frames.
-            mine: (n,) bool, which are the vehicle's, with right checksums.
-            out: takes the records.
+        `mine` is (n,), which frames are the vehicle's, with right checksums; `out` takes the
+        records.
         """
         messages = message_arrays(frames, self._table, mine)
         self._leave_out(messages, frames, mine)
@@ -250,12 +248,12 @@ class RecordDecoder:
                 messages[name] = rows[:count]
                 if name in stamps:
                     stamps[name] = stamps[name][:count]
-        self._imu_times.clear()
+        self._imu_times = _NO_TIMES
         with np.errstate(invalid="ignore"):  # what is sent may be any kind of NaN
             self._read(messages, stamps, moments, out)
         if rebooted:
             self._forget_times()
-        return Taken(stop - frames.number, moments, self._came_at())
+        return Taken(stop - frames.number, moments, self._imu_times)
 
     def take_state(self, frame: Frame, now: float) -> Record | None:
         """Read a message with a state; the record that it makes, if any.
@@ -323,10 +321,7 @@ class RecordDecoder:
     ) -> tuple[dict[str, Array], ClockTimes, int]:
         """Times of the messages with stamps that drive the clock, NaN where they have none.
 
-        Args:
-            messages: by name.
-            first: number of the first frame.
-            stop: number of the frame before which they are read.
+        Frames are read from number `first` to before `stop`.
 
         Returns:
             Message name -> times, the clock, and the number of the first frame that is not read.
@@ -510,12 +505,8 @@ class RecordDecoder:
             self._drop("not finite", timed & ~finite)
             order, t, values = order[sound], t[sound], values[sound]
         if stream is Stream.IMU:
-            self._imu_times.append((order, t))
+            self._imu_times = t
         out.add(stream, order, t, values, offset, source)
-
-    def _came_at(self) -> Array:
-        """(n,) s, times of the IMU's samples in the order in which they came."""
-        return self._imu_times[0][1] if self._imu_times else _NO_TIMES
 
     def _drop(self, reason: str, rows: Mask) -> None:
         count = int(np.count_nonzero(rows))
