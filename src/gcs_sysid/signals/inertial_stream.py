@@ -298,18 +298,24 @@ class InertialBuffer(StreamBuffer):
         """(ticks,) s up to which later samples change nothing, as each tick knows it."""
         t, v = self._arrays()
         latest = t[self._known - 1] - self._ahead * self.gap
-        sound = v[:, -1] == 0.0
+        sound = ~self._stuck(v)
         count = np.cumsum(sound)[self._known - 1]
         known = t[sound][np.maximum(count - 1 - self._ahead, 0)]
         # A sensor that stands still must not hold everything up: past a gap nothing matters.
         return np.where(count > self._ahead, np.maximum(known, latest), latest)
 
+    @staticmethod
+    def _stuck(v: Array) -> Mask:
+        """(n,) which samples of the buffer measure nothing; its first stands for those before."""
+        stuck: Mask = v[:, -1] > 0.0
+        stuck[:1] = False
+        return stuck
+
     def at(self, grid: Array, tick: Array) -> Array:
         """(n, 6) values, NaN in gaps, and where a spike cannot be replaced; see `StreamBuffer`."""
         t, v = self._arrays()
         known = self._known[tick]
-        stuck: Mask = v[:, -1] > 0.0
-        v = v[:, :-1]
+        stuck, v = self._stuck(v), v[:, :-1]
         if stuck.any():
             self.faults.frozen += self._new(t[stuck], grid[-1])
             known = np.cumsum(~stuck)[known - 1]
