@@ -129,10 +129,10 @@ def test_inspect_proposes_a_command_that_fits_the_log(layout, suggestion, given,
 
 def test_the_headline_follows_the_target():
     identified = replace(fake.snapshot(), result=replace(fake.result(), verdict="identified"))
-    assert headline(identified) == "ABOVE TARGET"  # 5 of 10 within it
+    assert headline(identified) == "IDENTIFIED TO ±190 %"  # 5 of 10 within the target
     assert (sign_of(identified), level_of(identified)) == ("~", "partial")
-    assert short_headline(identified) == "WIDE"
-    assert headline(replace(identified, target=0.5)) == "ABOVE TARGET"  # Izz is weak all the same
+    assert short_headline(identified) == "±190 %"
+    assert "TO" in headline(replace(identified, target=0.5))  # Izz is weak all the same
     good = {n: replace(e, status="identified") for n, e in fake.estimates().items() if e.value}
     result = replace(fake.result(), verdict="identified", parameters=good)
     reached = replace(identified, result=result, target=5.0)

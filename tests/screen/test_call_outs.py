@@ -109,7 +109,7 @@ def test_while_it_speaks_the_newest_of_a_kind_waits(caller, voice, clock):
     for _ in range(5):
         caller.see(led(result=replace(fake.result(), verdict="identified")))
     assert voice.said[before:] == ["Fly roll plus or minus 20 degrees 1 hertz, yaw plus or minus "
-        "20 degrees 1 hertz, for 10 seconds.", "Above target, 5 of 10."]  # fmt: skip
+        "20 degrees 1 hertz, for 10 seconds.", "Identified to ±190 %, 5 of 10."]  # fmt: skip
 
 
 def test_the_bell(clock):

@@ -84,14 +84,18 @@ def standing_of(snapshot: Snapshot) -> Standing:
     )
 
 
-_SHORT = {"ABOVE TARGET": "WIDE", words.WRONG_AIRFRAME.upper(): "AIRFRAME"}
-"""Headlines where there is little room."""
+_TO = "IDENTIFIED TO "
+_SHORT = {_TO: "", words.WRONG_AIRFRAME.upper(): "AIRFRAME"}
+"""What headlines have instead where there is little room."""
 Level = Verdict | Literal["waiting"]
 """What sign and color of the headline go by."""
 
 
 def headline(snapshot: Snapshot) -> str:
-    """The verdict in a word or two: `IDENTIFIED` once every interval is within the target."""
+    """The verdict in a word or two: `IDENTIFIED` once every interval is within the target.
+
+    Before that, to how much: the widest of them.
+    """
     if snapshot.link.state is LinkState.WAITING:
         return "WAITING"
     if snapshot.advice is not None and snapshot.advice.enough:
@@ -103,14 +107,17 @@ def headline(snapshot: Snapshot) -> str:
     if snapshot.result.verdict == "refused":
         return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
     if _above_target(snapshot):
-        return "ABOVE TARGET"
+        every = (share for share in shares(snapshot.result).values() if share is not None)
+        return f"{_TO}±{PLAIN.percent(max(every), target=snapshot.target)}"
     return snapshot.result.verdict.upper()
 
 
 def short_headline(snapshot: Snapshot) -> str:
     """The headline where there is little room."""
     text = headline(snapshot)
-    return _SHORT.get(text, text)
+    for long, short in _SHORT.items():
+        text = text.replace(long, short)
+    return text
 
 
 def level_of(snapshot: Snapshot) -> Level:
