@@ -37,6 +37,8 @@ SUFFIXES = (".tlog", ".ulg", ".bin")
 ALL_SUFFIXES = {*SUFFIXES, ".bbl", ".bfl", ".txt", ".log", ".csv"}
 OPEN_LOOP = {"Ixx": 5.8e-4, "Iyy": 7.4e-4}
 """kg m^2 of the CineRat, of throws of 0.45 s without feedback."""
+THROWN_INERTIA = 6e-4
+"""kg m^2 in roll and pitch, that arms of Indiflight's simulated vehicles are taken with."""
 _WITH_CAMERA = "LOG00340"
 _FAMILIES = {"LOG00": "cinerat", "crazyflie": "crazyflie"}
 """Logs that share an airframe file, by how their names begin."""
@@ -157,7 +159,7 @@ def airframe_for(log: Path) -> Airframe:
         if (file := log.with_name(f"{name}.toml")).exists():
             return load_airframe(str(file))
     truth = log.with_suffix(".truth.json")
-    if truth.exists() and "cg_m" in json.loads(truth.read_text()):
+    if truth.exists() and json.loads(truth.read_text()).keys() & {"cg_m", "derived"}:
         return airframe_of(log).with_anchor("mass", _mass_before(log))
     airframe = load_airframe("paper")
     return airframe if airframe.anchor() else airframe.with_anchor("mass", 1.5)
@@ -176,6 +178,12 @@ def airframe_of(log: Path) -> Airframe:
             for i, rotor in enumerate(airframe.rotors, 1)
         ]
         return replace(airframe, rotors=tuple(rotors))
+    if thrown := table.get("derived"):  # accelerations: arms over inertia
+        each = THROWN_INERTIA / thrown["k_T_N_per_rad2_s2"]
+        roll, pitch, yaw = (thrown[f"{axis}_acc_per_omega2"] for axis in ("roll", "pitch", "yaw"))
+        turns = zip(roll, pitch, yaw, strict=True)
+        rotors = [Rotor(p * each, -r * each, 1 if y > 0.0 else -1) for r, p, y in turns]
+        return Airframe("thrown", tuple(rotors))
     return load_airframe("px4-sih").with_arm(table["l_roll"] * 2.0**0.5)
 
 
@@ -192,6 +200,8 @@ def rectangle(name: str, x: float, y: float) -> Airframe:
 def _mass_before(log: Path) -> float:
     """At the start of a recording."""
     table = json.loads(log.with_suffix(".truth.json").read_text(encoding="utf-8"))
+    if "derived" in table:
+        return float(table["derived"]["mass_kg"])
     return float(table["mass"] if "mass" in table else table["flights"][0]["mass"])
 
 
@@ -301,18 +311,18 @@ def _known_beside(file: Path) -> tuple[str, ...]:
     if "l_roll" in table:
         arm, mass = table["l_roll"] * 2.0**0.5, _mass_before(file)
         return ("--airframe", "px4-sih", "--arm", f"{arm:.17g}", "--mass", f"{mass:.17g}")
-    if "rotor_pos_rel_cg_m" in table:
-        return ("--airframe", _airframe_file(file, table), "--mass", f"{table['mass']:.17g}")
+    if table.keys() & {"rotor_pos_rel_cg_m", "derived"}:
+        written = _airframe_file(file, airframe_of(file))
+        return ("--airframe", written, "--mass", f"{_mass_before(file):.17g}")
     return ()
 
 
-def _airframe_file(log: Path, truth: dict[str, Any]) -> str:
-    """Written for a log of ArduPilot's simulator, whose quad X is no square."""
-    spins = ("ccw", "ccw", "cw", "cw")
+def _airframe_file(log: Path, airframe: Airframe) -> str:
+    """Written for a log of a simulator whose layout is no known one."""
     text = f'name = "{log.stem}"\n'
-    for spin, (_, place) in zip(spins, sorted(truth["rotor_pos_rel_cg_m"].items()), strict=True):
-        x, y = (at + cg for at, cg in zip(place[:2], truth["cg_m"], strict=False))
-        text += f'[[rotor]]\nx = {x:.17g}\ny = {y:.17g}\nspin = "{spin}"\n'
+    for rotor in airframe.rotors:
+        spin = "ccw" if rotor.spin > 0 else "cw"
+        text += f'[[rotor]]\nx = {rotor.x:.17g}\ny = {rotor.y:.17g}\nspin = "{spin}"\n'
     file = KEPT / f"{log.stem}.toml"
     KEPT.mkdir(parents=True, exist_ok=True)
     if not file.exists() or file.read_text() != text:

@@ -281,9 +281,10 @@ NOT_IN_THE_AIR = {
     "bench-run-pt2-002.bin", "ground-run-pt1-082.bin", "groundlink-log_2.bin",
     "idle-on-ground-118.bin", "jschall_quad_mav1_2014.tlog", "geprc-on-the-ground.bbl",
     "greenreaper06-idle-on-the-ground.bfl", "hiro-no-accelerometer.bfl",
-    "baseflight2016-zero-accelerometer.TXT",
+    "baseflight2016-zero-accelerometer.TXT", "inav9-s-predictor.TXT", "pisun006.bbl",
+    "speedybee002.bbl", "groundlink-d2_log_1.bin", "nan.log", "y6b-2014.bin",
 }  # fmt: skip
-"""Logs on the ground, on a bench, in a hand, or without an accelerometer: no hover in them."""
+"""On the ground, on a bench, in a hand, without an accelerometer or outputs: no hover in them."""
 _ONE_DAY = re.compile(r"000001[2]\d\.BIN")
 """Flights of one vehicle, one battery, one day."""
 _REPEATED = ("k_T", "thrust_to_weight", "cg x", "cg y", "yaw_imbalance", "hover_throttle")
@@ -309,9 +310,9 @@ def _field(unit: str) -> dict[str, Any]:
     cg = told.get("cg") or {}
     values = {**told, "cg x": cg.get("x"), "cg y": cg.get("y")}
     found["values"] = {
-        name: [values[name]["value"], values[name]["std"]]
+        name: [values[name]["value"], values[name]["std_data"]]
         for name in _REPEATED
-        if isinstance(values.get(name), dict) and values[name].get("std")
+        if isinstance(values.get(name), dict) and values[name].get("std_data")
     }
     return found
 

@@ -277,12 +277,14 @@ def test_batch_takes_each_session(sessions):
     assert find_logs([expected[1]]) == [expected[1]]
 
 
-def test_an_empty_first_session_lists_the_others(tmp_path):
+def test_of_several_sessions_the_longest_is_read_and_said(tmp_path):
     writer = log_of({"gyroADC": (3, lambda k: (0, 0, 0))}, frames=900)
     path = tmp_path / "log.txt"
     path.write_bytes(writer.header() + writer.data)
+    assert open_log(path).problems == ("it holds 2 sessions: the longest, log.txt#2, is read",)
+    assert open_log(Path(f"{path}#2")).problems == ()
     with pytest.raises(InputError, match=r"session 1 of .*it holds log\.txt#1 .*log\.txt#2"):
-        open_log(path)
+        open_log(Path(f"{path}#1"))
     assert find_logs([tmp_path]) == [tmp_path / "log.txt#2"]
 
 

@@ -81,7 +81,7 @@ _POSITIONS = (
 def read_blackbox(path: Path, session: int | None = None) -> Recording:
     """Read a session of a .bbl file.
 
-    Sessions count from 1 on; None: the first.
+    Sessions count from 1 on; None: the longest.
 
     Raises:
         InputError: it cannot be read, or the session holds no flight data.
@@ -90,7 +90,8 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
         data = path.read_bytes()
     starts = session_starts(data)
     sessions = len(starts) - 1
-    number = 1 if session is None else session
+    longest = 1 + int(np.argmax([*np.diff(starts), 0]))
+    number = longest if session is None else session
     if not 1 <= number <= sessions:
         raise InputError(f"{path} has no session {number}; {_listed(path, data, starts)}")
     try:
@@ -105,7 +106,12 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
             raise InputError(f"{path} cannot be read as a blackbox log: {error}") from error
         listed = _listed(path, data, starts)
         raise InputError(f"session {number} of {path}: {error}; {listed}") from error
-    return _SessionReader(header, frames).read()
+    recording = _SessionReader(header, frames).read()
+    if session is None and sessions > 1:
+        recording.problems += (
+            f"it holds {sessions} sessions: the longest, {path.name}#{number}, is read",
+        )
+    return recording
 
 
 def _listed(path: Path, data: bytes, starts: list[int]) -> str:
