@@ -2,10 +2,12 @@
 
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from gcs_sysid.cli import batch_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
 
@@ -36,11 +38,30 @@ def logs(flights, tmp_path) -> Path:
     return tmp_path / "logs"
 
 
+class OneThread(ThreadPoolExecutor):
+    """A pool of this process: another takes a processor second to start."""
+
+    capacity = 2
+
+    def __init__(self, workers, work):
+        super().__init__(1)
+        self.work = work
+
+    def submit(self, task):
+        return super().submit(self.work, task)
+
+    def close(self):
+        self.shutdown()
+
+
 @pytest.fixture
-def batch(capsys):
-    """Runs `batch`; (status, standard error). Nothing may go to standard output."""
+def batch(capsys, monkeypatch):
+    """Runs `batch` in this process, or in `workers`; (status, standard error). Nothing may go to
+    standard output."""
 
     def batch(*argv):
+        if "--workers" not in argv:
+            monkeypatch.setattr(batch_command, "LocalPool", OneThread)
         status = run(["batch", *map(str, argv)])
         out = capsys.readouterr()
         assert out.out == ""

@@ -18,7 +18,7 @@ from gcs_sysid.fleet.batch import BatchRun, Store, read_table
 from gcs_sysid.fleet.jobs import FAILURE, Job, LocalPool
 from gcs_sysid.model.airframe import Airframe, load_airframe
 
-PAPER = ("--airframe", "paper", "--workers", "1")
+PAPER = ("--airframe", "paper")
 
 
 def documents(out):
@@ -34,7 +34,7 @@ def rows(out):
 
 
 @pytest.mark.slow
-def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
+def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path, capsys):
     out = tmp_path / "out"
     status, err = batch(logs, "-o", out, *PAPER, "--workers", "2")
     assert status == 0
@@ -57,6 +57,16 @@ def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
         assert row["Ixx"]["value"] == document["parameters"]["Ixx"]["value"]
         assert document["log"]["sha256"] == row["sha256"]
 
+    # The result is that of `analyze`.
+    log, alone = logs / "one" / "a.tlog", tmp_path / "one.json"
+    run(["analyze", str(log), "--airframe", "paper", "--json", str(alone)])
+    capsys.readouterr()
+    first = json.loads((out / table[0]["result"]).read_text())
+    assert first.pop("log")["bytes"] == log.stat().st_size
+    assert {one["name"] for one in first.pop("hover")} >= {"CG forward", "k_T"}
+    assert first["health"]["seconds_of_hover"] > 0.0
+    assert first == json.loads(alone.read_text())
+
     before = times(out)
     (logs / "one" / "b.tlog").rename(logs / "one" / "renamed.tlog")
     status, err = batch(logs, "-o", out, *PAPER)
@@ -64,18 +74,6 @@ def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
     assert "(5 done before)" in err
     assert times(out) == before
     assert rows(out)["renamed.tlog"]["result"].startswith("results/b-")
-
-
-@pytest.mark.slow
-def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
-    batch(flights[0], "-o", tmp_path / "out", *PAPER)
-    run(["analyze", str(flights[0]), "--airframe", "paper", "--json", str(tmp_path / "one.json")])
-    (made,) = documents(tmp_path / "out").values()
-    assert made.pop("log")["bytes"] == flights[0].stat().st_size
-    assert {one["name"] for one in made.pop("hover")} >= {"CG forward", "k_T"}
-    alone = json.loads((tmp_path / "one.json").read_text())
-    assert alone["health"]["seconds_of_hover"] > 0.0
-    assert made == alone
 
 
 @pytest.mark.thorough
@@ -109,7 +107,7 @@ def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
     (logs / "one" / "b.tlog").unlink()
     airframe_file(logs / "one" / "airframe.toml", "quad-1")
     airframe_file(logs / "airframe.toml", "others", mass=2.0)
-    status, err = batch(logs, "-o", tmp_path / "out", "--workers", "1")
+    status, err = batch(logs, "-o", tmp_path / "out")
     assert status == 0
     lines = re.split(r"\r *\r", err)
     assert any(line.startswith("1 of 4 logs: 1 ") and line.endswith(" left") for line in lines)
@@ -254,7 +252,7 @@ def wait_for_results(process, out, count):
 
 
 @pytest.mark.slow
-def test_killed_in_the_middle_and_started_again(many, tmp_path):
+def test_killed_in_the_middle_and_started_again(batch, many, tmp_path):
     out = tmp_path / "out"
     with start(many, out) as process:
         wait_for_results(process, out, 1)
@@ -263,9 +261,8 @@ def test_killed_in_the_middle_and_started_again(many, tmp_path):
     before = times(out)
     assert 1 <= len(before) < 3
     assert not (out / "fleet.parquet").exists()
-    with start(many, out) as process:
-        _, err = process.communicate(timeout=300)
-    assert process.returncode == 0
+    status, err = batch(many, "-o", out, *PAPER)
+    assert status == 0
     whole = {name: time for name, time in before.items() if name.endswith(".json")}
     assert f"3 of 3 logs ({len(whole)} done before)" in err
     after = times(out)

@@ -13,11 +13,12 @@ pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
 from pyarrow import parquet
 
+from gcs_sysid.cli import batch_command
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.batch import read_table
 from gcs_sysid.model.parameters import REGISTRY
-from tests.fleet.conftest import fill
+from tests.fleet.conftest import OneThread, fill
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
 
@@ -26,8 +27,10 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
 def fleet(flights, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fleet")
     fill(folder / "logs", flights)
-    words = ["--airframe", "paper", "--workers", "1"]
-    assert run(["batch", str(folder / "logs"), "-o", str(folder / "fleet"), *words]) == 0
+    words = ["batch", str(folder / "logs"), "-o", str(folder / "fleet"), "--airframe", "paper"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch_command, "LocalPool", OneThread)
+        assert run(words) == 0
     return folder / "fleet" / "fleet.parquet"
 
 

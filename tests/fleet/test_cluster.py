@@ -62,7 +62,7 @@ def test_a_batch_over_a_cluster(batch, logs, scheduler, tmp_path):
     assert status == 0
     assert "2 of 2 logs: 1 identified, 1 failed" in err
     local = tmp_path / "local"
-    batch(logs, "-o", local, "--airframe", "paper", "--workers", "1")
+    batch(logs, "-o", local, "--airframe", "paper")
     assert read_table(out / "fleet.parquet") == read_table(local / "fleet.parquet")
     status, err = batch(logs, "-o", out, "--airframe", "paper", "--scheduler", scheduler)
     assert (status, "(2 done before)" in err) == (0, True)
