@@ -7,6 +7,7 @@ import io
 import json
 import os
 import shutil
+import sqlite3
 import struct
 import tempfile
 from collections.abc import Callable, Generator, Iterator
@@ -128,30 +129,51 @@ def browser() -> Iterator[Any]:
         browser.close()
 
 
+Make = Callable[[Path], None]
+OnceFunction = Callable[[str, Make], Path]
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> OnceFunction:
+    """A folder by its name, filled once for all workers: who comes while one fills it waits."""
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    shared.mkdir(exist_ok=True)
+
+    def once(name: str, make: Make) -> Path:
+        folder = shared / name
+        if not folder.exists():
+            # Whoever ends lets go of it, however it ends.
+            lock = sqlite3.connect(f"{folder}.lock", timeout=600.0, isolation_level=None)
+            with contextlib.closing(lock):
+                lock.execute("BEGIN EXCLUSIVE")
+                if not folder.exists():
+                    new = Path(tempfile.mkdtemp(dir=shared))
+                    make(new)
+                    new.rename(folder)
+        return folder
+
+    return once
+
+
 FlyFunction = Callable[..., Flight]
 
 
 @pytest.fixture(scope="session")
-def fly(tmp_path_factory: pytest.TempPathFactory) -> FlyFunction:
+def fly(once: OnceFunction) -> FlyFunction:
     """Flies the emulator, without the second that a process of its own would take to start;
     options as on its command line. Tests share the recordings, and change none."""
-    base = tmp_path_factory.getbasetemp()
-    flights = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "flights"
-    flights.mkdir(exist_ok=True)
 
     def fly(*options: str) -> Flight:
-        name = hashlib.sha256("\0".join(options).encode()).hexdigest()[:32]
-        flight = Flight(flights / name / "flight.tlog", flights / name / "truth.json")
-        if not flight.tlog.exists():
-            new = Path(tempfile.mkdtemp(dir=flights))
-            files = [f"--tlog={new / 'flight.tlog'}", f"--truth={new / 'truth.json'}"]
+        def make(folder: Path) -> None:
+            files = [f"--tlog={folder / 'flight.tlog'}", f"--truth={folder / 'truth.json'}"]
             said = io.StringIO()
             with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
                 status = sim_bridge(["--airframe", "paper", *options, "--speed", "max", *files])
             assert status == 0, said.getvalue()
-            with contextlib.suppress(OSError):  # another worker was first
-                new.rename(flights / name)
-        return flight
+
+        folder = once(hashlib.sha256("\0".join(options).encode()).hexdigest()[:32], make)
+        return Flight(folder / "flight.tlog", folder / "truth.json")
 
     return fly
 

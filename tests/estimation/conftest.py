@@ -1,7 +1,6 @@
 """A flight from a small simulator of its own: rigid body, motors, drag and wind by solve_ivp."""
 
 import hashlib
-import os
 from dataclasses import dataclass, replace
 from math import cos, sin
 
@@ -116,19 +115,16 @@ def simulate(truth, seconds, dt):
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory):
+def simulated(once):
     """30 s at 200 Hz of a vehicle, without any noise; integrated once for all workers."""
-    base = tmp_path_factory.getbasetemp()
-    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def simulated(truth):
-        path = folder / f"simulated-{hashlib.sha256(repr(truth).encode()).hexdigest()[:16]}.npz"
-        if not path.exists():
+        def make(folder):
             flown = simulate(truth, 30.0, 0.005)
-            new = tmp_path_factory.mktemp("simulated") / "new.npz"
-            np.savez(new, **{name: getattr(flown, name) for name in SIGNALS})
-            new.replace(path)
-        with np.load(path) as kept:
+            np.savez(folder / "flown.npz", **{name: getattr(flown, name) for name in SIGNALS})
+
+        name = f"simulated-{hashlib.sha256(repr(truth).encode()).hexdigest()[:16]}"
+        with np.load(once(name, make) / "flown.npz") as kept:
             return Samples(**{name: kept[name] for name in SIGNALS})
 
     return simulated
