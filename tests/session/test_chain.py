@@ -78,9 +78,9 @@ def without(records, *streams):
     ("gone", "reason"),
     [(Stream.IMU, "no IMU data"), (Stream.ROTOR_SPEED, "no rotor speeds")],
 )
-def test_what_is_missing_is_the_reason(paper_records, gone, reason):
+def test_what_is_missing_is_the_reason(beginning, gone, reason):
     commands = () if gone is Stream.IMU else (Stream.ROTOR_COMMAND,)
-    _, result = run(without(paper_records, gone, *commands))
+    _, result = run(without(beginning, gone, *commands))
     assert result.verdict == "refused"
     (said,) = [r for r in result.reasons if r.startswith("no ")]
     assert said.startswith(reason)
@@ -97,10 +97,8 @@ def test_without_attitude_the_accelerometer_gives_the_scale(beginning, begun):
 
 
 @pytest.mark.slow
-def test_nothing_is_estimated_while_it_does_not_fly(paper_records):
-    grounded = [
-        r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in paper_records
-    ]
+def test_nothing_is_estimated_while_it_does_not_fly(beginning):
+    grounded = [r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in beginning]
     chain, result = run(grounded)
     assert not chain.sampler.flying
     assert result.verdict == "refused"
@@ -129,38 +127,37 @@ def test_less_than_three_seconds_claim_nothing(paper_records):
 
 
 @pytest.mark.slow
-def test_a_reboot_in_the_middle_costs_little(paper_records):
+def test_a_reboot_in_the_middle_costs_little(beginning):
     """The vehicle's clock starts again, below where the log began."""
-    first = paper_records[0].t
-    half = len(paper_records) // 2
-    second = [r._replace(t=r.t - paper_records[half].t + 0.5) for r in paper_records[half:]]
-    before = [r._replace(t=r.t - first + 1000.0) for r in paper_records[:half]]
+    first, half = beginning[0].t, len(beginning) // 2
+    second = [r._replace(t=r.t - beginning[half].t + 0.5) for r in beginning[half:]]
+    before = [r._replace(t=r.t - first + 1000.0) for r in beginning[:half]]
     chain, result = run([*before, *second])
     assert result.telemetry["restarts"] == 1
     assert result.segments == ()
     assert result.parameters["mass"].status == "given"
     # 64 samples to learn the step again, and two windows.
-    assert result.telemetry["used_seconds"] > 55.0
-    assert chain.t == pytest.approx(paper_records[-1].t - first, abs=4.0)
+    assert result.telemetry["used_seconds"] > 16.0
+    assert chain.t == pytest.approx(beginning[-1].t - first, abs=4.0)
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
     # A limit counts the time of the session, not of the clock.
-    _, cut = run([*before, *second], replace(END_ONLY, end=45.0))
-    assert 30.0 < cut.telemetry["used_seconds"] < 45.0
+    _, cut = run([*before, *second], replace(END_ONLY, end=18.0))
+    assert 10.0 < cut.telemetry["used_seconds"] < 18.0
 
 
 @pytest.mark.slow
-def test_who_reboots_has_landed_and_may_have_been_changed(paper_records):
+def test_who_reboots_has_landed_and_may_have_been_changed(beginning):
     """Though nothing of the ground was recorded: a payload would be a disturbance, or missed."""
-    half = len(paper_records) // 2
-    back = paper_records[half].t - 0.5
+    half = len(beginning) // 2
+    back = beginning[half].t - 0.5
     faster = np.sqrt(1.2)  # what a mass and an inertia larger by a fifth take
     second = [
         r._replace(t=r.t - back, values=tuple(np.multiply(r.values, faster)))
         if r.stream is Stream.ROTOR_SPEED
         else r._replace(t=r.t - back)
-        for r in paper_records[half:]
+        for r in beginning[half:]
     ]
-    _, result = run([*paper_records[:half], *second])
+    _, result = run([*beginning[:half], *second])
     assert [event["channel"] for event in result.events] == ["landing"]
     mass = result.parameters["mass"]
     assert mass.value == pytest.approx(1.2 * 1.5, rel=0.005)
@@ -269,7 +266,7 @@ def test_parameters_of_later_blocks_are_known_before_the_samples():
 @pytest.mark.parametrize(("rate", "sound"), [("250", False), ("100", True)])
 def test_two_of_many_rotors_that_are_swapped_are_named(fly, rate, sound):
     """The fit explains 98.4 to 99.9 % of each axis even so."""
-    flight = "--mission", "all-axes", "--rate", rate, "--seed", "3", "--duration", "20"
+    flight = "--mission", "all-axes", "--rate", rate, "--seed", "3", "--duration", "10"
     octo = fly(*flight, "--airframe", "px4-octo-x", "--param", "CA_AIRFRAME=1")
     airframe = load_airframe("px4-octo-x").with_anchor("mass", octo.truth["mass"])
     one, two, *others, eight = airframe.rotors
