@@ -1,5 +1,7 @@
 """`gcs-sysid health` as one runs it: text, JSON, parameter files, picture, and what is refused."""
 
+import contextlib
+import io
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -26,19 +28,27 @@ def ardupilot(fly):
     return fly(*HOVER, "--autopilot", "ardupilot", "--airframe", "ardupilot-quad-x")
 
 
+@pytest.fixture(scope="module")
+def files(flight, tmp_path_factory):
+    """What the command writes and prints of the flight."""
+    folder, out = tmp_path_factory.mktemp("health"), io.StringIO()
+    words = ["--json", "h.json", "--picture", "h.svg", "--params", "new.params"]
+    words = [str(folder / word) if "." in word else word for word in words]
+    with contextlib.redirect_stdout(out):
+        assert run(["health", str(flight.tlog), "--airframe", "paper", *words]) == 0
+    (folder / "out.txt").write_text(out.getvalue())
+    return folder
+
+
 @pytest.mark.slow
-def test_text_json_and_picture(flight, tmp_path, capsys):
-    out, picture = tmp_path / "h.json", tmp_path / "h.svg"
-    options = ["--airframe", "paper", "--json", str(out), "--picture", str(picture)]
-    assert run(["health", str(flight.tlog), *options]) == 0
-    text = capsys.readouterr()
-    assert text.err == ""
+def test_text_json_and_picture(flight, files):
+    out = (files / "out.txt").read_text()
     for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed"):
-        assert word in text.out
+        assert word in out
     # A path is as long as it is.
-    lines = [line for line in text.out.splitlines() if not line.startswith("/")]
+    lines = [line for line in out.splitlines() if not line.startswith("/")]
     assert max(map(len, lines)) < 80
-    told = json.loads(out.read_text())
+    told = json.loads((files / "h.json").read_text())
     assert told["schema"] == "gcs-sysid-health/1"
     assert told["seconds_of_hover"] > 20.0
     for place in (*told["cg"].values(), told["yaw_imbalance"], told["hover_throttle"], told["k_T"]):
@@ -53,7 +63,7 @@ def test_text_json_and_picture(flight, tmp_path, capsys):
         # The emulator's rotors are alike: without what is assumed of them a millimeter is enough.
         assert told["cg"][axis]["value"] == pytest.approx(truth[f"cg_{axis}"], abs=1e-3)
     assert told["k_T"]["value"] == pytest.approx(truth["k_T"], rel=0.01)
-    root = ET.fromstring(picture.read_text())
+    root = ET.fromstring((files / "h.svg").read_text())
     assert root.tag.endswith("svg")
     words = " ".join(root.itertext())
     assert "center of gravity" in words
@@ -61,12 +71,9 @@ def test_text_json_and_picture(flight, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_second_flight_is_held_against_the_first(fly, flight, tmp_path, capsys):
+def test_the_second_flight_is_held_against_the_first(fly, flight, files, capsys):
     weak = fly(*HOVER[:-1], "4", "--physics", "weakening=2:0:0.06:0.1")
-    baseline = tmp_path / "before.json"
-    assert run(["health", str(flight.tlog), "--airframe", "paper", "--json", str(baseline)]) == 0
-    capsys.readouterr()
-    options = ["--airframe", "paper", "--baseline", str(baseline)]
+    options = ["--airframe", "paper", "--baseline", str(files / "h.json")]
     assert run(["health", str(weak.tlog), *options]) == 0
     assert "rotor 2 gives" in capsys.readouterr().out
     assert run(["health", str(flight.tlog), str(weak.tlog), "--airframe", "paper"]) == 0
@@ -96,15 +103,13 @@ def test_parameters_for_mission_planner(ardupilot, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_path, capsys):
+def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, files, tmp_path, capsys):
     written = tmp_path / "one.json"
-    log = str(flight.tlog)
-    assert run(["health", log, "--airframe", "paper", "--json", str(written)]) == 0
-    told = json.loads(written.read_text())
+    told = json.loads((files / "h.json").read_text())
     told["load"]["value"] = [3.0 * value for value in told["load"]["value"]]
     written.write_text(json.dumps(told))
-    capsys.readouterr()
-    assert run(["health", log, "--airframe", "paper", "--baseline", str(written)]) == 2
+    words = ["--airframe", "paper", "--baseline", str(written)]
+    assert run(["health", str(flight.tlog), *words]) == 2
     assert "rotors do 3.0 times more for the same thrust" in capsys.readouterr().err
     # One that nobody named is left out, and so is the flight from the trend.
     own = replace(read_baseline(written), asked=False)
@@ -117,11 +122,13 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
 
 
 @pytest.mark.slow
-def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, tmp_path, capsys):
-    file = tmp_path / "new.params"
-    assert run(["health", str(flight.tlog), "--airframe", "paper", "--params", str(file)]) == 0
-    assert "  CA_ROTOR0_PX " in capsys.readouterr().out
-    rows = [line.split("\t") for line in file.read_text().splitlines() if line[:1] != "#"]
+def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, files):
+    assert "  CA_ROTOR0_PX " in (files / "out.txt").read_text()
+    rows = [
+        line.split("\t")
+        for line in (files / "new.params").read_text().splitlines()
+        if line[:1] != "#"
+    ]
     assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] == "9" for row in rows)
     values = {row[2]: float(row[3]) for row in rows}
     for i, rotor in enumerate(load_airframe("paper").rotors):
@@ -178,11 +185,9 @@ def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_span_of_the_log_is_kept_to(flight):
-    airframe = load_airframe("paper")
-    whole = ReadLog(flight.tlog).health(HealthOptions(airframe))
-    part = ReadLog(flight.tlog).health(HealthOptions(airframe), (10.0, 25.0))
-    assert part.seconds < 16.0 < whole.seconds
+def test_a_span_of_the_log_is_kept_to(flight, files):
+    part = ReadLog(flight.tlog).health(HealthOptions(load_airframe("paper")), (10.0, 25.0))
+    assert part.seconds < 16.0 < json.loads((files / "h.json").read_text())["seconds_of_hover"]
 
 
 @pytest.mark.slow

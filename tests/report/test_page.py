@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import gcs_sysid
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import AXES, PARAMETERS
@@ -166,6 +167,15 @@ def test_settings_reproduce_it(page, paper_flight, report):
     assert "mass = 1.5 kg" in text
     for name in ("NumPy", "SciPy", "Python"):
         assert name in text
+
+
+@pytest.mark.slow
+def test_its_twin_is_the_fit_to_the_first_part(page, paper_flight, paper_result):
+    twin = gcs_sysid.fly_twin(paper_result, paper_flight.tlog)
+    assert twin.same_flight
+    row = re.search(r"Rates, 1 s ahead.*?</tr>", page.html, re.DOTALL)[0]
+    shown = float(re.findall(r"<td[^>]*>([^<]*)</td>", row)[0].split()[0])
+    assert shown == pytest.approx(math.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.02)
 
 
 # Made up, to reach what flights do not ----------------------------------------------------------

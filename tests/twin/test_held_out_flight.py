@@ -240,18 +240,6 @@ def test_a_report_shows_what_the_command_prints(twin):
 
 
 @pytest.mark.slow
-def test_the_report_flies_the_first_part_only(tmp_path, capsys, twin):
-    page = tmp_path / "flight.html"
-    assert run(["analyze", str(SAMPLE), "--airframe", "paper", "--report", str(page)]) == 0
-    assert capsys.readouterr().out.startswith("identified: ")
-    text = page.read_text(encoding="utf-8")
-    assert 'id="twin"' in text
-    row = re.search(r"Rates, 1 s ahead.*?</tr>", text, re.DOTALL)[0]
-    shown = float(re.findall(r"<td[^>]*>([^<]*)</td>", row)[0].split()[0])
-    assert shown == pytest.approx(math.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.02)
-
-
-@pytest.mark.slow
 def test_a_recorder_keeps_no_more_than_it_is_asked_for(result):
     whole, half = FlightRecorder(), FlightRecorder(20.0)
     both = SimpleNamespace(
