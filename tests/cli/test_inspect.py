@@ -142,14 +142,14 @@ SHARED = {
     "public/px4-sitl.ulg": ("no", None),
     "public/real-quad-copter33.bin": ("no", "RCOU"),
 }
-QUICK = {"public/real-quad-mavlink1.tlog", "public/px4-sitl.ulg"}
+QUICK = "public/px4-sitl.ulg"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        pytest.param(*item, marks=[] if item[0] in QUICK else [pytest.mark.thorough], id=item[0])
+        pytest.param(*item, marks=[pytest.mark.thorough] * (item[0] != QUICK), id=item[0])
         for item in SHARED.items()
     ],
 )

@@ -9,9 +9,9 @@ PAPER = ("--airframe", "paper")
 
 @pytest.fixture(scope="module")
 def stepped(fly):
-    """30 s of all axes, 20 % heavier from 15 s on."""
-    flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "250", "--duration", "32")
-    return fly(*flight, "--mass-step", "15:1.2")
+    """20 s of all axes, 20 % heavier from the middle on."""
+    flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "20")
+    return fly(*flight, "--mass-step", "10:1.2")
 
 
 @pytest.mark.slow
@@ -21,12 +21,12 @@ def test_a_mass_step_is_told_with_time_and_size(analyze, stepped):
     assert status == 0
     (event,) = [e for e in result["events"] if "detected" in e]
     assert event["kind"] == "mass_change"
-    assert event["t"] == pytest.approx(15.0, abs=0.05)
+    assert event["t"] == pytest.approx(10.0, abs=0.05)
     assert event["detected"] - event["t"] < 0.25 + 0.05
     low, high = event["parameters"]["mass"]["ci95"]
     assert low < 0.3 < high
     assert result["scale"]["anchor"] == "k_T"
-    assert result["scale"]["from"].startswith("the flight before 15")
+    assert result["scale"]["from"].startswith("the flight before 10")
     mass = result["parameters"]["mass"]
     assert mass["value"] == pytest.approx(1.8, rel=0.005)
     assert mass["status"] == "identified"
@@ -40,7 +40,7 @@ def test_a_mass_step_is_told_with_time_and_size(analyze, stepped):
 
 @pytest.mark.slow
 def test_two_flights_with_a_known_mass_added_give_mass_and_k_t(analyze, fly):
-    common = ("--mission", "all-axes", "--noise", "mems", "--rate", "50", "--duration", "16")
+    common = ("--mission", "all-axes", "--noise", "mems", "--rate", "50", "--duration", "12")
     light = fly(*common, "--seed", "1")
     heavy = fly(*common, "--seed", "2", "--mass-step", "0.1:1.2")
     status, out, _ = analyze(light.tlog, heavy.tlog, *PAPER, "--added-mass", "0.3", "--json", "-")
@@ -53,7 +53,7 @@ def test_two_flights_with_a_known_mass_added_give_mass_and_k_t(analyze, fly):
             assert estimate["value"] == pytest.approx(true, rel=0.03)
             assert abs(estimate["value"] - true) < 2.5 * estimate["std"]
             assert estimate["status"] == "identified"
-    part = ("--end", "7")
+    part = ("--end", "5")
     status, _, err = analyze(heavy.tlog, light.tlog, *PAPER, "--added-mass", "0.3", *part)
     assert status == 2
     assert "is not heavier" in err

@@ -72,10 +72,9 @@ def assert_same(fits, others):
 def test_blocks_give_what_single_fits_give(truth, flight, smoother):
     samples, tuning = measured(flight).part(slice(3400)), EstimatorTuning(smoother=smoother)
     alone = single(truth, samples, tuning)
-    for block in (7, 250):
-        fits = series(truth, samples, block, tuning)
-        assert sum(fit.rotation is not None for fit in fits) > 120
-        assert_same(fits, alone)
+    fits = series(truth, samples, 250, tuning)
+    assert sum(fit.rotation is not None for fit in fits) > 120
+    assert_same(fits, alone)
 
 
 @pytest.mark.slow
@@ -100,7 +99,7 @@ def test_quick_fits_are_near_full_ones(truth, flight):
     off = []
     for k, start in enumerate(range(0, len(samples.gyro), 10 * STOP)):
         part = samples.part(slice(start, start + 10 * STOP))
-        quick = estimator.follow(part, list(range(STOP, len(part.gyro) + 1, STOP)))[-1]
+        quick = estimator.follow(part, list(range(2 * STOP, len(part.gyro) + 1, 2 * STOP)))[-1]
         if k % 4 == 3 and quick.seconds > 6.0:
             full, quick = estimator.fit().rotation, quick.rotation
             off.append(np.abs((quick.theta - full.theta) / full.std))

@@ -36,7 +36,7 @@ def by_name(found):
 def test_what_is_set_is_nearer_to_the_truth_wherever_the_old_value_lies():
     random = np.random.default_rng(3)
     verdicts, moved_away = Counter(), 0
-    for _ in range(20_000):
+    for _ in range(6_000):
         truth, std, old = random.uniform(0.0, 1.0), 10.0 ** random.uniform(-3.0, -1.0), None
         old = truth + random.choice([0.0, 3.0, 10.0]) * std * random.standard_normal()
         new = Quantity(truth + std * random.standard_normal(), std, "1")
@@ -48,7 +48,7 @@ def test_what_is_set_is_nearer_to_the_truth_wherever_the_old_value_lies():
         if one.verdict != "cannot tell":
             assert new.half <= 0.15
     assert moved_away <= 0.001 * verdicts["set"]
-    assert min(verdicts[word] for word in ("set", "leave", "cannot tell")) > 1000
+    assert min(verdicts[word] for word in ("set", "leave", "cannot tell")) > 300
 
 
 def test_what_is_not_known_is_not_set_and_the_flight_that_shows_it_is_named():

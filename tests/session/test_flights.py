@@ -45,7 +45,7 @@ def test_the_articles_flight_is_identified(paper_flight, paper_result):
 
 @pytest.mark.slow
 def test_hover_does_not_tell_izz_and_k_m(fly, airframe):
-    flight = fly("--mission", "hover", *AS_THE_ARTICLE, "--duration", "30", "--seed", "1")
+    flight = fly("--mission", "hover", *AS_THE_ARTICLE, "--duration", "16", "--seed", "1")
     result = analyze_log(flight.tlog, airframe)
     for name in ("Izz", "k_M"):
         assert result.parameters[name].status in ("weak", "unobservable")

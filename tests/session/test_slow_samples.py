@@ -10,7 +10,7 @@ import gcs_sysid
 def test_what_slow_samples_miss_of_doublets_is_in_the_intervals(fly, seed):
     flight = fly(
         *("--airframe", "px4-quad-x", "--rate", "25", "--mission", "doublets"),
-        *("--duration", "55", "--noise", "mems", "--seed", seed),
+        *("--duration", "40", "--noise", "mems", "--seed", seed),
     )
     truth = flight.truth
     result = gcs_sysid.analyze(flight.tlog, "px4-quad-x", arm=0.25, mass=1.0)
