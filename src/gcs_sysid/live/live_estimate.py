@@ -72,14 +72,8 @@ class LiveEstimate:
     """Frames in, estimates out: a fresh chain, its prediction and its coach.
 
     A defect in what identifies costs the estimate, which stays what it was; a defect in what
-    watches the link, that as well.
-
-    Args:
-        airframe: with a scale anchor.
-        source: what the result names as its source.
-        options: settings.
-        wanted: system and perhaps component; None: the first autopilot received.
-        on_defect: called with each.
+    watches the link, that as well. `wanted` is system and perhaps component; None: the first
+    autopilot received. `on_defect` is called with each defect.
     """
 
     def __init__(

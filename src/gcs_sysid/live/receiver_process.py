@@ -130,11 +130,8 @@ class RelayedRequests:
 class ReceiverProcess:
     """A receiver that goes on while this process is busy, and closes its recording if it dies.
 
-    Args:
-        url: to open; one that ends is opened again.
-        listen_only: send nothing at all.
-        signing_key: file with the key; None: nothing is signed or checked.
-        record_to: recording; None: nothing is recorded until it is started.
+    Without the file with the signing key nothing is signed or checked; without `record_to` nothing
+    is recorded until it is started.
 
     Raises:
         InputError: the recording exists, or there is no key.

@@ -39,9 +39,7 @@ _APART = 10.0
 class LogSegments:
     """The windows of a log, cut finer where playback stops in them.
 
-    Args:
-        path: of the log.
-        wanted: system and perhaps component; None: the first autopilot in it.
+    `wanted` is system and perhaps component; None: the first autopilot in it.
 
     Raises:
         InputError: the file cannot be read as a log.
@@ -225,9 +223,7 @@ class _Checkpoint:
 class LogPlayback:
     """Gives a log to a chain, part by part.
 
-    Args:
-        recorded: the log.
-        history_interval: s of the flight between estimates of the history.
+    `history_interval` is s of the flight between estimates of the history.
 
     Raises:
         InputError: the file can no longer be read.

@@ -96,9 +96,7 @@ class GivenUncertainty:
     def scale_share(self, kind: str, value: float) -> float:
         """Standard deviation of the scale over its value.
 
-        Args:
-            kind: "mass", "k_T", "T_max" or "added_mass".
-            value: SI.
+        `kind` is "mass", "k_T", "T_max" or "added_mass"; `value` is SI.
         """
         sigma: Sigma = getattr(self, "mass" if kind == "added_mass" else kind)
         return sigma.of(value) / abs(value)
@@ -106,9 +104,7 @@ class GivenUncertainty:
     def altered(self, entries: Mapping[str, object], where: str) -> Self:
         """The same with other standard deviations.
 
-        Args:
-            entries: name -> number in the unit above, or text such as "1%".
-            where: for messages.
+        Of name -> number in the unit above, or text such as "1%".
 
         Raises:
             InputError: there is none of that name, or it is no standard deviation.
@@ -430,9 +426,7 @@ class Airframe:
     def with_uncertainty(self, entries: Mapping[str, object], where: str) -> "Airframe":
         """The same airframe with other standard deviations of what is given.
 
-        Args:
-            entries: as in a file's `[uncertainty]`.
-            where: for messages.
+        Entries are as in a file's `[uncertainty]`.
 
         Raises:
             InputError: see `GivenUncertainty.altered`.

@@ -119,10 +119,8 @@ class PlanView:
     ) -> list[Markup]:
         """The center of gravity with its 95 % region.
 
-        Args:
-            place: m forward and right.
-            halves: m, of the interval along each.
-            size: of the cross, from the middle to an end.
+        `place` is m forward and right, `halves` m of the interval along each; `size` is the cross'
+        from the middle to an end.
         """
         u, v = self.at(*place)
         return [

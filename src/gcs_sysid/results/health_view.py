@@ -245,9 +245,7 @@ class FirstAnswer:
 def first_answer(health: Mapping[str, Any] | None, result: Result | None = None) -> FirstAnswer:
     """The first line on a flight.
 
-    Args:
-        health: a health file's content; None where nothing was looked at.
-        result: of an identification of the same flight.
+    `health` is a health file's content; None where nothing was looked at.
     """
     # Rotors that are taken for others seem to read wrong, too.
     known = health is not None and health["order_contradicted"]

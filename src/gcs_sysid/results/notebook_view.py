@@ -29,9 +29,7 @@ _COLORS = ("#1f6fb4", "#c2571a", "#2b8a3e")
 def needed(module: str, purpose: str) -> Any:
     """An optional library.
 
-    Args:
-        module: to import.
-        purpose: what it is needed for, for the message.
+    `purpose` is what the module is needed for.
 
     Raises:
         InputError: it is not installed.

@@ -176,9 +176,7 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
 def _objections(table: _Table, limits: Literal["cap", "verdict"]) -> tuple[Objection, ...]:
     """What stands behind reasons or a status; results of earlier versions have none.
 
-    Args:
-        table: with a list of them.
-        limits: what their cap is of: a status or the verdict.
+    `limits` is what their cap is of: a status or the verdict.
     """
     known = get_args(Status if limits == "cap" else Verdict)
     out = []

@@ -80,10 +80,7 @@ LIGHT = Theme(
 class SysidApp(App[None]):
     """The live screen on a snapshot source.
 
-    Args:
-        source: the session.
-        scene: all else that it is made of.
-        time_source: seconds that only grow; tests put their own here.
+    `time_source` gives seconds that only grow; tests put their own here.
     """
 
     CSS_PATH = "screen.tcss"

@@ -223,9 +223,7 @@ class Enter(Dialog):
 def help_text(commands: Sequence[KeyCommand] = COMMANDS, *, ended: bool = False) -> Content:
     """The whole help.
 
-    Args:
-        commands: what keys do.
-        ended: whether the flight is over, so that there is nothing more to fly.
+    `ended`: the flight is over, so that there is nothing more to fly.
     """
     parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
     for command in commands:

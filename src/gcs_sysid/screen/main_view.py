@@ -278,10 +278,7 @@ def _missing(snapshot: Snapshot, most: int = 6) -> list[str]:
 def pilot_lines(view: View, width: int, height: int) -> list[Line]:
     """The picture: each block in the largest letters that leave room for the others.
 
-    Args:
-        view: to draw.
-        width: columns.
-        height: lines; where even small letters do not fit, the last lines are cut.
+    Where even small letters do not fit, the last lines are cut.
     """
     wanted, share = blocks(view)
     # Columns of a dot; larger letters would leave no room for a maneuver's axes.

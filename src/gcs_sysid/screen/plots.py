@@ -115,11 +115,8 @@ def shade(
 ) -> NDArray[np.bool_]:
     """(lines, columns) which character cells the band covers.
 
-    Args:
-        curve: with the band.
-        span: s at the first and the last column.
-        bounds: value at the lower and the upper edge.
-        size: columns and lines.
+    `span` is s at the first and the last column, `bounds` the value at the lower and the upper
+    edge.
     """
     columns, lines = size
     x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * (columns - 1)).astype(np.int64)

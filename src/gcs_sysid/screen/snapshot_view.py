@@ -193,9 +193,7 @@ LINK_SIGN: dict[LinkState, str] = {
 def notice(link: LinkStatus, silence: float = 0.0) -> tuple[str, str] | None:
     """What should be known before reading on, and its level; None while all is well.
 
-    Args:
-        link: its state.
-        silence: s since it last brought something; 0: unknown.
+    `silence` is s since the link last brought something; 0: unknown.
     """
     if link.state is LinkState.WAITING and link.rejected and not link.received:
         return f"Listening on {link.url}: {NO_MAVLINK}.", "warning"

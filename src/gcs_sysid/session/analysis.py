@@ -102,13 +102,8 @@ def take_log(
 ) -> bool:
     """Give a chain a recording.
 
-    Args:
-        chain: that takes it.
-        log: not yet read.
-        keeper: gets the records first.
-        progress: called with the share of the log done, 0 to 1, now and then.
-        whole: whether parameters that come too late for the estimate change nothing; else the
-            chain takes but the parameters of what follows them.
+    The keeper gets the records first. `whole`: parameters that come too late for the estimate
+    change nothing; else the chain takes but those of what follows them.
 
     Returns:
         Whether the chain took all of it.

@@ -406,9 +406,7 @@ class Chain:
     def values(self, fit: Fit, anchor: ScaleReference | None = None) -> dict[str, Estimate]:
         """Physical parameters of a fit, by what this flight shows alone.
 
-        Args:
-            fit: any.
-            anchor: sets the scale; None: the one in force.
+        `anchor` sets the scale; None: the one in force.
         """
         return judged(self.evidence(fit, anchor or self.anchor), Stage.FLIGHT)
 

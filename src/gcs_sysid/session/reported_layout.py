@@ -135,9 +135,7 @@ class ReportedLayout:
 def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> ReportedLayout | None:
     """The layout by the parameters so far; None: not enough of them, or no usual frame.
 
-    Args:
-        autopilot: "px4", "ardupilot", ...
-        parameters: name -> value.
+    The autopilot is "px4", "ardupilot", ...
     """
     if autopilot == "px4":
         reported = _px4(parameters)
@@ -269,9 +267,7 @@ def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
 def airframe_of_layout(reported: ReportedLayout, arm: float | None) -> Airframe:
     """The airframe that a vehicle's own layout proposes.
 
-    Args:
-        reported: the layout.
-        arm: m, mean distance of the rotors from the center; None: as reported.
+    `arm` is m, mean distance of the rotors from the center; None: as reported.
 
     Raises:
         InputError: neither gives its size.

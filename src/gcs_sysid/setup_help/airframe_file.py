@@ -51,9 +51,8 @@ _ANGLE_NEAR = math.radians(12.0)
 def layout_rotors(name: str, arm: float | tuple[float, float]) -> tuple[Rotor, ...]:
     """The rotors of a layout, in motor order.
 
-    Args:
-        name: one of `LAYOUTS`.
-        arm: m from the center to each motor; for `TWO_LENGTHS` also m forward and m sideways.
+    Of one of `LAYOUTS`; `arm` is m from the center to each motor, for `TWO_LENGTHS` also m forward
+    and m sideways.
     """
     shape = name.partition("-")[2]
     # PX4's airframes 5001, 7001 and 9001 and ArduPilot's FRAME_TYPE 0 are the same.

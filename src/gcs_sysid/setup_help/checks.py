@@ -77,10 +77,7 @@ def worst(findings: Iterable[SetupFinding]) -> Sign:
 def as_text(findings: Iterable[SetupFinding], width: int, *, unicode: bool) -> str:
     """Findings as lines: a mark and a word for the sign, then what was found and what to do.
 
-    Args:
-        findings: in the order to show.
-        width: columns to keep to; advice is kept whole, to be copied.
-        unicode: whether marks beyond ASCII can be shown.
+    Lines keep to `width` columns; advice is kept whole, to be copied.
     """
     marks = _MARKS if unicode else _PLAIN_MARKS
     lines = []
@@ -117,9 +114,7 @@ def check_python(
 ) -> SetupFinding:
     """Python against what the package asks for.
 
-    Args:
-        version: of Python.
-        requires: such as ">=3.11"; None: as installed.
+    `requires` is such as ">=3.11"; None: as installed.
     """
     if requires is None:
         try:

@@ -69,9 +69,7 @@ def motor_of(autopilot: str, function: float) -> int:
 def motor_outputs(autopilot: str, parameters: Mapping[str, float]) -> dict[str, dict[int, int]]:
     """Driver ("SERVO", "PWM_MAIN", ...) -> motor -> its output, both from 0.
 
-    Args:
-        autopilot: "px4", "ardupilot"; of others nothing is known.
-        parameters: by name, as far as they are known.
+    Of "px4" and "ardupilot"; of others nothing is known.
     """
     found: dict[str, dict[int, int]] = {}
     if autopilot not in _FUNCTION:

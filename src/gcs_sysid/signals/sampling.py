@@ -236,9 +236,7 @@ class Sampler:
     def _take(self, block: Block, unseen: "_Unseen | None" = None) -> Iterator[SampleBlock]:
         """Take a block of the grid, tick by tick; the blocks of samples that are ready.
 
-        Args:
-            block: of the grid.
-            unseen: samples that the selector has not seen yet; None: it has seen all.
+        `unseen` are samples that the selector has not seen yet; None: it has seen all.
         """
         selector, flies = self.rotor_selector, self.flying
         held = self._samples(block)

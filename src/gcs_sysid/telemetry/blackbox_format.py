@@ -272,9 +272,7 @@ class ByteWindow:
     def behind_tagged(self, at: Array, count: int) -> Array:
         """Where what follows a tag and the numbers that it marks begins.
 
-        Args:
-            at: (k,) positions of the tag.
-            count: of the numbers that it can mark.
+        At (k,) positions of the tag; `count` is of the numbers that it can mark.
         """
         tag = self.raw.take(at)
         return self.within(self.nth(at + 1, ONES.take(tag & ((1 << count) - 1))))

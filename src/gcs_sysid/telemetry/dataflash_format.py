@@ -119,10 +119,7 @@ class _EntryRows:
 class DataflashLog:
     """A .bin log, its entries counted and the columns wanted taken.
 
-    Args:
-        path: of the file.
-        wanted: whether a column (name of the entry, name of the column) is to be taken.
-        window: bytes read at once.
+    `wanted`: whether a column (name of the entry, name of the column) is to be taken.
 
     Attributes:
         path: of the file.

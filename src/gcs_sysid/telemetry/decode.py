@@ -108,9 +108,7 @@ class VehicleStates:
     def read(self, frame: Frame, now: float | None) -> Record | None:
         """Read one of the messages of `STATE_IDS`; the record that it makes, if any.
 
-        Args:
-            frame: whose checksum is right.
-            now: s, the vehicle's clock; None before the first stamp.
+        `now` is s, the vehicle's clock; None before the first stamp.
         """
         if frame.message_id == MESSAGE_IDS["PARAM_VALUE"]:
             return self._read_parameter(frame.payload, now)
@@ -258,9 +256,7 @@ class RecordDecoder:
     def take_state(self, frame: Frame, now: float) -> Record | None:
         """Read a message with a state; the record that it makes, if any.
 
-        Args:
-            frame: of `STATE_IDS`.
-            now: s, the vehicle's clock; NaN before the first stamp.
+        `now` is s, the vehicle's clock; NaN before the first stamp.
         """
         return self.states.read(frame, now if now == now else None)
 

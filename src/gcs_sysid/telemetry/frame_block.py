@@ -146,9 +146,7 @@ class FrameBlock:
     def of(cls, frames: Iterable[Frame], wall: Array | float | None = None) -> "FrameBlock":
         """Frames as they came over a link, read in one go.
 
-        Args:
-            frames: in the order received.
-            wall: when they came, s since 1970, all or (n,) each; None or 0: not known.
+        `wall` is when they came, s since 1970, all or (n,) each; None or 0: not known.
         """
         frames, came = list(frames), np.asarray(0.0 if wall is None else wall)
         raws = [frame.raw for frame in frames]
@@ -238,10 +236,8 @@ class SeenFrames:
     """Finds frames that came before, as over two radios, half a minute ago at most.
 
     Sequence numbers wrap, or are all zero, so that what has no time stamp, such as a heartbeat, may
-    come again with the same bytes: it is a copy where it does not follow in sequence.
-
-    Args:
-        stamped: ids of messages with a time stamp.
+    come again with the same bytes: it is a copy where it does not follow in sequence. `stamped` are
+    ids of messages with a time stamp.
     """
 
     _KEPT = 32_768

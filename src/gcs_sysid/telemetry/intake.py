@@ -118,9 +118,7 @@ class Intake:
 
         `take_events` reports what happened on the way.
 
-        Args:
-            frames: as they came.
-            wall: when they came, s, of any clock that runs on evenly; None: not known.
+        `wall` is when they came, s, of any clock that runs on evenly; None: not known.
         """
         block = self.block(FrameBlock.of(frames, wall))
         self._events += [event for _, event in block.events]
@@ -454,9 +452,7 @@ class FrameGathering:
     def gather(self, frames: Iterable[Frame], wall: float | None = None) -> RecordBlock:
         """Take frames in the order received.
 
-        Args:
-            frames: as they came.
-            wall: when they came, s since 1970; None: not known.
+        `wall` is when they came, s since 1970; None: not known.
 
         Returns:
             Records of all that waited, where it is time to read them; else none.

@@ -207,10 +207,6 @@ class UdpLink(Link):
     others send more than the vehicle ever would, its datagrams get a socket and a buffer of their
     own: one bound to the same port and connected to the vehicle's address, which Linux prefers for
     what comes from there. The others are read a few at a time.
-
-    Args:
-        url: what to open.
-        clock: steady, s.
     """
 
     datagrams = True

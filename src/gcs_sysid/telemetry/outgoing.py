@@ -177,10 +177,7 @@ class Gate:
         sent: messages sent so far.
         version: of MAVLink, 1 or 2: as the vehicle's.
 
-    Args:
-        send_bytes: takes each frame.
-        listen_only: see above.
-        signer: signs frames of version 2 (version 1 has no signatures).
+    `send_bytes` takes each frame; `signer` signs those of version 2 (version 1 has no signatures).
     """
 
     def __init__(

@@ -103,10 +103,6 @@ def layout_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
 class ParameterRequests:
     """Asks for each parameter until it has arrived or was asked for often enough.
 
-    Args:
-        gate: sends.
-        rotors: how many the airframe has.
-
     Attributes:
         missing: names given up.
     """

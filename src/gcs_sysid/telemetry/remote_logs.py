@@ -147,11 +147,7 @@ class _Way(Protocol):
 
 
 class RemoteLogs:
-    """The logs of one vehicle.
-
-    Args:
-        exchange: with it.
-    """
+    """The logs of one vehicle."""
 
     _NEAR = 16
     """Blocks between two that lack, up to which both are asked for at once: a request of their own

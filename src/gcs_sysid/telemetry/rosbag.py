@@ -55,9 +55,7 @@ _IsRead = Callable[[str], bool]
 class RosBag:
     """A recording read once, within bounds of time and memory.
 
-    Args:
-        path: of a file, or of a folder of them.
-        wanted: of a topic and its type, which fields are read; None: the topic is not.
+    `wanted` gives of a topic and its type which fields are read; None: the topic is not.
 
     Attributes:
         kinds: name -> type of all topics.

@@ -230,9 +230,7 @@ def _headers(data: Array, at: Array) -> dict[str, Array]:
 class _RecordChain:
     """The frames in a piece of a file.
 
-    Args:
-        content: the piece.
-        limit: frames are wanted that begin up to there.
+    Frames are wanted that begin up to `limit`.
 
     Attributes:
         data: the piece as an array, with zeros behind it.
@@ -405,12 +403,9 @@ HEAD = 2**20
 class TlogReader:
     """Reads a .tlog of any ground station, in windows of bounded memory.
 
-    Frames of unknown types and with a wrong checksum come too where the chain of records is
-    intact. Where it is broken, the reader hunts for the next frame whose checksum is right.
-
-    Args:
-        path: of the file.
-        window: bytes read at once.
+    Frames of unknown types and with a wrong checksum come too where the chain of records is intact.
+    Where it is broken, the reader hunts for the next frame whose checksum is right. `window` is
+    bytes read at once.
 
     Attributes:
         counts: of what was seen while it was last read.

@@ -39,13 +39,9 @@ RECORD_TIME = struct.Struct(">Q")
 class TlogWriter:
     """Records frames to a file from a thread of its own; the caller never waits for the disk.
 
-    Trouble with the disk never raises. What cannot be written waits in memory, within bounds,
-    and is tried again: in the same file once a full disk has room, in a new one beside it where
-    the file fails or was removed.
-
-    Args:
-        path: of the file.
-        beside: where that name is taken, take the next one that is free.
+    Trouble with the disk never raises. What cannot be written waits in memory, within bounds, and
+    is tried again: in the same file once a full disk has room, in a new one beside it where the
+    file fails or was removed. `beside`: where that name is taken, take the next one that is free.
 
     Attributes:
         path: where it records at present.

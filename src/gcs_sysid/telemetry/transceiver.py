@@ -336,10 +336,7 @@ class Port(Protocol):
 class Transceiver(Receiver):
     """A receiver that also sends what the gate lets pass.
 
-    Args:
-        link: open; `close` closes it.
-        listen_only: send nothing at all.
-        signing_key: file with the key; None: nothing is signed or checked.
+    `close` closes the link. Without the file with the signing key nothing is signed or checked.
 
     Raises:
         InputError: there is no key in that file.

@@ -97,10 +97,8 @@ _Subscription = tuple[int, int, "array[int] | None"]
 class UlogFile(TopicLog):
     """A .ulg read once, within bounds of time and memory.
 
-    Args:
-        path: of the file.
-        wanted: names of the topics whose rows are kept.
-        is_read: whether a column (topic, name) is kept; None: all. The timestamp is.
+    Rows of the topics wanted are kept; of these the columns (topic, name) for which `is_read`,
+    None: all. The timestamp is.
 
     Raises:
         InputError: the file cannot be read, or is no ULog that is known here.

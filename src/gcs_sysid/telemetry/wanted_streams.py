@@ -233,11 +233,8 @@ SCHEMA = "gcs-sysid-streams/1"
 class StreamRestoration:
     """Finds out each stream's own interval, and keeps it.
 
-    Args:
-        gate: sends.
-        rotors: how many the airframe has.
-        folder: for the file; None: nothing is kept beyond the session.
-        link: the link's URL: PX4 has rates for each link.
+    Without a folder for the file nothing is kept beyond the session; `link` is the link's URL: PX4
+    has rates for each link.
     """
 
     ROUND_EVERY = 0.6

@@ -88,7 +88,8 @@ def fly_own_flight(
 ) -> TwinFlight:
     """The same of a result of this flight, whose analysis the recorder has looked at.
 
-    The recorder has what was flown; the rest is as of `fly_held_out`.
+    The recorder has what was flown; `start` is s after the first record, from which the log was
+    analyzed.
 
     Raises:
         InputError: the log cannot be read.

@@ -233,10 +233,7 @@ class _Errors:
 class Twin:
     """Flies a model and its ensemble along a record.
 
-    Args:
-        model: the estimate.
-        ensemble: (samples, 1) drawn from its covariance.
-        record: of the flight.
+    `ensemble` is (samples, 1), drawn from the model's covariance.
     """
 
     def __init__(self, model: FlightModel, ensemble: FlightModel, record: MeasuredFlight) -> None:
@@ -398,10 +395,7 @@ def judge(
 ) -> tuple[dict[float, dict[str, Accuracy]], Growth | None]:
     """Compare the twin's errors with their bands.
 
-    Args:
-        twin: to fly.
-        judged: parts to judge, each with the part that gives its noise.
-        has_velocity: whether it was measured.
+    `judged` are parts to judge, each with the part that gives its noise.
 
     Returns:
         Length in s -> quantity -> accuracy, of lengths that there are stretches of; growth of the

@@ -45,12 +45,7 @@ def analyze(
 ) -> Any:
     """Identify, and leave result, report and health picture in a folder.
 
-    Args:
-        log: the file.
-        name: that it had where it came from.
-        request: airframe and scale.
-        folder: for the files.
-        on_progress: called with the step and the share of the work done.
+    `on_progress` is called with the step and the share of the work done.
 
     Raises:
         InputError: the log cannot be read, or the request makes no sense.

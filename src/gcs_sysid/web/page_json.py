@@ -165,10 +165,7 @@ def session_view(
 ) -> dict[str, Any]:
     """All but the plot.
 
-    Args:
-        snapshot: to show.
-        truth: true values by parameter name, where known.
-        baseline: an earlier result to compare with.
+    `truth` is by parameter name, where known.
     """
     waiting = before_data(snapshot)
     standing = standing_of(snapshot)

@@ -36,9 +36,7 @@ _MOST_TEXT = 200
 class SessionPage:
     """Serves one session.
 
-    Args:
-        source: of the snapshots; not stopped when a viewer leaves.
-        scene: truth, baseline, and what a pilot may do.
+    The source of the snapshots is not stopped when a viewer leaves.
     """
 
     page = "live.html"

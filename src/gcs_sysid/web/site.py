@@ -75,9 +75,6 @@ async def json_of(request: web.Request) -> Any:
 class Access:
     """Checks requests to one server.
 
-    Args:
-        host: address or name that it listens on.
-
     Attributes:
         port: that it listens on, once that is known.
     """
@@ -221,10 +218,7 @@ class SiteContent(Protocol):
 class Site:
     """Serves pages.
 
-    Args:
-        host: address or name to listen on.
-        port: 0 for any that is free.
-        content: what is served.
+    With port 0 on any that is free.
 
     Attributes:
         access: who may look.
