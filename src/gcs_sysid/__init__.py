@@ -7,29 +7,13 @@
 What is public is in `gcs_sysid.api`, loaded when it is first used: the command line starts
 without NumPy.
 """
+# ruff: noqa: F403, F405 - the names are those of `api.__all__`
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gcs_sysid.api import (
-        Airframe,
-        Estimate,
-        FlightModel,
-        IdentifiedEstimate,
-        InputError,
-        MotionState,
-        ParameterSamples,
-        Result,
-        Signals,
-        Trajectory,
-        TwinFlight,
-        analyze,
-        fly_twin,
-        identify,
-        load_airframe,
-        read_result,
-    )
+    from gcs_sysid.api import *
 
 __version__ = "0.1.0"
 

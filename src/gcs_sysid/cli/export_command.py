@@ -37,14 +37,14 @@ def run(options: argparse.Namespace) -> int:
     try:
         text = target.write(vehicle)
         if options.ensemble is not None:
-            return _ensemble(options, vehicle, target, path)
+            _ensemble(options, vehicle, target, path)
+        elif path is None:
+            print_file(text)
+        else:
+            write_whole(path, text, replace=options.force)
     except MissingError as error:
         say(f"gcs-sysid: {options.result}: {error}")
         return 1
-    if path is None:
-        print_file(text)
-    else:
-        write_whole(path, text, replace=options.force)
     for note in target.notes(vehicle):
         say(f"gcs-sysid: note: {note}")
     return 0
@@ -74,7 +74,7 @@ def _signals(options: argparse.Namespace) -> int:
 
 def _ensemble(
     options: argparse.Namespace, vehicle: ExportedVehicle, target: Format, path: Path | None
-) -> int:
+) -> None:
     """Vehicles drawn from the covariance, a file each: NAME-001.xml beside NAME.xml."""
     if path is None:
         raise InputError("--ensemble writes several files: give -o FILE, not -")
@@ -91,6 +91,3 @@ def _ensemble(
         raise InputError(f"{options.result}: {error}") from error
     for place, one in zip(places, drawn, strict=True):
         write_whole(place, target.write(one), replace=options.force)
-    for note in target.notes(vehicle):
-        say(f"gcs-sysid: note: {note}")
-    return 0

@@ -398,9 +398,9 @@ class SmoothRatio:
     def _powers(self, omega: Array) -> Array:
         return np.vander(np.log(omega / self._from), 3)
 
-    def drawn(self, count: int, seed: int) -> Array:
+    def drawn(self, count: int) -> Array:
         """(1 + count, w) ratios at `omega`, the estimate first, then with errors of that."""
-        normal = np.random.default_rng(seed).standard_normal((2, 3, count))
+        normal = np.random.default_rng(1).standard_normal((2, 3, count))
         errors = np.hstack([np.zeros((3, 1)), self._root @ (normal[0] + 1j * normal[1])])
         return np.exp(self._powers(self.omega) @ (self._coefficients[:, None] + errors)).T
 
@@ -436,7 +436,7 @@ def smooth_ratio(found: FrequencyResponse | None, model: Array | None) -> Smooth
 
 
 def measured_margins(
-    one: MeasuredAxis, dynamics: HoverDynamics, loop: RateLoop, axis: int, seed: int = 1
+    one: MeasuredAxis, dynamics: HoverDynamics, loop: RateLoop, axis: int
 ) -> Margins | None:
     """Margins of an axis by its measured response: the estimate, then draws of its errors.
 
@@ -450,7 +450,7 @@ def measured_margins(
         return None
     own = loop.feedback(smooth.omega)[:, axis]
     own = own * dynamics.first(1).response(smooth.omega, loop.period)[0, :, axis, axis]
-    margins = margins_of(smooth.omega, own * smooth.drawn(100, seed))
+    margins = margins_of(smooth.omega, own * smooth.drawn(100))
     return margins if np.isfinite(margins.crossover[0]) else None
 
 

@@ -61,11 +61,6 @@ class CommandQueue:
         except queue.Full:
             raise InputError("the session is busy: try again") from None
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether it holds no commands."""
-        return self._waiting.empty()
-
     def grant(self, note: Callable[[str], None]) -> Exception | None:
         """Carry out the requests. One that fails is reported, and the session continues.
 
@@ -75,7 +70,7 @@ class CommandQueue:
             The first defect, if one was met.
         """
         first: Exception | None = None
-        while not self.is_empty:
+        while not self._waiting.empty():
             try:
                 self._waiting.get()()
             except (GcsSysidError, OSError) as error:
@@ -192,9 +187,7 @@ class LiveSession(Session):
     def set_anchor(self, kind: str, value: float) -> str:
         """Let another fact set the scale.
 
-        Args:
-            kind: "mass", "k_T" or "T_max".
-            value: SI.
+        `kind` is "mass", "k_T" or "T_max"; `value` is SI.
 
         Raises:
             InputError: there is no such kind, or it cannot have this value.

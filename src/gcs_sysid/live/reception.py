@@ -22,6 +22,23 @@ POLL = 0.05
 """s; the longest that an order waits."""
 
 
+@dataclass(frozen=True)
+class RecordingReport:
+    """State of the recording.
+
+    Attributes:
+        active: whether frames are to be recorded, be the disk willing or not.
+        path: of the file that they reach; empty when they reach none.
+        dropped: frames that were to be recorded and are in no file.
+        lines: one for each recording that has ended.
+    """
+
+    active: bool = False
+    path: str = ""
+    dropped: int = 0
+    lines: tuple[str, ...] = ()
+
+
 class SessionRecording:
     """Starts and stops recordings; nothing here waits for the disk, but for `finish`.
 
@@ -42,22 +59,15 @@ class SessionRecording:
         self._ended_with = ""
 
     @property
-    def active(self) -> bool:
-        """Whether there is a recording that has not been stopped, be the disk willing or not."""
-        return self._writer is not None
-
-    @property
-    def path(self) -> str:
-        """Of the file that frames reach, or reached to the end; empty when they reach none."""
-        writer = self._writer
-        if writer is None:
-            return self._ended_with
-        return "" if writer.problem else str(writer.path)
-
-    @property
-    def dropped(self) -> int:
-        """Frames that were to be recorded and are in no file."""
-        return self._dropped + sum(w.dropped for w in (self._writer, *self._ending) if w)
+    def report(self) -> RecordingReport:
+        """As things stand."""
+        writer, path = self._writer, self._ended_with
+        if writer is not None:
+            path = "" if writer.problem else str(writer.path)
+        dropped = sum(w.dropped for w in (writer, *self._ending) if w)
+        return RecordingReport(
+            writer is not None, path, self._dropped + dropped, tuple(self._lines)
+        )
 
     def write(self, time_us: int, frames: Sequence[Frame]) -> None:
         """Record frames that arrived at `time_us`, us since 1970."""
@@ -110,10 +120,6 @@ class SessionRecording:
             self._ended_with = str(self._recorded)
         self._ending.clear()
 
-    def lines(self) -> list[str]:
-        """A line for each recording that has ended: where it is, or why it is not."""
-        return list(self._lines)
-
     def _settle(self, writer: TlogWriter) -> None:
         self._recorded = writer.recorded[-1] if writer.recorded else None
         self._dropped += writer.dropped
@@ -147,23 +153,6 @@ class Ended(NamedTuple):
 
 
 Item = ReceivedFrames | ResetMark | RecordingCut | Toggled | Failure | Ended
-
-
-@dataclass(frozen=True)
-class RecordingReport:
-    """State of the recording.
-
-    Attributes:
-        active: whether frames are to be recorded, be the disk willing or not.
-        path: of the file that they reach; empty when they reach none.
-        dropped: frames that were to be recorded and are in no file.
-        lines: one for each recording that has ended.
-    """
-
-    active: bool = False
-    path: str = ""
-    dropped: int = 0
-    lines: tuple[str, ...] = ()
 
 
 class Reception:
@@ -200,13 +189,7 @@ class Reception:
     @property
     def recording_report(self) -> RecordingReport:
         """As things stand."""
-        recording = self._recording
-        return RecordingReport(
-            recording.active,
-            recording.path,
-            recording.dropped,
-            tuple(recording.lines()),
-        )
+        return self._recording.report
 
     def follow(self, vehicle: tuple[int, int]) -> None:
         """Answer to this vehicle from now on."""
@@ -244,7 +227,7 @@ class Reception:
 
     def cut_recording(self, path: Path) -> None:
         """Go on in another file, if it is recorded at all."""
-        if self._recording.active:
+        if self._recording.report.active:
             self._recording.stop()
             self._recording.start(path)
         self._items.append(RecordingCut())
@@ -261,6 +244,4 @@ class Reception:
             self._recording.finish()
             self._items.append(Ended())
 
-    def close(self) -> None:
-        """End without handing over what is left."""
-        self.finish()
+    close = finish  # what is left is not handed over

@@ -158,9 +158,9 @@ def join_frames(frames: Iterable[Frame]) -> bytes:
     return b"".join([_MARK_OF[frame.valid] + frame.raw for frame in frames])
 
 
-def split_frames(data: bytes, at: int = 0) -> list[Frame]:
-    """The frames that `join_frames` joined, from `at` on; no checksum is taken again."""
-    frames = []
+def split_frames(data: bytes) -> list[Frame]:
+    """The frames that `join_frames` joined; no checksum is taken again."""
+    frames, at = [], 0
     while at < len(data):
         header = _header(data, at + 1, len(data))
         assert header is not None, "what was a frame there is one here"

@@ -168,27 +168,24 @@ class FlightRecorder:
         """Drop the samples."""
         self._file.close()
 
-    def rows(self, *, whole: bool = False, at_once: int = 8192) -> Iterator[Array]:
+    def rows(self, *, whole: bool = False) -> Iterator[Array]:
         """What was taken, in pieces.
 
         Args:
             whole: all of it; else only from where step and rotors' stream are those of the end.
-            at_once: rows of a piece at most.
 
         Yields:
             (n, 21 + rotors) in SI: time, gyro, rates without bias, specific force, attitude,
             velocity, whether it flies, rate set-points, rotors. A row without any number is a gap.
         """
         self._file.seek(0 if whole or not self._flights else self._flights[0][0])
-        while data := self._file.read(8 * self._width * at_once):
+        while data := self._file.read(8 * self._width * 8192):
             yield np.frombuffer(data).reshape(-1, self._width)
 
     def record(self, motor_lag: float, where: str) -> MeasuredFlight:
         """What was flown.
 
-        Args:
-            motor_lag: s, with commands.
-            where: name of the log, for messages.
+        `motor_lag` is s, with commands.
 
         Raises:
             InputError: nothing flies in the log, or it has no rotor speeds or commands.

@@ -62,19 +62,14 @@ def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
 
 
 class Progress:
-    """Says how far the work is, as often as there is something to see.
+    """Says how far the work is, as often as there is something to see."""
 
-    Args:
-        least: share of the work that is worth a line.
-    """
-
-    def __init__(self, least: float = 0.01) -> None:
-        self._least = least
+    def __init__(self) -> None:
         self._stage, self._share = "", 0.0
 
     def show(self, stage: str, share: float) -> None:
         """Say it, if it has changed."""
-        if stage != self._stage or abs(share - self._share) >= self._least:
+        if stage != self._stage or abs(share - self._share) >= 0.01:
             self._stage, self._share = stage, share
             _say({"progress": round(min(share, 1.0), 3), "stage": stage})
 
