@@ -194,6 +194,10 @@ def test_intervals_hold_where_the_vehicle_deviates(fly, physics, seed, kinds):
     for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y"):
         estimate = result.parameters[name]
         assert abs(estimate.value - flight.truth[name]) < Z95 * estimate.std, name
+    # The next flight's thrust is by these rotors, too.
+    bare, estimator = replace(chain.fit, translation=None), chain.tracker.estimator
+    thrust = estimator.with_thrust_by(chain.fit.rotation, bare).translation
+    assert thrust.kappa == pytest.approx(chain.fit.translation.kappa)
 
 
 @pytest.mark.slow

@@ -71,7 +71,8 @@ class Trial:
         """Whether what flies cannot be the vehicle of a fit.
 
         Rotors are the same, or no scale would carry over: with commands T_max / m goes with the
-        thrust curve, which the first seconds of a flight hardly determine.
+        thrust curve, with speeds k_T / m with what rotors differ by, as where one is read wrong;
+        both the first seconds of a flight hardly determine.
 
         Args:
             before: of the flight before.
@@ -96,7 +97,7 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
 
     Args:
         before: the one.
-        now: the other, with thrust by the actuator dynamics of the one.
+        now: the other, with thrust by the rotors of the one.
         arm: m, mean distance of the rotors, by which a CG is judged.
         battery: one standard deviation of what another state of the battery may do to thrust,
             relative.

@@ -22,7 +22,6 @@ from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
 from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
-from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.signals.records import Samples
 
 _SETTLE_GROWTH = 1.5
@@ -193,13 +192,13 @@ class OnlineEstimator:
         return self._thrust.fit(at, self.prior)
 
     def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
-        """A fit with thrust over mass by the actuator dynamics of another one.
+        """A fit with thrust over mass by the rotors of another one: how they lag, and are unlike.
 
         Args:
             rotors: of them; None: the fit as it is.
             fit: of the whole record.
         """
-        if rotors is None or Coordinate.CURVE not in self.record.basis.free:
+        if rotors is None:
             return fit
         thrust, accelerometer = self.fit_translation(rotors)
         return replace(fit, translation=thrust, accelerometer=accelerometer)
