@@ -75,16 +75,14 @@ def robust_fit(
     regressors = columns if projected is None else projected
     if n <= p:
         raise ValueError(f"{n} windows do not show {p} coefficients")
-    huber = _huber_fit(columns, y, ridge, jitter, regressors)
-    value, residual, weight, scale, penalty = huber
-    normal = _products(regressors, jitter, weight) + scale**2 * np.diag(penalty)
+    penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
+    (value,), (residual,), (weight,), (scale,), (normal,) = _huber_fits(
+        columns, y[None], penalty, regressors, jitter
+    )
     bread = _inverse(normal)
     score = regressors * (weight * residual)[:, None]
     lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
-    meat = score.T @ score
-    for lag in range(1, lags + 1):
-        cross = score[lag:].T @ score[:-lag]
-        meat += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    meat = long_run(score, lags)
     free = max(n / (1.0 + lags) - 1.0, 2.0)
     stretch = float(stdtrit(free, 0.975)) / Z95
     # A prior's part of the knowledge is its own variance.
@@ -95,7 +93,18 @@ def robust_fit(
         slow = long_memory(n * score @ bread, between)
         grown = np.sqrt(np.maximum(1.0, slow / np.maximum(np.diag(covariance), 1e-30)))
         covariance = covariance * np.outer(grown, grown)
-    return BalanceFit(value, covariance, scale)
+    return BalanceFit(value, covariance, float(scale))
+
+
+def long_run(series: Array, lags: int) -> Array:
+    """(p, p) sum of products of (n, p) rows with themselves and, by Bartlett's weights, with those
+    up to so many before.
+    """
+    total: Array = series.T @ series
+    for lag in range(1, lags + 1):
+        cross = series[lag:].T @ series[:-lag]
+        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    return total
 
 
 def mean_of(values: Array, half: float) -> Quantity:
@@ -173,83 +182,59 @@ def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:
         targets: (n, k), each fitted by itself, all at once.
         ridge: (p,) prior standard deviations about zero; inf: none.
     """
-    n, p = columns.shape
-    y = np.ascontiguousarray(targets.T)  # (k, n)
-    products = (columns[:, :, None] * columns[:, None, :]).reshape(n, p * p)
-    weight = np.ones_like(y)
-    scale = np.maximum(y.std(axis=1), 1e-12)
-    penalty = np.diag(1.0 / ridge**2)
-    value = np.zeros((len(y), p))
-    middle = ((n - 1) // 2, n // 2)
-
-    def median(values: Array) -> Array:
-        ordered = np.partition(values, middle, axis=1)
-        half: Array = 0.5 * (ordered[:, middle[0]] + ordered[:, middle[1]])
-        return half
-
-    for _ in range(_ROUNDS):
-        normal = (weight @ products).reshape(-1, p, p) + scale[:, None, None] ** 2 * penalty
-        value = np.linalg.solve(normal, ((weight * y) @ columns)[:, :, None])[:, :, 0]
-        residual = y - value @ columns.T
-        scale = np.maximum(1.4826 * median(np.abs(residual - median(residual)[:, None])), 1e-15)
-        weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale[:, None]), 1.0)
-    out: Array = value.T
+    y = np.ascontiguousarray(targets.T)
+    out: Array = _huber_fits(columns, y, 1.0 / ridge**2, columns, None)[0].T
     return out
 
 
-def _huber_fit(
-    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, regressors: Array
-) -> tuple[Array, Array, Array, float, Array]:
-    """Coefficients (p,), residuals (n,), weights (n,), robust scale and penalty (p,)."""
-    p = columns.shape[1]
-    weight = np.ones(len(y))
-    scale = float(np.std(y)) or 1e-12
-    penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
-    value = np.zeros(p)
-    residual = y
+def _huber_fits(
+    columns: Array, y: Array, penalty: Array, regressors: Array, jitter: Array | None
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of each of (k, n) targets: coefficients (p,), residuals (n,), weights (n,), robust scale, and
+    the normal matrix (p, p) with these weights.
+
+    Args:
+        columns: (n, p).
+        y: (k, n).
+        penalty: (p,) over the squared scale.
+        regressors: (n, p) as of `robust_fit`.
+        jitter: (n, p) likewise.
+    """
+    n, p = columns.shape
+    products = regressors[:, :, None] * regressors[:, None, :]
+    if jitter is not None:
+        products = products - jitter[:, :, None] * jitter[:, None, :]
+    flat, middle = products.reshape(n, p * p), ((n - 1) // 2, n // 2)
+
+    def median(values: Array) -> Array:
+        """Without the overhead of `numpy.median`, which is most of it for a hundred."""
+        ordered = np.partition(values, middle, axis=1)
+        half: Array = 0.5 * (ordered[:, middle[0]] + ordered[:, middle[1]])
+        return half[:, None]
+
+    def normal_of(weight: Array, scale: Array) -> Array:
+        out: Array = (weight @ flat).reshape(-1, p, p) + scale[:, :, None] ** 2 * np.diag(penalty)
+        return out
+
+    weight, scale = np.ones_like(y), np.maximum(y.std(axis=1), 1e-12)[:, None]
+    value, residual = np.zeros((len(y), p)), y
     for _ in range(_ROUNDS):
-        weighted = regressors * weight[:, None]
-        normal = _products(regressors, jitter, weight, weighted) + scale**2 * np.diag(penalty)
-        value = _inverse(normal) @ (weighted.T @ y)
-        residual = y - columns @ value
-        scale = max(1.4826 * median_of(np.abs(residual - median_of(residual))), 1e-15)
+        right = ((weight * y) @ regressors)[:, :, None]
+        value = (_inverse(normal_of(weight, scale)) @ right)[:, :, 0]
+        residual = y - value @ columns.T
+        scale = np.maximum(1.4826 * median(np.abs(residual - median(residual))), 1e-15)
         weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
-    return value, residual, weight, scale, penalty
-
-
-def _products(
-    columns: Array, noise: Array | None, weight: Array, weighted: Array | None = None
-) -> Array:
-    """(p, p) sums of products of the regressors without those of their noise, if there is any."""
-    if weighted is None:
-        weighted = columns * weight[:, None]
-    out: Array = weighted.T @ columns
-    return out if noise is None else out - (noise * weight[:, None]).T @ noise
+    return value, residual, weight, scale[:, 0], normal_of(weight, scale)
 
 
 def _inverse(matrix: Array) -> Array:
-    """The pseudo-inverse of a symmetric matrix: `numpy.linalg.pinv` without its overhead."""
+    """Pseudo-inverses of (..., p, p) symmetric ones, without `numpy.linalg.pinv`'s overhead."""
     values, vectors = np.linalg.eigh(matrix)
     size = np.abs(values)
-    order = np.argsort(size)[::-1]
-    size, vectors = size[order], vectors[:, order]
-    large = size > 1e-15 * size[0]
-    inverse = np.divide(1.0, size, where=large, out=size)
-    inverse[~large] = 0.0
-    out: Array = (vectors * np.copysign(1.0, values)[order]) @ (inverse[:, None] * vectors.T)
+    large = size > 1e-15 * size.max(axis=-1, keepdims=True)
+    inverse = np.divide(1.0, values, where=large, out=np.zeros_like(values))
+    out: Array = (vectors * inverse[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return out
-
-
-def median_of(values: Array) -> float:
-    """`numpy.median` of (n,) values without its overhead, which is most of it for a hundred."""
-    half, odd = divmod(len(values), 2)
-    if not len(values) or not np.isfinite(values).all():
-        return float(np.median(values))
-    if odd:
-        middle: float = np.partition(values, half).item(half)
-        return middle
-    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1].tolist()
-    return float(0.5 * (low + high))
 
 
 def lift_of(windows: Windows) -> Array:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.health.balance import lift_of, robust_values
+from gcs_sysid.health.balance import lift_of, long_run, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
@@ -109,8 +109,9 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
     values = fitted[0] * mean / lift.mean()
     if not (values > 0.0).all():
         return None
-    residual = np.clip((relative - columns @ fitted).T, -0.3, 0.3)  # (rotors, n)
-    covariance = _long_run(residual) / len(lift)
+    residual, n = np.clip(relative - columns @ fitted, -0.3, 0.3), len(lift)
+    lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
+    covariance = long_run(residual, lags) / n**2
     sideways = windows.force[:, :2][complete_rows(windows.force[:, :2])]
     force, gusts = None, 0.0
     if len(sideways):
@@ -118,18 +119,6 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
         force, gusts = (x, y), math.sqrt(float(sideways.var(axis=0).mean()))
     kind = RotorInput.SPEED if c is None else RotorInput.COMMAND
     return Load(kind, values, covariance, windows.seconds, c, force, gusts)
-
-
-def _long_run(residual: Array) -> Array:
-    """(rotors, rotors) long-run covariance (Bartlett) of (rotors, n) residuals."""
-    n = residual.shape[1]
-    lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
-    total = residual @ residual.T / n
-    for lag in range(1, lags + 1):
-        cross = residual[:, lag:] @ residual[:, :-lag].T / n
-        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
-    out: Array = total
-    return out
 
 
 @dataclass(frozen=True)
