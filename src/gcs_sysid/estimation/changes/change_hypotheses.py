@@ -22,6 +22,7 @@ how certainly (`describe`).
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -73,12 +74,12 @@ class Cause:
     """
 
     kind: CauseKind
-    rotor: int | None
-    loss: float
-    loss_std: float
-    mass_ratio: float
-    cg_shift: tuple[float, float]
-    explained: float
+    rotor: int | None = None
+    loss: float = 0.0
+    loss_std: float = 0.0
+    mass_ratio: float = 1.0
+    cg_shift: tuple[float, float] = (0.0, 0.0)
+    explained: float = 0.0
     disturbance: Disturbance | None = None
     mass_std: float = 0.0
 
@@ -176,25 +177,24 @@ def judge(
         reference: the fit before the alarm.
         history: of the flight before it.
         onset: s, session time at which the alarm's sum left zero.
-        age_index: which of `tuning.ages` has come.
+        age_index: which of `TUNING.ages` has come.
         force: whether the alarm was one of thrust, for the disturbance's name.
         decide: whether a change may be called; else nothing is known but whether it is doubtful.
-        tuning: settings.
+        tuning: as of `AlarmWindow`.
     """
     window = AlarmWindow(t, samples, dt, reference, onset, tuning)
-    last = age_index == len(tuning.ages) - 1
-    nothing = Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0)
+    last = age_index == len(TUNING.ages) - 1
     if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
-        return Classification("disturbance" if last else "undecided", onset, nothing)
-    trial = _StepTrial(window, reference, history, tuning)
-    cause, sure = trial.best(tuning.sure[age_index], last=last)
+        return Classification("disturbance" if last else "undecided", onset, Cause("passing"))
+    trial = _StepTrial(window, reference, history)
+    cause, sure = trial.best(TUNING.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
         return Classification("changed", onset, cause)
-    if decide and trial.may_be_mass() and (calm := window.calm(tuning)) is not None:
+    if decide and trial.may_be_mass() and (calm := window.calm()) is not None:
         # A payload dropped in a punch-out shows in the calm flight before and since.
-        later = _StepTrial(calm, reference, history, tuning)
-        cause_since, holds = later.best(tuning.sure[age_index], last=last)
+        later = _StepTrial(calm, reference, history)
+        cause_since, holds = later.best(TUNING.sure[age_index], last=last)
         if holds and cause_since.kind != "rotor_failure":
             settled = calm.time_of(later.at)
             return Classification("changed", onset, cause_since, settled=settled)
@@ -210,7 +210,6 @@ def likeliest_step(
     reference: Reference,
     history: ResidualHistory,
     places: Sequence[int],
-    tuning: HypothesisTuning,
 ) -> int:
     """The index of the mean with which a step of a window is likeliest to begin.
 
@@ -219,9 +218,8 @@ def likeliest_step(
         reference: of its residuals.
         history: of the flight before it.
         places: indices of means with which it may begin.
-        tuning: settings.
     """
-    return _StepTrial(window, reference, history, tuning, places).at
+    return _StepTrial(window, reference, history, places).at
 
 
 class _StepTrial:
@@ -236,15 +234,14 @@ class _StepTrial:
         window: AlarmWindow,
         reference: Reference,
         history: ResidualHistory,
-        tuning: HypothesisTuning,
         places: Sequence[int] = (),
     ) -> None:
-        self._window, self._reference, self._tuning = window, reference, tuning
+        self._window, self._reference = window, reference
         self._watched = reference.watched
         self._thrust = reference.kappa * window.x[:, TOTAL]
         self._Q = np.nan_to_num(reference.matrix[1:, : rb.N_SIGNALS])
         self._level = np.nan_to_num(history.level)
-        floors, moved = window.floors(reference), covariates(window, reference, tuning)
+        floors, moved = window.floors(reference), covariates(window, reference)
         self._roots = {}
         for c in np.flatnonzero(self._watched).tolist():
             noise = covariance(window, c, strengths(window, history, c), float(floors[c]))
@@ -265,13 +262,9 @@ class _StepTrial:
             sure: standard deviations by which its interval must exclude zero.
             last: whether it is decided now or never.
         """
-        window, tuning = self._window, self._tuning
-        free = self._fit(self._free(self._since(self.at)))
-        mass = self.mass()
-        moved = self._fit(self._balance(self._since(self.at)))
-        losses = [
-            self._fit(self._rotor(i, self._since(self.at))) for i in range(window.squares.shape[1])
-        ]
+        window, since, mass = self._window, self._since(self.at), self._mass_gone
+        free, moved = self._fit(self._free(since)), self._fit(self._balance(since))
+        losses = [self._fit(self._rotor(i, since)) for i in range(window.squares.shape[1])]
         i = int(np.argmax([fit.likelihood for fit in losses]))
         rotor = losses[i]
         penalty = 0.5 * float(np.log(max(window.after, 2)))
@@ -281,20 +274,20 @@ class _StepTrial:
         if self._watched[:3].all() and rotor.likelihood > body and rotor.value[0] > 0.0:
             loss, std = float(rotor.value[0]), float(rotor.std[0])
             share = rotor.likelihood / whole
-            cause = Cause("rotor_failure", i, loss, std, 1.0, (0.0, 0.0), share)
+            cause = Cause("rotor_failure", i, loss, std, explained=share)
             speed, pull = self._away()
-            lift = self._fit({0: self._rotor(i, self._since(self.at))[0]})
+            lift = self._fit({0: self._rotor(i, since)[0]})
             less, off = float(lift.value[0]), float(lift.std[0])
             # Of vehicles whose thrust is not well known, that it agrees must do, in the end.
             agrees = (
                 last and less > TUNING.agreeing * off and abs(less - loss) < TUNING.agreeing * off
             )
             holds = (
-                loss >= max(tuning.least_loss, sure * std)
+                loss >= max(TUNING.least_loss, sure * std)
                 and (less > TUNING.named * off or agrees)
-                and share > tuning.explained
-                and speed < tuning.far[0]
-                and pull < tuning.far[1]
+                and share > TUNING.explained
+                and speed < TUNING.far[0]
+                and pull < TUNING.far[1]
                 and self._stays(lambda since: self._rotor(i, since), loss)
                 and not self._is_misread(rotor.likelihood - penalty)
             )
@@ -306,11 +299,15 @@ class _StepTrial:
         kind = kind_of(True, moves, False) if self._watched[1:3].all() else "change"
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
-        probability = (mass.likelihood + moved.likelihood) / whole
-        spread = ratio * ratio * std
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability, mass_std=spread)
+        cause = Cause(
+            kind,
+            mass_ratio=ratio,
+            cg_shift=shift,
+            explained=(mass.likelihood + moved.likelihood) / whole,
+            mass_std=ratio * ratio * std,
+        )
         holds = (
-            abs(share) >= max(tuning.least_mass, sure * std, self._strange())
+            abs(share) >= max(TUNING.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
             and self._is_new(share)
             and self._is_aloft(share)
@@ -321,33 +318,28 @@ class _StepTrial:
         """Whether a weaker rotor explains it: a tenth of its thrust hardly shows in all."""
         return (
             cause.kind == "rotor_failure"
-            and cause.loss >= max(self._tuning.least_loss, TUNING.named * cause.loss_std)
-            and cause.explained > self._tuning.explained
+            and cause.loss >= max(TUNING.least_loss, TUNING.named * cause.loss_std)
+            and cause.explained > TUNING.explained
         )
 
-    def mass(self) -> "_StepFit":
-        """Of the share of thrust over mass that is gone since the step."""
+    @cached_property
+    def _mass_gone(self) -> "_StepFit":
+        """Of the share of thrust over mass that is gone since the step; zero where none is seen."""
         return self._fit({0: self._mass(self._since(self.at))}) if self._watched[0] else _NOTHING
 
     def may_be_mass(self) -> bool:
         """Whether a mass explains it, or would if the vehicle had not been far from hover."""
-        if not self._watched[0]:
-            return False
-        fit = self.mass()
-        share = float(fit.value[0])
-        return abs(share) > TUNING.named * fit.std[0] and self._is_aloft(share)
+        return not self.is_over() and self._is_aloft(float(self._mass_gone.value[0]))
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
-        if not self._watched[0]:
-            return True
-        fit = self.mass()
-        return bool(abs(fit.value[0]) < TUNING.named * fit.std[0])
+        fit = self._mass_gone
+        return bool(abs(fit.value[0]) <= TUNING.named * fit.std[0])
 
     def disturbance(self, cause: Cause, *, force: bool) -> Cause:
         """Name of a disturbance that is not a change."""
         name = self._name() if force and self._watched[0] else "moment"
-        return Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), cause.explained, disturbance=name)
+        return Cause("passing", explained=cause.explained, disturbance=name)
 
     def _name(self) -> Disturbance:
         window, thrust = self._window, self._thrust
@@ -376,7 +368,7 @@ class _StepTrial:
             return False
         difference = float(both.value[1] - both.value[0])
         variance = float(both.covariance[0, 0] + both.covariance[1, 1] - 2 * both.covariance[0, 1])
-        allowed = max(self._tuning.agree * abs(size), min(2.0 * variance**0.5, abs(size)))
+        allowed = max(TUNING.agree * abs(size), min(2.0 * variance**0.5, abs(size)))
         return bool(abs(difference) < allowed)
 
     def _away(self) -> tuple[float, float]:
@@ -389,7 +381,7 @@ class _StepTrial:
     def _strange(self) -> float:
         """Relative change of mass that speed and thrust far from hover may feign."""
         speed, pull = self._away()
-        return self._tuning.by_climb * speed + self._tuning.by_thrust * pull
+        return TUNING.by_climb * speed + TUNING.by_thrust * pull
 
     def _is_new(self, share: float) -> bool:
         """Whether thrust is off by the step from what it was in all of the flight before."""
@@ -509,7 +501,7 @@ class _StepTrial:
     def _likeliest(self, places: Sequence[int]) -> int:
         """Where a free step is likeliest to begin; without places, near the alarm."""
         window = self._window
-        reach = round(self._tuning.search / window.step)
+        reach = round(TUNING.search / window.step)
         places = (
             places
             or [

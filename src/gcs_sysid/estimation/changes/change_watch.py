@@ -297,7 +297,7 @@ def early_change(
     if not len(places):
         return None
     nothing = ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), window.step)
-    at = likeliest_step(window, reference, nothing, places.tolist(), _WHOLE)
+    at = likeliest_step(window, reference, nothing, places.tolist())
     onset = _sharp(t, samples, dt, reference, window.time_of(at))
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
     # Thrust over mass by the flight before, as of any other reference.

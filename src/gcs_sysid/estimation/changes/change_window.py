@@ -110,6 +110,14 @@ TUNING = HypothesisTuning()
 class AlarmWindow:
     """Means around an alarm, and what may have moved them.
 
+    Args:
+        t: (n,) s, session times.
+        samples: n of them.
+        dt: s between samples.
+        reference: of the residuals.
+        onset: s, session time of the alarm.
+        tuning: how long means are, and how far back they go.
+
     Attributes:
         e: (n, 4) residuals.
         y: (n, 4) outputs.
@@ -157,18 +165,15 @@ class AlarmWindow:
         """(4,) as of `Reference.floors`, at the thrust before the alarm."""
         return reference.floors(float(np.mean(self.x[: max(self.at, 1), TOTAL])))
 
-    def calm(self, tuning: HypothesisTuning) -> "AlarmWindow | None":
+    def calm(self) -> "AlarmWindow | None":
         """Without the means of full throttle or fast climbs from a second before the alarm on.
 
         Those say little of a mass: inflow and an error of the thrust curve move thrust as much.
 
-        Args:
-            tuning: settings.
-
         Returns:
             None where all are calm, or too few.
         """
-        climb, pull, seconds = tuning.calm
+        climb, pull, seconds = TUNING.calm
         thrust = self.x[:, TOTAL]
         usual = np.where(self.index < 0, np.median(thrust[: self.at]), np.median(thrust[self.at :]))
         near = self.index * self.step >= -1.0
@@ -192,9 +197,7 @@ class AlarmWindow:
         return self._onset + float(self.index[at]) * self.step
 
 
-def covariates(
-    window: AlarmWindow, reference: Reference, tuning: HypothesisTuning
-) -> dict[int, Array]:
+def covariates(window: AlarmWindow, reference: Reference) -> dict[int, Array]:
     """Of each channel, (n, k) columns scaled by the standard deviations of their priors."""
     air, thrust = window.air, reference.kappa * window.x[:, TOTAL]
     watched = reference.watched
@@ -202,12 +205,12 @@ def covariates(
     one = np.ones((len(air), 1))
     rate = _rate(thrust, window)
     usual = float(np.mean(thrust[: max(window.at, 1)]))
-    lag, curve = tuning.lag_error, tuning.curve_error
+    lag, curve = TUNING.lag_error, TUNING.curve_error
     actuator = reference.actuator
     columns: dict[int, Array] = {}
     if watched[0]:
-        moved = [curve * (thrust - usual), tuning.inflow * air[:, 2]]
-        moved += [tuning.lift * np.sum(air[:, :2] ** 2, axis=1)]
+        moved = [curve * (thrust - usual), TUNING.inflow * air[:, 2]]
+        moved += [TUNING.lift * np.sum(air[:, :2] ** 2, axis=1)]
         if actuator is not None:
             lag = float(np.hypot(2.0 * lag, actuator.lag_std))
             moved.append(actuator.curve_std * _by_curve(window, reference, actuator.curve))
@@ -218,8 +221,8 @@ def covariates(
         if not watched[c]:
             continue
         torque = window.x[:, : rb.N_SIGNALS] @ Q[c - 1]
-        moved = [tuning.inertia_error * torque, lag * _rate(torque, window)]
-        moved += [tuning.flapping * _TENTHS * floors[c] * air[:, j] for j in range(3)]
+        moved = [TUNING.inertia_error * torque, lag * _rate(torque, window)]
+        moved += [TUNING.flapping * _TENTHS * floors[c] * air[:, j] for j in range(3)]
         moved += [_TENTHS * floors[c] * thrust / max(usual, 1e-9)]
         columns[c] = np.column_stack(moved)
     return columns

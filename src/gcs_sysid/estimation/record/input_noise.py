@@ -117,15 +117,21 @@ class _Differences:
 
 
 class InputNoise(ABC):
-    """Follows the noise of the rotors' inputs.
+    """Follows level and noise of the rotors' inputs.
 
     Args:
-        rotors: how many.
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
         spacing: samples between those of a difference.
     """
 
-    def __init__(self, rotors: int, spacing: int = 1) -> None:
+    def __init__(self, geometry: Array, dt: float, spacing: int = 1) -> None:
+        rotors = geometry.shape[1]
+        self._dt, self._mixer = dt, rigid_body.mixer(geometry)
+        self._count, self._sum = 0, np.zeros(rotors)
+        self._products = np.zeros((rotors, rotors))
         self._differences = _Differences(rotors, 3, spacing)
+        self._overlaps: dict[tuple[bool, float], Array] = {}
 
     @property
     @abstractmethod
@@ -143,6 +149,11 @@ class InputNoise(ABC):
         """(4, 4) covariance of roll, pitch, thrust and yaw in one sample."""
 
     @abstractmethod
+    def _of_elements(self) -> tuple[Array, ...]:
+        """(signals, signals) covariances of what a sample has in an element: its averages, and
+        derivatives where these have some. Those of a symmetric window do not hang together.
+        """
+
     def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
         """(width, width) what it adds to the moments of one row of elements.
 
@@ -151,6 +162,24 @@ class InputNoise(ABC):
             smoother: that made the rows; always the same.
             memory: s, of the leaky sum over them.
         """
+        out = np.zeros((basis.width, basis.width))
+        for slopes, covariance in zip((False, True), self._of_elements(), strict=False):
+            if not covariance.any():
+                continue
+            key = slopes, memory
+            if key not in self._overlaps:
+                taps = smoother.late_slopes if slopes else smoother.late_taps
+                self._overlaps[key] = _overlaps(basis, taps, smoother.step, self._dt, memory)
+            out[: basis.late, : basis.late] += np.kron(self._overlaps[key], covariance)
+        return out
+
+    @property
+    def _mean(self) -> Array:
+        return self._sum / max(self._count, 1)
+
+    @property
+    def _mean_products(self) -> Array:
+        return self._products / max(self._count, 1)
 
     @property
     def std(self) -> Array:
@@ -179,9 +208,11 @@ class InputNoise(ABC):
         """What comes next does not join on to what came before."""
         self._differences.restart()
 
-    @abstractmethod
     def _add(self, inputs: Array) -> None:
         """Take inputs that are whole and follow on the last ones."""
+        self._count += len(inputs)
+        self._sum += inputs.sum(axis=0)
+        self._products += inputs.T @ inputs
 
 
 def with_sparse_readings(fit: RotationFit, noise: "SpeedNoise", window: Array) -> RotationFit:
@@ -234,7 +265,7 @@ def _quickness(window: Array) -> float:
 
 
 class SpeedNoise(InputNoise):
-    """Follows level and noise of the rotor speeds.
+    """Of the rotor speeds.
 
     Args:
         geometry: (3, rotors) of the airframe.
@@ -243,25 +274,17 @@ class SpeedNoise(InputNoise):
     """
 
     def __init__(self, geometry: Array, dt: float, interval: float = 0.0) -> None:
-        self._dt = dt
+        super().__init__(geometry, dt)
         self.interval = max(interval, dt)
-        rotors = geometry.shape[1]
-        super().__init__(rotors)
-        self._samples = 0
-        self._sum = np.zeros(rotors)
-        self._products = np.zeros((rotors, rotors))
-        self._readings = [_Differences(rotors, k, round(self.interval / dt)) for k in (1, 4)]
-        self._mixer = rigid_body.mixer(geometry)
-        self._overlaps: dict[float, tuple[Array, Array]] = {}
+        spacing = round(self.interval / dt)
+        self._readings = [_Differences(geometry.shape[1], k, spacing) for k in (1, 4)]
 
-    def _add(self, speeds: Array) -> None:
-        self._samples += len(speeds)
-        self._sum += speeds.sum(axis=0)
-        self._products += speeds.T @ speeds
-        self._differences.add(speeds)
+    def _add(self, inputs: Array) -> None:
+        super()._add(inputs)
+        self._differences.add(inputs)
         if is_sparse(self.interval):
             for differences in self._readings:
-                differences.add(speeds)
+                differences.add(inputs)
 
     def restart(self) -> None:
         """See `InputNoise.restart`."""
@@ -274,8 +297,7 @@ class SpeedNoise(InputNoise):
         """r^2 of `with_sparse_readings`, of roll or pitch; 0 where torque does not jump."""
         if self._relative_to(self._readings[0].covariance) < _JUMPING:
             return 0.0
-        mean = self._sum / max(self._samples, 1)
-        return self._relative_to(self._products / max(self._samples, 1) - np.outer(mean, mean))
+        return self._relative_to(self._mean_products - np.outer(self._mean, self._mean))
 
     def _relative_to(self, covariance: Array) -> float:
         mixer = self._linear_mixer[:, :2]
@@ -285,9 +307,7 @@ class SpeedNoise(InputNoise):
     @property
     def _linear_mixer(self) -> Array:
         """(rotors, 4): of Omega^2 the noise is 2 Omega times that of Omega."""
-        return (
-            self._mixer * (2.0 * np.sqrt(np.diag(self._products) / max(self._samples, 1)))[:, None]
-        )
+        return self._mixer * (2.0 * np.sqrt(np.diag(self._mean_products)))[:, None]
 
     @property
     def doubt(self) -> float:
@@ -318,25 +338,11 @@ class SpeedNoise(InputNoise):
         P = np.eye(len(yaw)) - np.outer(yaw, yaw)
         return np.diag(np.linalg.solve(P * P, np.diag(P @ covariance @ P)))
 
-    def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """See `InputNoise.row_moments`."""
-        out = np.zeros((basis.width, basis.width))
+    def _of_elements(self) -> tuple[Array, ...]:
         averaged, differentiated = self.of_signals, np.zeros((SIGNALS, SIGNALS))
         differentiated[4, 4] = averaged[4, 4]
         averaged[4], averaged[:, 4] = 0.0, 0.0
-        if not averaged.any():
-            return out
-        if memory not in self._overlaps:
-            self._overlaps[memory] = (
-                _overlaps(basis, smoother.late_taps, smoother.step, self._dt, memory),
-                _overlaps(basis, smoother.late_slopes, smoother.step, self._dt, memory),
-            )
-        both = self._overlaps[memory]
-        # Averages and derivatives of a symmetric window do not hang together.
-        out[: basis.late, : basis.late] = np.kron(both[0], averaged) + np.kron(
-            both[1], differentiated
-        )
-        return out
+        return averaged, differentiated
 
     @property
     def torques(self) -> Array:
@@ -346,7 +352,7 @@ class SpeedNoise(InputNoise):
     @property
     def of_signals(self) -> Array:
         """(5, 5) covariance of roll, pitch, thrust, yaw and H in one sample."""
-        if self._samples == 0:
+        if self._count == 0:
             return np.zeros((SIGNALS, SIGNALS))
         signals = np.column_stack([self._linear_mixer, self._mixer[:, 3]])
         return signals.T @ self.covariance @ signals
@@ -378,7 +384,7 @@ def missed_and_seen(dt: float, loop_cutoff: float | None, apart: float | None = 
 
 
 class CommandNoise(InputNoise):
-    """Follows level and noise of the commands.
+    """Of the commands.
 
     Args:
         geometry: (3, rotors) of the airframe.
@@ -388,19 +394,12 @@ class CommandNoise(InputNoise):
     """
 
     def __init__(self, geometry: Array, dt: float, loop_cutoff: float | None = None) -> None:
-        rotors = geometry.shape[1]
-        super().__init__(rotors, _SPACING)
-        self._dt = dt
+        super().__init__(geometry, dt, _SPACING)
         self._slow = dt >= SLOW_COMMANDS
         apart = (*(dt / _PLACES * np.arange(_PLACES)), None)
         self._folding = np.array([missed_and_seen(dt, loop_cutoff, a) for a in apart])
         self._places = np.zeros(_PLACES + 1)
         """How many samples had their second stream at each place, and how many had none."""
-        self._mixer = rigid_body.mixer(geometry)
-        self._count = 0
-        self._sum = np.zeros(rotors)
-        self._squares = np.zeros(rotors)
-        self._overlaps: dict[float, Array] = {}
 
     def update(self, inputs: Array, apart: Array | None = None) -> None:
         """Take commands, see `InputNoise.update`."""
@@ -412,12 +411,10 @@ class CommandNoise(InputNoise):
             self._places += np.bincount(place[complete_rows(inputs)], minlength=_PLACES + 1)
         super().update(inputs)
 
-    def _add(self, commands: Array) -> None:
-        self._count += len(commands)
-        self._sum += commands.sum(axis=0)
-        self._squares += (commands * commands).sum(axis=0)
+    def _add(self, inputs: Array) -> None:
+        super()._add(inputs)
         if self._slow:
-            self._differences.add(commands)
+            self._differences.add(inputs)
 
     @property
     def doubt(self) -> float:
@@ -435,8 +432,8 @@ class CommandNoise(InputNoise):
     @property
     def level(self) -> tuple[float, float]:
         """Mean and standard deviation of commands, the latter about each rotor's own mean."""
-        mean = self._sum / max(self._count, 1)
-        variance = np.maximum(self._squares / max(self._count, 1) - mean * mean, 0.0)
+        mean = self._mean
+        variance = np.maximum(np.diag(self._mean_products) - mean * mean, 0.0)
         return float(mean.mean()), float(variance.mean() ** 0.5)
 
     @property
@@ -444,23 +441,12 @@ class CommandNoise(InputNoise):
         """See `InputNoise.torques`; near half throttle thrust follows commands one to one."""
         return self._mixer.T @ self.covariance @ self._mixer
 
-    def row_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
-        """See `InputNoise.row_moments`."""
-        out = np.zeros((basis.width, basis.width))
+    def _of_elements(self) -> tuple[Array, ...]:
         signals = np.zeros((SIGNALS, SIGNALS))
         signals[:4, :4] = self.torques
-        if not signals.any():
-            return out
-        if memory not in self._overlaps:
-            self._overlaps[memory] = _overlaps(
-                basis, smoother.late_taps, smoother.step, self._dt, memory
-            )
         # Of w^2 the noise is 2 w times that of w.
-        gains = np.array([1.0, 2.0 * self._sum.mean() / self._count])
-        out[: basis.late, : basis.late] = np.kron(
-            self._overlaps[memory], np.kron(np.outer(gains, gains), signals)
-        )
-        return out
+        gains = np.array([1.0, 2.0 * self._mean.mean()])
+        return (np.kron(np.outer(gains, gains), signals),)
 
 
 def _overlaps(basis: ActuatorDynamics, taps: Array, step: int, dt: float, memory: float) -> Array:
