@@ -120,10 +120,12 @@ class Stretch:
 
     Attributes:
         stream: speeds or commands.
+        count: of rotors.
         groups: first rotor -> the messages for that group.
     """
 
     stream: Stream
+    count: int
     groups: dict[int, _RotorGroup] = field(default_factory=dict)
 
     def extend(self, track: Track) -> None:
@@ -134,14 +136,25 @@ class Stretch:
             group.pieces.append((track.t[:room], track.values[:room]))
             group.count += len(track.t[:room])
 
-    def rotors(self, count: int) -> list[tuple[Array, Array]]:
+    @property
+    def rotors(self) -> list[tuple[Array, Array]]:
         """Times and values of each rotor that there is, up to `count`, in order."""
         out: list[tuple[Array, Array]] = []
         for offset, group in sorted(self.groups.items()):
             if offset == len(out):
                 t, values = group.whole()
                 out += [(t, column) for column in values.T]
-        return out[:count]
+        return out[: self.count]
+
+    @property
+    def values(self) -> list[Array]:
+        """(n,) of each rotor."""
+        return [v for _, v in self.rotors]
+
+    @property
+    def together(self) -> Array:
+        """(n, rotors) of all."""
+        return together(self.rotors)
 
 
 @dataclass
@@ -242,7 +255,8 @@ class RotorSourceSelector:
         for track in tracks:
             if track.stream in ROTOR_STREAMS and len(track.t):
                 name = family(track.source)
-                self._stretches.setdefault(name, Stretch(track.stream)).extend(track)
+                stretch = Stretch(track.stream, len(self._airframe.rotors))
+                self._stretches.setdefault(name, stretch).extend(track)
                 self.repeats.setdefault(name, Repeats()).extend(track)
 
     @property
@@ -331,10 +345,9 @@ class RotorSourceSelector:
 
     def _unsound(self, name: str, stretch: Stretch) -> str:
         """Why a stretch of a source cannot be used; empty when it can."""
-        count = len(self._airframe.rotors)
-        rotors = stretch.rotors(count)
-        if len(rotors) < count:
-            return f"lacks rotor {len(rotors) + 1} of {count}{self.order.gap_in(name, len(rotors))}"
+        rotors, n = stretch.rotors, len(stretch.rotors)
+        if n < stretch.count:
+            return f"lacks rotor {n + 1} of {stretch.count}{self.order.gap_in(name, n)}"
         rotors, seconds = _until_landing(rotors, self._seconds)
         rate = min(len(t) for t, _ in rotors) / seconds
         if rate < MIN_RATE:
@@ -368,8 +381,7 @@ class RotorSourceSelector:
     def _live(self) -> Iterator[str]:
         """Sources of speeds that read any."""
         for name, stretch in self._stretches.items():
-            rotors = stretch.rotors(len(self._airframe.rotors))
-            if stretch.stream is Stream.ROTOR_SPEED and any(v.any() for _, v in rotors):
+            if stretch.stream is Stream.ROTOR_SPEED and any(v.any() for v in stretch.values):
                 yield name
 
     def _dead(self, name: str, stretch: Stretch) -> str:
@@ -377,7 +389,7 @@ class RotorSourceSelector:
 
         One that was found dead stays so while it reads the same, whether the others move or not.
         """
-        values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
+        values = stretch.values
         standing = _standing(values)
         still = [i for i, _ in sorted(standing) if not _saturates(i, values)]
         known = self._found_dead.pop(name, set()) & standing
@@ -396,8 +408,7 @@ class RotorSourceSelector:
 
     def _standing_in(self, stretch: Stretch | None) -> set[tuple[int, float]]:
         """Rotors of constant reading in a stretch, with that reading."""
-        rotors = [] if stretch is None else stretch.rotors(len(self._airframe.rotors))
-        return _standing([v for _, v in rotors])
+        return set() if stretch is None else _standing(stretch.values)
 
     def _choose(
         self, stretches: Mapping[str, Stretch], refused: dict[str, str]
@@ -405,7 +416,6 @@ class RotorSourceSelector:
         wanted = self._airframe.wanted_input
         if wanted is None and self.anchor is not None:
             wanted = RotorInput.scaled_by(self.anchor.kind)
-        count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
         speeds = self._ranked(stretches, Stream.ROTOR_SPEED)
         for name in speeds if wanted in (None, RotorInput.SPEED) else ():
@@ -418,7 +428,7 @@ class RotorSourceSelector:
             if odd is not None and odd.by_command:
                 refused[name] = odd.words
                 continue
-            measured = together(stretch.rotors(count))
+            measured = stretch.together
             if not commands and (odd := unbalanced_reading(measured, self._airframe.geometry)):
                 self._misread[name] = odd.words
             if name in self._misread:  # a pole count is the same all the time
@@ -434,7 +444,7 @@ class RotorSourceSelector:
                 why,
                 scale=scale,
                 interval=_apart(stretch),
-                stops=_stops(stretch.rotors(count)),
+                stops=_stops(stretch.rotors),
                 unlike=self._unlike(measured, stretches, commands[:1]),
             )
         for name in commands if wanted in (None, RotorInput.COMMAND) else ():
@@ -442,7 +452,7 @@ class RotorSourceSelector:
             if isinstance(range_, str):
                 refused[name] = range_
                 continue
-            if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
+            if all(v.max() <= range_.low for v in stretches[name].values):
                 refused[name] = "shows rotors stopped or idling all the time"
                 continue
             asked = wanted is not None
@@ -454,24 +464,18 @@ class RotorSourceSelector:
 
     def _out_of_order(self, stretches: Mapping[str, Stretch]) -> dict[str, str]:
         """Of streams that came in several orders those not to be used, and why."""
-        return out_of_order(
-            {
-                name: (stretch.stream, stretch.rotors(len(self._airframe.rotors)))
-                for name, stretch in stretches.items()
-            },
-            self.order,
-        )
+        sources = {name: (each.stream, each.rotors) for name, each in stretches.items()}
+        return out_of_order(sources, self.order)
 
     def _moved(self, stretches: Mapping[str, Stretch]) -> dict[str, str]:
         """Of speeds that follow another's command, or late, those not to be used, and why."""
-        count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)[:1]
         found = {
             name: moved_columns(*both) or late_reading(*both)
             for asked in commands
             for name in self._ranked(stretches, Stream.ROTOR_SPEED)
             if not is_in_several_orders(name)
-            for both in [[stretches[each].rotors(count) for each in (name, asked)]]
+            for both in [[stretches[each].rotors for each in (name, asked)]]
         }
         return {name: problem for name, problem in found.items() if problem}
 
@@ -479,15 +483,13 @@ class RotorSourceSelector:
         name = twin_of(choice.name)
         if name is None or name not in stretches or choice.name not in stretches:
             return None
-        count = len(self._airframe.rotors)
-        same = say_the_same(stretches[choice.name].rotors(count), stretches[name].rotors(count))
+        same = say_the_same(stretches[choice.name].rotors, stretches[name].rotors)
         return name if same else None
 
     def _ranked(self, stretches: Mapping[str, Stretch], stream: Stream) -> list[str]:
         """The sources of a stream, the best first: those near the highest rate, in order."""
-        count = len(self._airframe.rotors)
         rates = {
-            name: min(len(t) for t, _ in stretch.rotors(count))
+            name: min(len(t) for t, _ in stretch.rotors)
             for name, stretch in stretches.items()
             if stretch.stream is stream
         }
@@ -499,21 +501,17 @@ class RotorSourceSelector:
         return sorted(rates, key=rank)
 
     def _range(self, name: str, stretch: Stretch) -> Range | str:
-        values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
-        command = self._airframe.command
-        return command_range(name, command, self.autopilot, self.parameters, seen_of(values))
+        command, seen = self._airframe.command, seen_of(stretch.values)
+        return command_range(name, command, self.autopilot, self.parameters, seen)
 
     def _copies(self, speeds: Stretch, commands: Stretch) -> bool:
         """Whether the speeds are a function of the commands at the same time."""
-        count = len(self._airframe.rotors)
-        pairs = zip(speeds.rotors(count), commands.rotors(count), strict=True)
+        pairs = zip(speeds.rotors, commands.rotors, strict=True)
         return all(_is_function(*speed, *command) for speed, command in pairs)
 
     def _odd(self, speeds: Stretch, commands: Stretch) -> OddReading | None:
         """The rotor whose speed is not that of the others at its command."""
-        count = len(self._airframe.rotors)
-        measured, asked = (together(stretch.rotors(count)) for stretch in (speeds, commands))
-        return odd_reading(measured, asked, self._airframe.geometry[2])
+        return odd_reading(speeds.together, commands.together, self._airframe.geometry[2])
 
     def _unlike(
         self, measured: Array, stretches: Mapping[str, Stretch], commands: Sequence[str]
@@ -522,8 +520,7 @@ class RotorSourceSelector:
         for name in commands:
             range_ = self._range(name, stretches[name])
             if not isinstance(range_, str):
-                asked = together(stretches[name].rotors(len(self._airframe.rotors)))
-                return unlike_squares(measured, normalized(asked, range_))
+                return unlike_squares(measured, normalized(stretches[name].together, range_))
         return None
 
     def _too_slow(self, stretch: Stretch) -> bool:
@@ -534,7 +531,7 @@ class RotorSourceSelector:
         apart = np.hypot(x[:, None] - x, y[:, None] - y)
         # Coaxial rotors, whose measured places differ by millimeters, bound no diameter.
         diameter = apart[apart > _COAXIAL * self._airframe.arm].min()
-        power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
+        power = sum(float(np.mean(v * v)) for v in stretch.values)
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
         return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
 
@@ -545,7 +542,7 @@ _STALE = 1.5
 
 def _apart(stretch: Stretch) -> float:
     """S between new readings of the first rotor."""
-    t, values = stretch.rotors(1)[0]
+    t, values = stretch.rotors[0]
     if len(t) < 2:
         return 0.0
     sent, new = float(np.median(np.diff(t))), 1.0 / _readings(t, values)
