@@ -1,7 +1,6 @@
 """Commands that do their work: what they print, write and return."""
 
 import json
-import math
 import re
 import signal
 import subprocess
@@ -152,17 +151,6 @@ def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
 
 
 @pytest.mark.slow
-def test_scale_and_size_from_the_command_line(analyze, paper_flight, paper_result):
-    px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "3")
-    heavy = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
-    for name in ("Ixx", "Izz", "k_T", "k_M"):
-        value, own = paper_result.parameters[name].value, heavy["parameters"][name]
-        # The same layout, but not given as exact: the flight then shows how the IMU is turned.
-        assert own["value"] == pytest.approx(2 * value, abs=own["std"])
-    assert {"anchor": "mass", "value": 3.0, "unit": "kg"}.items() <= heavy["scale"].items()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     ["forward-td", "article", pytest.param("article-stepwise", marks=pytest.mark.thorough)],
@@ -208,7 +196,7 @@ def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
 @pytest.mark.slow
 def test_demo_ends_with_estimate_truth_and_error(analyze, tmp_path):
     record, lines = tmp_path / "demo.tlog", tmp_path / "demo.json"
-    argv = ("demo", "--headless", "--speed", "max", "--duration", "14")
+    argv = ("demo", "--headless", "--speed", "max", "--duration", "9")
     done = subprocess.run(
         program(*argv, "--record", record, "--json", lines),
         capture_output=True,
@@ -224,7 +212,7 @@ def test_demo_ends_with_estimate_truth_and_error(analyze, tmp_path):
     row = next(text for text in done.stdout.splitlines() if text.startswith("Ixx")).split()
     assert abs(float(row[-1])) < 3.0
     results = [read_strict(text) for text in lines.read_text().splitlines()]
-    assert len(results) > 6
+    assert len(results) > 4
     for result in results[1:]:
         check_contract(result)
     # The recording, analyzed, says the same.

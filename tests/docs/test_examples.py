@@ -45,8 +45,10 @@ def workshop(tmp_path_factory):
             assert gcs_sysid(["analyze", log, "--airframe", airframe, "--json", file, *part]) == 0
     vehicle = folder / "logs" / "quad-7"
     vehicle.mkdir(parents=True)
-    shutil.copyfile(log, vehicle / "flight.tlog")
-    shutil.copyfile(log, folder / "logs" / "sample.tlog")
+    # A third of the flight: a report of all of it takes seven seconds.
+    data = (folder / "flight.tlog").read_bytes()
+    for part in (vehicle / "flight.tlog", folder / "logs" / "sample.tlog"):
+        part.write_bytes(data[: len(data) // 3])
     shutil.copyfile(airframe, folder / "logs" / "airframe.toml")
     shutil.copyfile(airframe, vehicle / "airframe.toml")
     return folder

@@ -78,10 +78,15 @@ def test_analyze_tells_of_a_recorded_flight_what_inspect_promised(log):
         assert ReadLog(log).health(HealthOptions(airframe)).available
 
 
-@pytest.mark.slow
-def test_loss_and_stillness_limit_by_the_rules_of_the_analysis(fly):
+@pytest.fixture(scope="module")
+def found(fly):
+    """A sound flight, inspected."""
     flight = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
-    found = inspect_log(fly(*flight).tlog)
+    return inspect_log(fly(*flight).tlog)
+
+
+@pytest.mark.slow
+def test_loss_and_stillness_limit_by_the_rules_of_the_analysis(found):
 
     def missing(percent):
         streams = [
@@ -98,9 +103,7 @@ def test_loss_and_stillness_limit_by_the_rules_of_the_analysis(fly):
 
 
 @pytest.mark.slow
-def test_rotors_that_explain_too_little_promise_rough_inertia(fly):
-    flight = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
-    found = inspect_log(fly(*flight).tlog)
+def test_rotors_that_explain_too_little_promise_rough_inertia(found):
     assert (found.verdict, found.obtainable) == ("yes", "everything")
     rough = judged(replace(found, explained_coupled=0.8))
     assert (rough.verdict, rough.obtainable) == ("partly", "in part")

@@ -191,9 +191,9 @@ def flood(session, link, make, count, rng):
     [
         *(
             pytest.param(make, marks=pytest.mark.thorough)
-            for make in (senders, types, crowded, landings, garbage, stamps, texts, scraps)
+            for make in (senders, types, crowded, landings, garbage, stamps, texts, scraps, rotors)
         ),
-        *(parameters, rotors),
+        parameters,
     ],
     ids=lambda make: make.__name__,
 )

@@ -153,7 +153,7 @@ def test_speeds_that_die_in_flight_give_way_to_commands(both):
 @pytest.mark.parametrize("cutoff", [pytest.param(20, marks=pytest.mark.thorough), 40])
 def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")
-    flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "14")
+    flown = fly(*FLIGHT, *ardupilot, "--rate", "200", "--duration", "9")
     records = flown.records()
     parameter = next(r for r in records if r.source == "INS_GYRO_FILTER")
     chain = Chain(load_airframe("paper"), ChainOptions())

@@ -196,7 +196,7 @@ def test_a_rotor_that_is_read_wrong_grounds_nothing_that_its_commands_or_the_oth
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", [1, 10**6])
+@pytest.mark.parametrize("block", [pytest.param(1, marks=pytest.mark.thorough), 10**6])
 @pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 27.0)], ids=["untold", "told late"])
 def test_what_lies_on_its_back_has_landed(in_air, block):
     """Rotors still turn after a crash, but they pull the other way."""

@@ -147,7 +147,7 @@ def off_center(fly, tmp_path_factory):
     imu = "".join(f"imu_{axis} = {value}\n" for axis, value in zip("xyz", arm, strict=True))
     file.write_text(f"{builtin.read_text()}\n[simulation]\n{vehicle.read_text()}{imu}")
     options = ("--airframe", str(file), "--mission", "all-axes", "--rate", "50", "--seed", "1")
-    flight = fly(*options, "--noise", "mems", "--duration", "24")
+    flight = fly(*options, "--noise", "mems", "--duration", "16")
     records = [r for r in flight.records() if r.stream is not Stream.VELOCITY]
     # The file tells where the IMU is from the CG; the airframe counts from the center.
     cg = (flight.truth["cg_x"], flight.truth["cg_y"])
