@@ -293,7 +293,7 @@ OFFLINE = option("--offline", None, "", action="store_true")
 PROGRAM = "gcs-sysid"
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
-"""Names of `estimation.record.article_estimator.METHODS`; these and the next three are not
+"""Names of `estimation.record.article_estimator.Method`; these and the next three are not
 imported, to start fast (tests compare)."""
 EXPORT_TARGETS = (
     "px4-sih", "px4-sih-1.17", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl",

@@ -104,30 +104,27 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
     """
     of_thrust = _thrust(before, now)
     a, b = before.rotation, now.rotation
-    differences: list[Array] = []
-    covariances: list[Array] = []
-    by_battery: list[Array] = []
+    parts: list[tuple[Array, Array, Array]] = []
+    """Difference, covariance, and what the battery does to it."""
     if of_thrust is not None:
         ratio, variance = of_thrust
-        differences.append(np.array([ratio - 1.0]))
-        covariances.append(np.array([[variance + _MODEL_ERROR**2]]))
-        by_battery.append(np.array([battery]))
+        own = np.array([[variance + _MODEL_ERROR**2]])
+        parts.append((np.array([ratio - 1.0]), own, np.array([battery])))
     if a is not None and b is not None:
         theta = a.theta
         size = rb.counterparts(theta, arm)
         known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
         covariance = _color(before) * a.covariance + _color(now) * b.covariance
         covariance += np.diag((_MODEL_ERROR * size) ** 2)
-        differences.append((b.theta - theta)[known])
-        covariances.append(covariance[np.ix_(known, known)])
-        by_battery.append(np.where(rb.RELATIVE, -battery * theta, 0.0)[known])
-    difference = np.concatenate([np.empty(0), *differences])
-    if not len(difference):
+        moved = np.where(rb.RELATIVE, -battery * theta, 0.0)[known]
+        parts.append(((b.theta - theta)[known], covariance[np.ix_(known, known)], moved))
+    if not any(len(difference) for difference, _, _ in parts):
         return False
+    differences, covariances, by_battery = zip(*parts, strict=True)
     # A battery moves all that is relative to thrust alike: inertia over mass it leaves alone.
     common = np.concatenate(by_battery)
     covariance = block_diag(*covariances) + np.outer(common, common)
-    return joint_chance(difference, covariance) < FALSE_ALARM_RATE
+    return joint_chance(np.concatenate(differences), covariance) < FALSE_ALARM_RATE
 
 
 def _color(fit: Fit) -> float:

@@ -211,8 +211,7 @@ def _rotation_values(
         elif p.scale == "none":
             out[name] = value, math.hypot(std[at], doubt * value)
         elif scale.thrust is not None:
-            spread = value * math.hypot(scale.thrust_share, doubt)
-            out[name] = value * scale.thrust, scale.thrust * math.hypot(bent[at], spread)
+            out[name] = scale.of(value, float(bent[at]), doubt)
     return out
 
 
@@ -271,14 +270,7 @@ def _axis_values(rotation: RotationFit, scale: AbsoluteScale, bend: float, doubt
     found = [("rotational_damping", mean, mean_std)]
     if "damping" in rotation.deviating.shown:
         found += zip(AXIS_DAMPINGS, values, stds, strict=True)
-    return {
-        name: (
-            float(value) * scale.thrust,
-            scale.thrust
-            * math.hypot(float(std), float(value) * math.hypot(scale.thrust_share, doubt)),
-        )
-        for name, value, std in found
-    }
+    return {name: scale.of(float(value), float(std), doubt) for name, value, std in found}
 
 
 def rotor_values(
@@ -296,15 +288,14 @@ def rotor_values(
         return []
     k_T, k_T_std, ratio, ratio_std = rotor_coefficients(rotation, rotors)
     ratio = ratio * cant.shortened(float(rotation.theta[rb.MOMENT_RATIO])) - cant.adds * k_T
-    out = []
-    for i in range(rotors):
-        each = {}
-        for name, value, std in (("k_T", k_T[i], k_T_std[i]), ("k_M", ratio[i], ratio_std[i])):
-            own = float(value) * scale.thrust
-            spread = scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share)
-            each[name] = Estimate(own, spread, REGISTRY[name].unit)
-        out.append(each)
-    return out
+    columns = zip(*(v.tolist() for v in (k_T, k_T_std, ratio, ratio_std)), strict=True)
+    return [
+        {
+            "k_T": Estimate(*scale.of(*each[:2]), REGISTRY["k_T"].unit),
+            "k_M": Estimate(*scale.of(*each[2:]), REGISTRY["k_M"].unit),
+        }
+        for each in columns
+    ]
 
 
 def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
@@ -365,21 +356,21 @@ def axis_dampings(fit: RotationFit, bend: float = 0.0) -> tuple[Array, Array]:
         bend: relative change of thrust with the thrust curve, which the standard deviations are
             to include.
     """
-    deviating = fit.deviating
-    maps = np.zeros((3, N_UNKNOWNS + len(deviating.std)))
-    maps[:, rb.DAMPING] = 1.0
-    maps[:, N_UNKNOWNS:] = deviating.dampings.T
-    return _linear(fit, maps, bend)
+    return _linear(fit, _dampings(fit), bend)
 
 
 def mean_damping(fit: RotationFit, bend: float = 0.0) -> tuple[float, float]:
     """Of roll and pitch, relative to thrust, and its standard deviation; see `axis_dampings`."""
-    deviating = fit.deviating
-    maps = np.zeros((1, N_UNKNOWNS + len(deviating.std)))
-    maps[:, rb.DAMPING] = 1.0
-    maps[:, N_UNKNOWNS:] = deviating.dampings[:, :2].mean(axis=1)
-    value, std = _linear(fit, maps, bend)
+    value, std = _linear(fit, _dampings(fit)[:2].mean(axis=0, keepdims=True), bend)
     return float(value[0]), float(std[0])
+
+
+def _dampings(fit: RotationFit) -> Array:
+    """(3, N_UNKNOWNS + m) that take the unknowns to the damping of each axis."""
+    maps = np.zeros((3, N_UNKNOWNS + len(fit.deviating.std)))
+    maps[:, rb.DAMPING] = 1.0
+    maps[:, N_UNKNOWNS:] = fit.deviating.dampings.T
+    return maps
 
 
 def rotor_coefficients(fit: RotationFit, rotors: int) -> tuple[Array, Array, Array, Array]:

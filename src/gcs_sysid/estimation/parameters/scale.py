@@ -42,6 +42,14 @@ class AbsoluteScale:
     mass_given: float = 0.0
     thrust_given: float = 0.0
 
+    def of(self, value: float, std: float, doubt: float = 0.0) -> tuple[float, float]:
+        """What is relative to thrust, with its standard deviation and a relative doubt, as it is;
+        thrust is known.
+        """
+        assert self.thrust is not None
+        spread = math.hypot(std, value * math.hypot(self.thrust_share, doubt))
+        return value * self.thrust, self.thrust * spread
+
 
 def resolve_scale(
     anchor: ScaleReference, translation: TranslationFit | None, known: Mapping[str, Known]

@@ -17,12 +17,6 @@ from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.smoothers import ARTICLE_A, ARTICLE_B, ARTICLE_R, nonlinear_differentiator
 
 Method = Literal["article", "article-usual-td", "article-stepwise", "central-difference"]
-METHODS: tuple[Method, ...] = (
-    "article",
-    "article-usual-td",
-    "article-stepwise",
-    "central-difference",
-)
 
 N_DIRECT = 9
 """Unknowns of the direct form: inertia, CG, k_M / k_T."""
