@@ -102,7 +102,7 @@ class PredictionErrorFit:
     whitened: Whitened
 
     def validate(self, prior: Prior | None, choice: DeviationChoice) -> Validation | None:
-        """How well fits to four fifths of the flight predict the last, see `WhitenedEstimator`."""
+        """How well fits to four fifths of the flight predict the last, see `RotationEstimator`."""
         made = self.whitened
         return predict_held_out(made.data, made.basis, choice, prior, self.fit.rotation)
 

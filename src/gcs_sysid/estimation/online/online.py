@@ -17,9 +17,8 @@ from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit, Instant
-from gcs_sysid.estimation.online.rotation_estimator import RotationEstimator
+from gcs_sysid.estimation.online.rotation_estimator import LeftOut, RotationEstimator
 from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
-from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.signals.records import Samples
@@ -74,9 +73,8 @@ class OnlineEstimator:
         self._alone: RotationFit | None = None
         self.record = FlightRecord(geometry, dt, tuning)
         """All that is remembered of the flight."""
-        whitening = WhitenedEstimator(self.record, geometry)
-        self._thrust = ThrustEstimator(self.record, whitening, tuning.imu_place)
-        self._rotation = RotationEstimator(self.record, whitening, self._thrust, geometry)
+        self._thrust = ThrustEstimator(self.record, tuning.imu_place)
+        self._rotation = RotationEstimator(self.record, self._thrust, geometry)
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _SeriesStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None

@@ -1,30 +1,67 @@
-"""The rotation of a record: from its whitened rows, those of the window, or the article's."""
+"""The rotation of a record: from its whitened rows, those of the window, or the article's.
 
+Where there are no whitened rows, or none yet, those of the window take their place.
+
+A single step is mostly noise. How much of the motion a fit explains is therefore computed on the
+rows of the symmetric window, which passes about 5 Hz: the same numbers as of fits to the window, on
+which verdicts are based.
+"""
+
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.checks.model_tests import RigidBodyTest
-from gcs_sysid.estimation.checks.validation import Validation
+from gcs_sysid.arrays import Array, by_parts
+from gcs_sysid.estimation.checks.model_tests import (
+    LEAST_RATE,
+    PRODUCTS,
+    RigidBodyTest,
+    find_other_layout,
+    judge_rigid_body,
+)
+from gcs_sysid.estimation.checks.validation import SHORTEST_VALIDATED, Validation, predict_held_out
 from gcs_sysid.estimation.fit.disturbance import RULES, curve_doubt
 from gcs_sysid.estimation.fit.inference import follow_rotation
+from gcs_sysid.estimation.fit.lag_places import fit_lag_places
 from gcs_sysid.estimation.fit.priors import Prior
+from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit
+from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.fit.whitener_choice import with_possible_noise
+from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined
 from gcs_sysid.estimation.online.fit import FitMoments, Instant
-from gcs_sysid.estimation.online.thrust_estimator import ThrustEstimator
-from gcs_sysid.estimation.online.whitened_estimator import LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.online.thrust_estimator import BELIEVED, ThrustEstimator
 from gcs_sysid.estimation.record.input_noise import (
     SpeedNoise,
     is_sparse,
     with_sparse_readings,
 )
 from gcs_sysid.estimation.record.record import FlightRecord
-from gcs_sysid.model.rigid_body import CG_X, CG_Y
+from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.record.window_record import WindowRecord
+from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.model import rigid_body as rb
 
 _MIN_BATCHES = 10
 """Batches from which their scatter gives a standard deviation."""
+_THRUST = rb.SIGNALS.index("thrust")
+_LEAST_OWN = 0.02
+"""Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Shocks that a fit left out, to be left out by those that follow it.
+
+    Attributes:
+        moments: (3, width, width) as each axis' whitener made them.
+        rows: in them.
+    """
+
+    moments: Array
+    rows: int
 
 
 class RotationEstimator:
@@ -32,43 +69,80 @@ class RotationEstimator:
 
     Args:
         record: of the flight.
-        whitening: fits to its rows.
         thrust: of the same record.
         geometry: (3, rotors) of the airframe.
     """
 
-    def __init__(
-        self,
-        record: FlightRecord,
-        whitening: WhitenedEstimator,
-        thrust: ThrustEstimator,
-        geometry: Array,
-    ) -> None:
+    def __init__(self, record: FlightRecord, thrust: ThrustEstimator, geometry: Array) -> None:
         self.left_out: LeftOut | None = None
         """Shocks that the latest fit left out."""
-        self._record, self._whitening, self._thrust = record, whitening, thrust
-        self._arms = geometry[:2]
+        self._record, self._thrust, self._geometry = record, thrust, geometry
+
+    @property
+    def _white(self) -> WhitenedRecord | WindowRecord:
+        return self._record.whitened
+
+    @property
+    def _basis(self) -> ActuatorDynamics:
+        """Of the whitened rows' elements."""
+        return self._white.basis
+
+    @property
+    def _data(self) -> WhitenedMoments:
+        return self._white.moments(self._record.whitened_noise())
 
     def fit(
-        self, start: RotationFit | None, prior: Prior | None, **how: bool
+        self,
+        start: RotationFit | None,
+        prior: Prior | None,
+        *,
+        rigid: bool = True,
+        rough: bool = False,
     ) -> RotationFit | None:
         """Fit what the record holds.
 
         Args:
             start: an earlier fit of it; None: from the data alone.
             prior: what else is known.
-            how: `rigid` and `rough`, as of `WhitenedEstimator.fit`.
+            rigid: whether the body has gyroscopic torque.
+            rough: whether one place of the lag and rotors that are alike will do.
 
         Returns:
             The fit; None while the data cannot even start one.
         """
-        if self._record.article:
-            return self._record.article.fit()
-        found = self._whitening.fit(start, prior, calm=self._thrust.is_calm(prior), **how)
+        record, basis = self._record, self._basis
+        if record.article:
+            return record.article.fit()
+        data = self._data
+        if basis.motors and not data.of_steps:
+            data = with_possible_noise(data, basis, prior)
+        if not rigid:
+            data = replace(data, muted=tuple(basis.body_places(PRODUCTS)))
+        hover = 0.0 if self._thrust.is_calm(prior) else self._hover
+        known = prior, record.noise_doubt, record.choice, hover
+
+        def fitted(first: RotationFit | None) -> WhitenedFit | None:
+            near = first or start
+            found = fit_whitened(data, basis, near, *known, others=not rough)
+            doubtful = found is None or _is_doubtful(found.rotation)
+            # Where the first place, all ways tried, ends no better, the start is not to blame.
+            if doubtful and near and not (first and _is_doubtful(first)):
+                fresh = fit_whitened(data, basis, None, *known)
+                if found is None or (fresh is not None and fresh.cost < found.cost):
+                    found = fresh
+            return found
+
+        if basis.bends:
+            place = None if start is None else start.lag_place
+            places = record.places() if place is None else record.places(place.of)
+            some, independent = places[: 1 if rough else None], record.seconds / record.half_width
+            found = fit_lag_places(fitted, basis, some, independent)
+        else:
+            found = fitted(None)
         if found is None:
             return None
-        fit, self.left_out = found
-        return self._completed(self._with_motor_doubt(fit))
+        self.left_out = LeftOut(found.left_out, found.rows_left_out)
+        return self._completed(self._with_motor_doubt(found.rotation))
 
     def follow(
         self, instants: Sequence[Instant], start: RotationFit, prior: Prior | None
@@ -96,16 +170,20 @@ class RotationEstimator:
         return [self._completed(fit, instant) for fit, instant in zip(fits, instants, strict=True)]
 
     def instant(self, fit: RotationFit, left_out: LeftOut | None) -> Instant:
-        """The moments of now.
+        """The moments of now, with the whiteners of a fit.
 
         Args:
             fit: that is followed.
             left_out: shocks that it left out.
         """
-        record = self._record
+        record, white = self._record, self._white
         assert left_out is not None
+        pick = white.places(fit.whiteners)
         return Instant(
-            *self._whitening.followed(fit, left_out),
+            white.total[pick] - left_out.moments,
+            white.rows - left_out.rows,
+            white.basis,
+            record.whitened_noise(pick),
             record.rotation.total[0].copy(),
             record.rotation.rows,
             record.momentum.total.copy(),
@@ -127,8 +205,13 @@ class RotationEstimator:
         return record.article is None and len(record.rotation.batches) >= _MIN_BATCHES
 
     def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
-        """Whether the body is rigid, by a fit."""
-        return self._whitening.test_rigid_body(fit)
+        """Whether the body is rigid, see `estimation.checks.model_tests`."""
+        data = self._data
+        pick = self._white.places(fit.whiteners)
+        P = self._basis.map_at(fit.coordinates)
+        rows = by_parts(lambda some: P @ some @ P.T, data.of_axes(pick))
+        rows = rows - data.counts[:, None, None, None] * (P @ data.noise[pick] @ P.T)
+        return judge_rigid_body(joined(rows, data.counts, data.grouped), fit.Q)
 
     def validate(self, prior: Prior | None, fit: RotationFit | None) -> Validation | None:
         """How well a part of the flight is predicted from the rest; None: too short, or not asked
@@ -140,15 +223,46 @@ class RotationEstimator:
         """
         if fit is None or self._record.article is not None:
             return None
-        return self._whitening.validate(prior, fit)
+        return predict_held_out(self._data, self._basis, self._record.choice, prior, fit)
 
     def other_layout(self) -> str | None:
         """What is wrong with the airframe's layout, if another explains the motion far better."""
-        return None if self._record.article is not None else self._whitening.other_layout()
+        if self._record.article is not None:
+            return None
+        data = self._data
+        if data.counts.sum() * self._white.time < SHORTEST_VALIDATED:
+            return None
+        window = self._record.rotation
+        if rb.rms_rates(self._in_window, max(window.rows, 1))[:2].min() < LEAST_RATE:
+            return None
+        return find_other_layout(data, self._basis, self._geometry)
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
-        """See `OnlineEstimator.gyro_density`."""
-        return self._whitening.gyro_density(fit, theta)
+        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
+
+        Args:
+            fit: of this record.
+            theta: (N_THETA,) what the rotors' noise acts with.
+        """
+        pick = self._white.places(fit.whiteners)
+        own = np.diag(fit.residual_covariance)
+        input_noise = self._record.whitened_noise(pick)
+        TP = residual_maker(rb.forward_matrix(theta)) @ self._basis.map_at(fit.coordinates)
+        rotors = axis_power(TP, input_noise)
+        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        return np.diag(left * self._white.gyro_densities(fit.whiteners))
+
+    @property
+    def _in_window(self) -> Array:
+        """(WIDTH, WIDTH) moments of the window's rows, at the middle of its coordinates."""
+        basis = self._record.basis
+        return basis.moments_at(self._record.rotation.total[0], basis.nodes[basis.middle])
+
+    @property
+    def _hover(self) -> float:
+        """rad^2/s^2, thrust signal in hover: its rms."""
+        rows = self._record.rotation.rows
+        return math.sqrt(float(self._in_window[_THRUST, _THRUST]) / rows) if rows else 0.0
 
     def _with_motor_doubt(self, fit: RotationFit) -> RotationFit:
         """A fit to whitened rows of commands with what is not known of the motors."""
@@ -160,9 +274,9 @@ class RotationEstimator:
         if mean is not None and fit.disturbance.max() > RULES.detected:
             # Each rotor's mean thrust may be off by what asymmetry adds to it.
             share, _ = mean.rectified(fit.coordinates)
-            for i, arms in ((CG_X, self._arms[0]), (CG_Y, self._arms[1])):
+            for i, arms in ((rb.CG_X, self._geometry[0]), (rb.CG_Y, self._geometry[1])):
                 off[i, i] += share**2 * float((arms**2).mean()) / len(arms)
-        place = record.places(self._whitening.basis.lag_place.of)[0]
+        place = record.places(self._basis.lag_place.of)[0]
         far = commands.distance_doubt(fit)
         return replace(fit.widened(off + far), lag_place=place, lag_doubt=off)
 
@@ -173,3 +287,8 @@ class RotationEstimator:
             return fit
         found = self.moments(fit) if instant is None else instant.at(fit, self._record)
         return fit if found is None else with_sparse_readings(fit, noise, found.window)
+
+
+def _is_doubtful(fit: RotationFit) -> bool:
+    """Whether it may have started near a wrong solution."""
+    return not fit.converged or float(fit.r_squared.min()) < BELIEVED

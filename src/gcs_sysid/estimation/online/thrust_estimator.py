@@ -12,13 +12,14 @@ from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Prior
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Instant
-from gcs_sysid.estimation.online.whitened_estimator import WhitenedEstimator
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate
 from gcs_sysid.model import rigid_body
 
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
+BELIEVED = 0.5
+"""Share of the motion explained, from which deviations are those of rotors."""
 _CURVE_STEP = 0.05
 """Of the thrust curve, for the derivative of thrust over mass."""
 
@@ -28,16 +29,13 @@ class ThrustEstimator:
 
     Args:
         record: of the flight.
-        whitening: of its whitened rows, where there are any.
         place: m, standard deviation of each coordinate of the accelerometer's place.
     """
 
-    def __init__(
-        self, record: FlightRecord, whitening: WhitenedEstimator, place: float = 0.0
-    ) -> None:
+    def __init__(self, record: FlightRecord, place: float = 0.0) -> None:
         self._gain: translation.AccelerometerGain | None = None
         self._before: translation.MomentumStart | None = None
-        self._record, self._basis, self._whitening = record, record.basis, whitening
+        self._record, self._basis = record, record.basis
         self._place = place
 
     def know_sensors(
@@ -140,7 +138,7 @@ class ThrustEstimator:
         if fit is None or (at is None and Coordinate.CURVE not in self._basis.free):
             return fit
         if at is not None:
-            fit = self._whitening.judged_thrust(fit, at)
+            fit = self._of_mean_rotor(fit, at)
             mean = instant.mean_thrust if instant is not None else self._record.mean_thrust
             if mean is not None:
                 # Thrust of the rows that kappa is of has one time constant.
@@ -171,6 +169,22 @@ class ThrustEstimator:
             curve_std = min(known, float(COORDINATE_STD[Coordinate.CURVE]))
             return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
         return replace(fit, curve_slope=float(change))
+
+    def _of_mean_rotor(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
+        """Thrust over mass of the mean rotor, where rotors differ.
+
+        The whole vehicle's thrust weighs those most that carry most of it:
+        sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
+        """
+        if not fit.deviating.thrusts.any() or fit.r_squared.min() < BELIEVED:
+            return thrust
+        effect = fit.deviating.thrusts @ self._record.choice.shares(fit.unknowns)
+        factor = 1.0 / (1.0 + float(fit.deviations @ effect))
+        # Rounding of what hardly is in the data may leave less than nothing.
+        spread = float(max(effect @ fit.deviations_covariance @ effect, 0.0)) ** 0.5
+        kappa = factor * thrust.kappa
+        spread = float(np.hypot(factor * thrust.kappa_std, spread * kappa))
+        return replace(thrust, kappa=kappa, kappa_std=spread)
 
 
 def _mixed(weights: Array, moments: Array) -> Array:
