@@ -22,10 +22,9 @@ from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import ReadLog, health_of
 from gcs_sysid.health.command_curve import thrust_of
-from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
-from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.airframe import USUAL, Airframe, Rotor
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.significance import Z95
 from sim_bridge.doublets import DoubletMission
@@ -51,12 +50,12 @@ LOSS = 0.05
 
 def misplaced(airframe: Airframe, random: np.random.Generator) -> Airframe:
     """What a user measures: each rotor off by what the intervals assume."""
-    std = TUNING.position_std * airframe.arm
+    std = USUAL.rotor_position.of(airframe.arm)
     moved = tuple(
         Rotor(r.x + std * random.standard_normal(), r.y + std * random.standard_normal(), r.spin)
         for r in airframe.rotors
     )
-    return replace(airframe, rotors=moved)
+    return replace(airframe, rotors=moved, uncertainty=USUAL)
 
 
 @dataclass
@@ -117,7 +116,7 @@ def _scores(
     for number in numbers:
         drawn = draw(number, LAYOUTS)
         random = np.random.default_rng([number, 0x4EA1])
-        traits = uneven(drawn, random, TUNING.rotor_scatter if scatter else 0.0)
+        traits = uneven(drawn, random, USUAL.rotor_thrust.of(1.0) if scatter else 0.0)
         log = folder / f"{number}_{scatter}.tlog"
         if not log.exists():
             fly(log, drawn, mission, number, traits, seconds)
@@ -175,7 +174,7 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
     for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
         random = np.random.default_rng([number, 0x3EAC])
-        traits = uneven(drawn, random, TUNING.rotor_scatter)
+        traits = uneven(drawn, random, USUAL.rotor_thrust.of(1.0))
         rotor = int(random.integers(len(drawn.vehicle.rotors)))
         names = [folder / f"{number}_{part}.tlog" for part in ("before", "weak", "after")]
         lost = traits.weakened(rotor, LOSS)

@@ -22,8 +22,8 @@ import numpy as np
 from gcs_sysid.health import balance
 from gcs_sysid.health.command_curve import curve_of, thrust_of
 from gcs_sysid.health.hover import windows_of
-from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
+from gcs_sysid.model.airframe import USUAL
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
 from testbed.hover_flights import (
@@ -74,7 +74,7 @@ def judged(number: int, folder: Path) -> dict[str, Any]:
     """Fly a sound vehicle, and count what is called weak."""
     drawn = draw(number, LAYOUTS)
     random = np.random.default_rng([number, 0x50D])
-    traits = uneven(drawn, random, TUNING.rotor_scatter)
+    traits = uneven(drawn, random, USUAL.rotor_thrust.of(1.0))
     kind, mission, physics = flight_of(number)
     before, log = folder / f"{number}_before.tlog", folder / f"{number}.tlog"
     for path, seed, seconds in ((before, 2 * number, EARLIER), (log, 2 * number + 1, FLIGHT)):

@@ -23,6 +23,7 @@ from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.autopilot_parameters import Proposal, determined
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import HealthOptions
+from gcs_sysid.model.airframe import USUAL
 from sim_bridge.simulated_vehicle import Vehicle
 from testbed.hover_flights import LAYOUTS, ORDINARY, fly, streams_in, uneven
 from testbed.study import arguments, markdown
@@ -59,7 +60,7 @@ def of_vehicle(
     """What its flights propose, and the truth."""
     drawn = draw(number, LAYOUTS)
     random = np.random.default_rng([number, 0x4EA1])
-    traits = uneven(drawn, random, TUNING.rotor_scatter)
+    traits = uneven(drawn, random, USUAL.rotor_thrust.of(1.0))
     airframe = misplaced(drawn.airframe, random)
     c, moved = float(drawn.vehicle.thrust_curve), random.standard_normal(2)
     now = dict.fromkeys(("THR_MDL_FAC", "MOT_THST_EXPO"), c)

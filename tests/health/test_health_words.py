@@ -9,7 +9,6 @@ from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.assessment import beside_analysis
 from gcs_sysid.health.health_file import document_of, read_baseline
-from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.rotor_condition import Condition
 from gcs_sysid.health.vehicle_health import Health, RotorHealth
 from gcs_sysid.model.airframe import load_airframe
@@ -158,8 +157,12 @@ def test_a_large_yaw_imbalance_is_worth_a_look_at_the_motors(share, more):
 
 
 def test_text_and_panel_say_which_rotors_their_interval_assumes():
-    note = f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)"
-    assert note in health_text(HEALTH)
+    note = "± includes unequal rotors (3 %)"
+    rotors = loaded(0.25, 0.25, 0.25, 0.25)
+    assert note not in health_text(replace(HEALTH, rotors=rotors))  # the article's are alike
+    differ = Quantity(1.0, 0.0, "1").off_by(given=0.03)
+    rotors = tuple(replace(rotor, efficiency=differ) for rotor in rotors)
+    assert note in health_text(replace(HEALTH, rotors=rotors))
     panel = "\n".join(
         "".join(part for part, _ in line) for line in health_lines(health_document(), 76)
     )

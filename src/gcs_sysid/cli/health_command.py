@@ -18,7 +18,6 @@ from gcs_sysid.health.autopilot_parameters import (
 )
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
-from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
 from gcs_sysid.results.health_view import (
     cg_facts,
@@ -27,6 +26,7 @@ from gcs_sysid.results.health_view import (
     quantity_text,
     rotor_cells,
     telling,
+    unequal_rotors,
 )
 from gcs_sysid.results.words import PLAIN, TEXT_WIDTH, wrapped
 
@@ -148,8 +148,8 @@ def _head(health: Health, document: Mapping[str, Any]) -> Iterator[str]:
     yield ""
     for name, size, way, alike in cg_facts(document):
         yield from _line(name, f"{size} {way} of the center ({alike})")
-    if health.cg_of_hover is None:
-        yield from _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
+    if unequal := unequal_rotors(document):
+        yield from _line("", unequal)
     if health.by_wind is not None and max(map(abs, health.by_wind)) > 2e-3:  # m worth a line
         perhaps = f"perhaps {off_words(*health.by_wind, ', ')}: fly in calm air to know"
         yield from _line("  wind contribution", perhaps)

@@ -10,6 +10,7 @@ from gcs_sysid.health.health_file import condition_text
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Finding, Health
 from gcs_sysid.judgement.status import OF_THE_DATA, READINGS
+from gcs_sysid.model.airframe import USUAL
 from gcs_sysid.results.health_view import WAYS, cg_length
 from gcs_sysid.results.words import PLAIN, decimals_for
 from gcs_sysid.signals.rotor_readings import unlike_load
@@ -215,7 +216,7 @@ def _unlike_loads(health: Health) -> Iterator[Finding]:
     if health.airframe is None or health.cg_of_hover is not None or None in shares:
         return
     loads = np.array(shares, dtype=float)
-    scatter = health.airframe.uncertainty.rotor_thrust.of(1.0) or TUNING.rotor_scatter
+    scatter = health.airframe.uncertainty.rotor_thrust.of(1.0) or USUAL.rotor_thrust.of(1.0)
     if health.through_motors:  # which scatter, too
         scatter = math.hypot(scatter, TUNING.motor_scatter)
     likely, over = unlike_load(loads, health.airframe.geometry, scatter)

@@ -531,9 +531,10 @@ def _balances(
     )
     by_wind = balance.shares_by_wind(airframe, center)
     share_flown = np.sqrt(share_flown**2 + by_curve[2:-2] ** 2 + by_wind**2)
-    share_assumed = np.hypot(balance.share_std(shares), by_given[2:-2])
+    scatter = airframe.uncertainty.rotor_thrust.of(1.0)
+    share_assumed = np.hypot(balance.share_std(shares, scatter), by_given[2:-2])
     gains, shaking = motor_gains(hover, commanded), vibration_of(streams, hover)
-    alike = Quantity(1.0, 0.0, "1").off_by(given=TUNING.rotor_scatter)
+    alike = Quantity(1.0, 0.0, "1").off_by(given=scatter)
     each = zip(shares.tolist(), share_flown.tolist(), share_assumed.tolist(), strict=True)
     rotors = tuple(
         RotorHealth(Quantity(s, f, "1").off_by(given=a), alike, gains[i], None, None, shaking[i])
@@ -617,11 +618,12 @@ def _of_another_kind(before: Load, now: Load) -> str:
 
 
 def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]:
-    out = [
-        f"rotors alike to {100.0 * TUNING.rotor_scatter:g} % (1 sigma) in thrust for their speed, "
-        f"placed to {100.0 * TUNING.position_std:g} % of the arm",
-        f"airframe: {guess.origin}",
-    ]
+    given, arm = guess.airframe.uncertainty, guess.airframe.arm
+    alike, placed = given.rotor_thrust.of(1.0), given.rotor_position.of(arm) / arm
+    out = [f"airframe: {guess.origin}"]
+    if alike or placed:
+        rotors = f"rotors alike to {100.0 * alike:.2g} % (1 sigma) in thrust for their speed, "
+        out.insert(0, f"{rotors}placed to {100.0 * placed:.2g} % of the arm")
     if curve is not None and "assumed" in curve.origin:
         usual = "near 0.5, as of most propellers"
         out.append(f"thrust curve: {usual if curve.origin == 'assumed' else curve.origin}")

@@ -371,7 +371,8 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
         ratio = health.airframe.priors.get("moment_ratio")
         rotors = health.airframe.rotors
         # Each stands where the file says but for its own error, of which the CG has the mean.
-        own = (TUNING.position_std * health.airframe.arm) ** 2 * (1.0 - 2.0 / len(rotors))
+        std = health.airframe.uncertainty.rotor_position.of(health.airframe.arm)
+        own = std**2 * (1.0 - 2.0 / len(rotors))
         for i, rotor in enumerate(rotors):
             for axis, place, offset in zip("XY", (rotor.x, rotor.y), health.cg, strict=True):
                 yield flight.propose(

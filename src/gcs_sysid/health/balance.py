@@ -356,15 +356,16 @@ def scatter_of_cg(airframe: Airframe, shares: Array, cg: Array) -> Array:
     """
     x, y, _ = airframe.geometry
     moved = shares * (np.array([x, y]) - cg[:, None])  # (2, rotors)
-    place = (TUNING.position_std * airframe.arm) ** 2 * float(shares @ shares)
-    out: Array = TUNING.rotor_scatter**2 * moved @ moved.T + place * np.eye(2)
+    given = airframe.uncertainty
+    place = given.rotor_position.of(airframe.arm) ** 2 * float(shares @ shares)
+    out: Array = given.rotor_thrust.of(1.0) ** 2 * moved @ moved.T + place * np.eye(2)
     return out
 
 
-def share_std(shares: Array) -> Array:
-    """(rotors,) standard deviation of shares s_i by the assumed scatter of k_T."""
+def share_std(shares: Array, scatter: float) -> Array:
+    """(rotors,) standard deviation of shares s_i by the scatter of rotors' k_T about their mean."""
     others = float(shares @ shares) - shares**2
-    out: Array = TUNING.rotor_scatter * shares * np.sqrt((1.0 - shares) ** 2 + others)
+    out: Array = scatter * shares * np.sqrt((1.0 - shares) ** 2 + others)
     return out
 
 

@@ -38,8 +38,6 @@ class HoverTuning:
         most_lift: relative deviation of thrust over mass from gravity.
         most_speed: m/s over the ground: rotor drag and inflow grow with it.
         fewest_windows: of hover, for an answer.
-        rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
-            them (3 %: what a set of one make shows, a CineRat's and `--physics scatter`).
         curve_std: standard deviation of the thrust curve c where nothing else is known.
         range_std: standard deviation of the command without thrust over an assumed range: pulses
             begin to turn motors at 1000 to 1200 us.
@@ -133,7 +131,6 @@ class HoverTuning:
         fewest_blocks: of a length, whose scatter is taken.
         apart: s between flights of a day, to within a factor: its logarithm counts.
         cg_floor: arms, that no flight goes below.
-        position_std: m over meter of arm, each rotor's place in the airframe file.
     """
 
     most_samples: int = 1_000_000
@@ -159,7 +156,6 @@ class HoverTuning:
     most_lift: float = 0.15
     most_speed: float = 4.0
     fewest_windows: int = 6
-    rotor_scatter: float = 0.03
     curve_std: float = 0.35
     range_std: float = 0.1
     least_throttle_motion: float = 0.003
@@ -225,7 +221,6 @@ class HoverTuning:
     cg_floor: float = 0.0005
     fewest_blocks: int = 3
     apart: float = 3600.0
-    position_std: float = 0.005
 
 
 TUNING = HoverTuning()

@@ -27,10 +27,13 @@ from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health.balance import lift_of, long_run, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import USUAL, Airframe
 from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
+
+_ALIKE = USUAL.rotor_thrust.of(1.0)
+"""Of a rotor's thrust for its load: what it may lose or gain, before anything is known."""
 
 
 @dataclass(frozen=True)
@@ -255,7 +258,7 @@ def compare_loads(
         margin = min(others - left, second - left)
         if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
             # What is answered how rests on rotors that are alike.
-            loss = Quantity(lost, math.hypot(std, TUNING.rotor_scatter * lost), "1")
+            loss = Quantity(lost, math.hypot(std, _ALIKE * lost), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     # Where no rotor is weaker, the best weak rotor has lost nothing.
     left_best = min((entry[0] for entry in best), default=left_unchanged)
@@ -360,7 +363,7 @@ def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:
 
     The mean of normal e_i of standard deviation s given r = -e + noise: -s^2 (s^2 I + noise)^-1 r.
     """
-    prior = TUNING.rotor_scatter**2 * np.eye(n)
+    prior = _ALIKE**2 * np.eye(n)
     gain = prior @ np.linalg.inv(prior + noise)
     value, covariance = -gain @ r, prior - gain @ prior
     return tuple(

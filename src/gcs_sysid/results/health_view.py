@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from gcs_sysid.judgement.status import OF_THE_DATA, READINGS
+from gcs_sysid.model.airframe import USUAL
 from gcs_sysid.model.estimate import Objection
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.words import PLAIN, Notation, decimals_for, significant
@@ -211,6 +212,17 @@ def cg_facts(
             source = "as identified"
         out.append((f"CG {name}", size, way(axis, value), source))
     return out
+
+
+def unequal_rotors(health: Mapping[str, Any]) -> str:
+    """What of the CG's interval is for rotors that may differ; empty where none is.
+
+    Files of earlier versions, which do not say, assume the usual scatter.
+    """
+    usual = {"std_given": USUAL.rotor_thrust.of(1.0)}
+    given = (rotor.get("efficiency", usual)["std_given"] for rotor in health["rotors"])
+    scatter = 0.0 if "cg_by_hover" in health else max(given, default=0.0)
+    return f"± includes unequal rotors ({100.0 * scatter:.2g} %)" if scatter else ""
 
 
 _ROTORS = "the motor order"

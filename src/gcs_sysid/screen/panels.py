@@ -24,6 +24,7 @@ from gcs_sysid.results.health_view import (
     half_of,
     health_facts,
     rotor_cells,
+    unequal_rotors,
 )
 from gcs_sysid.results.result_view import ParameterRow, exponent_key
 from gcs_sysid.results.snapshot import Event, LinkStatus
@@ -241,7 +242,6 @@ class AttitudePanel(Lines, Shown):
 _NAME = 16
 _BAR = 12
 _BOLD_WARNING = "bold $text-warning"
-_UNEQUAL = "± includes unequal rotors (3 %)"
 
 
 def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
@@ -266,7 +266,8 @@ def _wrapped(text: str, width: int, style: str) -> list[Line]:
 
 def _source(health: Mapping[str, Any]) -> Line:
     by = RotorInput(health["rotor_input"]).words
-    return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}; {_UNEQUAL}", fmt.MUTED)]
+    source = f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}"
+    return [("; ".join(filter(None, [source, unequal_rotors(health)])), fmt.MUTED)]
 
 
 def _weak(health: Mapping[str, Any], width: int) -> Iterator[Line]:
