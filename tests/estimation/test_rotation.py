@@ -60,6 +60,16 @@ def of_axes(moments):
 
 
 NONE = np.zeros((1, WIDTH, WIDTH))
+
+
+def followed(batches, start, noise=NONE, prior=None):
+    """The fit to all rows that goes on from another."""
+    (fit,) = follow_rotation(
+        of_axes(batches.sum(axis=0)), np.array([ROWS]), PLAIN, of_axes(noise), start, prior=prior
+    )
+    return fit
+
+
 SLIGHT = prior_of({i: (THETA[i], 10.0 * SIZE[i]) for i in range(rb.N_THETA)})
 """Says next to nothing, and takes the way of a prior."""
 
@@ -80,9 +90,7 @@ def test_known_noise_of_the_inputs_is_taken_out_to_first_order(prior):
 def test_a_fit_that_follows_takes_that_noise_out_too(prior):
     batches, counts, noise = moments_of(input_noise=0.1, sigma=0.01)
     start = fit_rows(batches, counts, PLAIN, noise, prior=prior)
-    (fit,) = follow_rotation(
-        of_axes(batches.sum(axis=0)), np.array([ROWS]), PLAIN, of_axes(noise), start, prior=prior
-    )
+    fit = followed(batches, start, noise, prior)
     assert np.all(np.abs(fit.theta - start.theta) < 1e-3 * start.std)
     np.testing.assert_allclose(fit.std, start.std, rtol=1e-6)
 
@@ -115,14 +123,7 @@ def test_a_long_step_is_searched_not_taken_blindly(prior):
     fit = fit_rows(batches, counts, PLAIN, NONE, prior=prior)
     far = 0.1 * fit.theta[0] / fit.std[0]
     assert far > 10.0
-    (found,) = follow_rotation(
-        of_axes(batches.sum(axis=0)),
-        np.array([ROWS]),
-        PLAIN,
-        of_axes(NONE),
-        moved_fit(fit, far),
-        prior=prior,
-    )
+    found = followed(batches, moved_fit(fit, far), prior=prior)
     assert np.abs(found.theta - fit.theta)[0] < 6e-3 * fit.theta[0]
 
 
@@ -136,13 +137,7 @@ def test_intervals_of_few_batches_are_students():
     # It is on the standard deviations, once.
     batches = moments_of(rows_per_batch=ROWS // 8)[0]
     plain = replace(few.warm_start, widening=np.ones_like(few.warm_start.widening))
-    (narrow,) = follow_rotation(
-        of_axes(batches.sum(axis=0)),
-        np.array([ROWS]),
-        PLAIN,
-        of_axes(NONE),
-        replace(few, warm_start=plain),
-    )
+    narrow = followed(batches, replace(few, warm_start=plain))
     np.testing.assert_allclose(few.std, narrow.std * few.warm_start.widening, rtol=1e-3)
 
 
@@ -182,14 +177,7 @@ def test_a_fit_that_follows_weighs_its_prior_as_the_fit_does():
     assert np.any(np.abs(fit.theta - alone.theta) > 0.5 * fit.std)
     for start in (fit, alone):
         warm_start = replace(fit.warm_start, unknowns=start.warm_start.unknowns)
-        (found,) = follow_rotation(
-            of_axes(batches.sum(axis=0)),
-            np.array([ROWS]),
-            PLAIN,
-            of_axes(NONE),
-            replace(fit, warm_start=warm_start),
-            prior=prior,
-        )
+        found = followed(batches, replace(fit, warm_start=warm_start), prior=prior)
         assert np.all(np.abs(found.theta - fit.theta) < 0.1 * fit.std)
         np.testing.assert_allclose(found.std, fit.std, rtol=0.02)
 

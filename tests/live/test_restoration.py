@@ -209,6 +209,12 @@ class Ground:
         self.raws.clear()
         return said
 
+    def put_back(self):
+        """Message -> its interval as the station leaves it."""
+        self.take()
+        self.requests.close()
+        return {n: interval for _, n, interval in self.take()}
+
 
 WANTED = (IMU, ESC, OUTPUTS, ATTITUDE, POSITION, LANDED)
 ALL = {
@@ -239,8 +245,7 @@ def test_what_is_not_told_is_taken_from_what_arrives():
     assert {c for c, *_ in ground.take()} == {510, 512}
     ground.turn(0.4, ATTITUDE=49.0, HIGHRES_IMU=100.0)
     assert {c for c, *_ in ground.take()} == {511}
-    ground.requests.close()
-    own = {n: interval for _, n, interval in ground.take()}
+    own = ground.put_back()
     assert own == dict.fromkeys(WANTED, 0.0) | {ATTITUDE: 20408.0, IMU: 10000.0}
 
 
@@ -260,9 +265,7 @@ def test_what_the_autopilots_mean(autopilot, told, own):
     ground.turn(**arriving)
     ground.tell(HIGHRES_IMU=told)
     ground.turn(StreamRestoration.OBSERVED_FOR + 0.4, **arriving)
-    ground.take()
-    ground.requests.close()
-    assert {n: interval for _, n, interval in ground.take()}[IMU] == own
+    assert ground.put_back()[IMU] == own
 
 
 def killed(folder):
@@ -274,12 +277,17 @@ def killed(folder):
     return ground
 
 
-def test_the_next_session_restores_what_a_killed_one_found(tmp_path):
-    asked = {n: interval for c, n, interval in killed(tmp_path).take() if c == 511}
+def asked_by(ground):
+    """Message name -> us, of what this session asks for."""
     names = {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): name for name in ALL}
+    return {names[n]: round(interval) for c, n, interval in ground.take() if c == 511}
+
+
+def test_the_next_session_restores_what_a_killed_one_found(tmp_path):
+    asked = asked_by(killed(tmp_path))
     ground = Ground(tmp_path)
     ground.turn()
-    ground.tell(**{names[n]: round(interval) for n, interval in asked.items()})
+    ground.tell(**asked)
     ground.turn()
     ground.take()
     ground.requests.close()
@@ -293,9 +301,7 @@ def test_a_vehicle_that_was_restarted_keeps_its_own_rates(tmp_path):
     ground.turn()
     ground.tell(**dict.fromkeys(ALL, 66667))
     ground.turn()
-    ground.take()
-    ground.requests.close()
-    assert {interval for _, _, interval in ground.take()} == {66_667.0}
+    assert {*ground.put_back().values()} == {66_667.0}
 
 
 def test_a_stream_that_this_session_does_not_want_is_restored_at_once(tmp_path):
@@ -336,28 +342,17 @@ def test_a_folder_that_cannot_be_written_costs_the_session_nothing(tmp_path):
     ground = killed(tmp_path / "state")
     (line,) = ground.requests.take_events()
     assert "cannot restore the rates" in line
-    ground.take()
-    ground.requests.close()
-    assert {n: interval for _, n, interval in ground.take()} == OWN
+    assert ground.put_back() == OWN
 
 
 def test_after_an_outage_the_rates_this_session_asked_for_are_not_taken_for_its_own():
     ground = killed(None)
-    asked = {n: interval for c, n, interval in ground.take() if c == 511}
-    names = {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): name for name in ALL}
+    asked = asked_by(ground)
     ground.requests.reboot()
     ground.turn()
-    ground.tell(**{names[n]: round(interval) for n, interval in asked.items()})
+    ground.tell(**asked)
     ground.turn()
-    ground.take()
-    ground.requests.close()
-    assert {n: interval for _, n, interval in ground.take()} == OWN
-
-
-def asked_by(ground):
-    """Message name -> us, of what this session asks for."""
-    names = {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): name for name in ALL}
-    return {names[n]: round(interval) for c, n, interval in ground.take() if c == 511}
+    assert ground.put_back() == OWN
 
 
 RATES = {
@@ -385,8 +380,7 @@ def test_what_another_station_sets_meanwhile_is_not_undone(rate):
     assert set(sets) == ({float(theirs)} if rate > 100.0 else {float(theirs), 10_000.0})
     told = "\n".join(ground.requests.take_events())
     assert told.count(f"ATTITUDE was set to {rate:.1f} Hz by another ground station") == 1
-    ground.requests.close()
-    own = {n: interval for _, n, interval in ground.take()}
+    own = ground.put_back()
     assert own.get(ATTITUDE, theirs) == theirs
     assert {**own, ATTITUDE: 0} == {**OWN, ATTITUDE: 0}
 
@@ -400,5 +394,4 @@ def test_an_interval_that_the_autopilot_limits_is_not_taken_for_anothers():
         ground.tell(**limited)
     ground.take()
     assert not ground.requests.take_events()
-    ground.requests.close()
-    assert {n: interval for _, n, interval in ground.take()} == OWN
+    assert ground.put_back() == OWN

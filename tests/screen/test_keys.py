@@ -26,24 +26,30 @@ async def test_quit_stops_the_session_and_asks_nothing(run_screen, key):
         assert not s.app.is_running
 
 
-@pytest.mark.parametrize(("down", "up"), [("down", "up"), ("j", "k")])
-async def test_select_moves_through_the_parameters_and_around(run_screen, down, up):
+async def test_select_moves_through_the_parameters_and_around(run_screen):
     async with run_screen(fake.snapshot()) as s:
         assert s.app.selected == "Ixx"  # the first that is not given
-        await s.press(down)
-        assert s.app.selected == "Iyy"
-        assert "Iyy" in s.answer()
-        assert any(line.startswith("▸Iyy") for line in s.lines())
-        await s.press(up, up, up)
-        assert s.app.selected == "rotor_delay"
+        for down, up in (("down", "up"), ("j", "k")):
+            await s.press(down)
+            assert s.app.selected == "Iyy"
+            assert "Iyy" in s.answer()
+            assert any(line.startswith("▸Iyy") for line in s.lines())
+            await s.press(up, up, up)
+            assert s.app.selected == "rotor_delay"
+            await s.press(down, down)
 
 
 @pytest.mark.slow
-async def test_reset(run_screen):
+async def test_reset_asks_and_no_slip_of_shift_leads_there(run_screen):
+    """No other key is one Shift or Ctrl apart from it, and with Shift it asks all the same."""
     async with run_screen(fake.snapshot()) as s:
-        await s.press("r", "enter")
-        assert s.source.calls == []
-        assert s.answer() == "Reset: cancelled."
+        keys = {key for key, *_ in s.app.screen.active_bindings.items()}
+        assert {"r", "R"} <= keys
+        assert "ctrl+r" not in keys
+        for key in "rR":
+            await s.press(key, "enter")
+            assert s.source.calls == []
+            assert s.answer() == "Reset: cancelled."
         await s.press("r", "escape")
         assert s.source.calls == []
         await s.press("r", "down", "enter")
@@ -51,32 +57,17 @@ async def test_reset(run_screen):
         assert s.answer() == "Reset: the estimate restarts."
 
 
-async def test_marks_are_numbered(run_screen):
+async def test_marks_are_numbered_and_a_recording_goes_on_in_another_file(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("m", "m")
         assert s.source.calls == ["mark 'mark 1'", "mark 'mark 2'"]
-        await s.press("5")
-        assert sum("mark " in line for line in s.lines()[2:-2]) == 2
-
-
-async def test_a_slip_of_shift_resets_nothing(run_screen):
-    """No other key is one Shift or Ctrl apart from reset, and with Shift it asks all the same."""
-    async with run_screen(fake.snapshot()) as s:
-        keys = {key for key, *_ in s.app.screen.active_bindings.items()}
-        assert {"r", "R"} <= keys
-        assert "ctrl+r" not in keys
-        await s.press("R", "enter")
-        assert s.source.calls == []
-        assert s.answer() == "Reset: cancelled."
-
-
-async def test_record(run_screen):
-    async with run_screen(fake.snapshot()) as s:
         await s.press("o")
-        assert s.source.calls == ["record"]
+        assert s.source.calls[2:] == ["record"]
         assert s.answer() == "recording stopped"
         await s.press("o")
         assert s.answer() == "recording to logs/next.tlog"
+        await s.press("5")
+        assert sum("mark " in line for line in s.lines()[2:-2]) == 2
 
 
 @pytest.mark.slow
@@ -104,7 +95,7 @@ async def test_pause_freezes_the_display_only(run_screen):
 
 
 @pytest.mark.slow
-async def test_dark_and_light(run_screen):
+async def test_it_is_dark_or_light_and_help_opens_and_closes(run_screen):
     async with run_screen(fake.snapshot()) as s:
         assert s.app.current_theme.dark
         await s.press("d")
@@ -112,11 +103,6 @@ async def test_dark_and_light(run_screen):
         assert "Light" in s.answer()
         await s.press("d")
         assert s.app.current_theme.dark
-
-
-@pytest.mark.slow
-async def test_help_opens_and_closes(run_screen):
-    async with run_screen(fake.snapshot()) as s:
         for close in ("escape", "question_mark", "q", "enter"):
             await s.press("question_mark")
             assert isinstance(s.app.screen, HelpScreen)
@@ -179,15 +165,11 @@ async def test_the_events_are_followed_at_every_size(run_screen):
         assert any("event number 59" in line for line in s.lines()[:-2])
 
 
-async def test_a_click_chooses_a_parameter(run_screen):
+async def test_a_click_chooses_a_parameter_or_a_page(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.pilot.click(offset=(5, 8))
         await s.settle()
         assert s.app.selected == "Ixy"
-
-
-async def test_a_click_chooses_a_page(run_screen):
-    async with run_screen(fake.snapshot()) as s:
         await s.pilot.click(offset=(18, 2))
         await s.settle()
         assert s.app.get_default_screen().page == "plot"
@@ -227,13 +209,14 @@ async def test_export_asks_for_the_format_and_says_where(run_screen):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", ["e", "s", "b"])
-async def test_escape_leaves_everything_as_it_was(run_screen, key):
+async def test_escape_leaves_everything_as_it_was(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        await s.press(key, "escape")
-        assert isinstance(s.app.screen, MainScreen)
-        assert s.source.calls == []
-        assert "unchanged" in s.answer() or "nothing written" in s.answer()
+        for keys in ("e", "s", "b", "bmrq"):  # what is typed into a question does nothing else
+            await s.press("d", "d", *keys, "escape")
+            assert isinstance(s.app.screen, MainScreen)
+            assert s.source.calls == []
+            assert "unchanged" in s.answer() or "nothing written" in s.answer()
+        assert s.app.is_running
 
 
 async def test_report_is_made_beside_and_said_at_its_end(run_screen):
@@ -264,7 +247,12 @@ async def test_scale_asks_which_fact_then_its_value(run_screen):
         await s.press("s")
         assert "Now: mass 1.5" in s.text()
         assert "T_max" not in s.text()  # there are rotor speeds
-        await s.press("enter")
+        await s.press("enter", "end", "x", "enter")
+        assert s.answer() == "Not done: '1.5x' is not a number (kg wanted)"
+        await s.press("s", "enter", "escape")
+        assert s.answer() == "Scale unchanged."
+        assert s.source.calls == []
+        await s.press("s", "enter")
         assert "1.5" in s.text()  # the present value stands there already
         await s.press("end", "backspace", "6", "enter")
         assert s.source.calls == ["anchor mass 1.6"]
@@ -279,16 +267,6 @@ async def test_scale_with_commands_offers_the_full_thrust(run_screen):
         await s.press("s")
         assert "T_max" in s.text()
         assert "thrust over speed squared" not in s.text()
-
-
-@pytest.mark.slow
-async def test_a_scale_that_is_no_number_is_refused_in_a_line(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("s", "enter", "end", "x", "enter")
-        assert s.answer() == "Not done: '1.5x' is not a number (kg wanted)"
-        await s.press("s", "enter", "escape")
-        assert s.answer() == "Scale unchanged."
-        assert s.source.calls == []
 
 
 @pytest.mark.slow
@@ -328,14 +306,6 @@ async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
         assert s.answer().startswith("Baseline removed: ")
         assert s.answer().endswith("not the same vehicle")
         assert s.app.baseline is None
-
-
-@pytest.mark.slow
-async def test_what_is_typed_into_a_question_does_nothing_else(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("b", "m", "r", "q", "escape")
-        assert s.source.calls == []
-        assert s.app.is_running
 
 
 async def test_a_defect_beside_does_not_end_the_session(run_screen):
