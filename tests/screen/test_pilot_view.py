@@ -11,7 +11,7 @@ from gcs_sysid.screen.main_view import PilotScreen, blocks, pilot_lines
 from gcs_sysid.screen.view import View
 
 from . import fake
-from .test_golden import SIZES, THEMES, check_themes, contrast, named
+from .test_golden import THEMES, check_all_sizes, contrast
 
 
 def led(**changes):
@@ -24,11 +24,10 @@ def written(snapshot, silence=0.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES, ids=named)
-async def test_the_pilot_view(run_screen, size):
-    async with run_screen(led(), size=size) as s:
+async def test_the_pilot_view(run_screen):
+    async with run_screen(led()) as s:
         await s.press("l")
-        await check_themes(s, f"pilot-{named(size)}")
+        await check_all_sizes(s, "pilot")
 
 
 def test_it_says_what_to_fly_how_long_and_what_is_missing():

@@ -39,18 +39,21 @@ async def test_every_key_asks_for_what_it_stands_for_and_says_so(run_replay):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(80, 24), (120, 40), (200, 50)])
-async def test_the_bar_says_where_it_stands(run_replay, size):
-    async with run_replay(size=size) as (s, _):
-        line = next(line for line in s.lines() if "▶ 1x" in line)
-        assert "00:45" in line
-        assert "03:00" in line
-        done, rest = line.count("━"), line.count("─")
-        assert done == round((done + rest) / 4)
-        assert len(line) <= size[0]
-        later = replace(s.source.snapshot, playback=replace(PLAYING, position=90.0, paused=True))
-        await s.serve(later)
-        assert any("‖ paused (1x)" in line and "01:30" in line for line in s.lines())
+async def test_the_bar_says_where_it_stands(run_replay):
+    async with run_replay() as (s, _):
+        first = s.source.snapshot
+        later = replace(first, playback=replace(PLAYING, position=90.0, paused=True))
+        for size in ((80, 24), (120, 40), (200, 50)):
+            await s.pilot.resize_terminal(*size)
+            await s.serve(first)
+            line = next(line for line in s.lines() if "▶ 1x" in line)
+            assert "00:45" in line
+            assert "03:00" in line
+            done, rest = line.count("━"), line.count("─")
+            assert done == round((done + rest) / 4)
+            assert len(line) <= size[0]
+            await s.serve(later)
+            assert any("‖ paused (1x)" in line and "01:30" in line for line in s.lines())
 
 
 @pytest.mark.parametrize(
