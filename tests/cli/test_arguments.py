@@ -185,6 +185,8 @@ def test_help_and_version_load_nothing_heavy():
 def test_commands_and_notebooks_load_neither_screen_nor_slow_parts_of_scipy():
     code = (
         "import gcs_sysid, importlib, sys\n"
+        "import gcs_sysid.cli.analyze_command\n"
+        "assert 'gcs_sysid.report' not in sys.modules\n"  # where none is asked for
         "from gcs_sysid.cli.commands import COMMANDS\n"
         "for command in COMMANDS:\n"
         "    importlib.import_module(f'gcs_sysid.cli.{command.name}_command')\n"

@@ -111,10 +111,3 @@ def test_the_report_needs_neither_screen_nor_mavlink():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.slow
-def test_who_asks_for_none_does_not_load_it():
-    code = "import sys, gcs_sysid.cli.analyze_command; print('gcs_sysid.report' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
