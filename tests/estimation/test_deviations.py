@@ -27,6 +27,12 @@ HEXA = np.array([0.3 * np.cos(TURN), 0.3 * np.sin(TURN), np.tile([1.0, -1.0], 3)
 KINDS = tuple(SIZES)
 
 
+def cell(excitation, seconds, seed):
+    """A flight at 250 Hz inside the model, at its own speeds."""
+    how = {"flights": 1, "seconds": seconds, "rate": 250.0, "seed": seed}
+    return fly_cell(Vehicle(), EXCITATIONS[excitation], DISTURBANCES["none"], **how)[0]
+
+
 def unknowns_of(vehicle=None):
     return np.concatenate([(vehicle or Vehicle()).theta, [0.0, 0.0, 1.0]])
 
@@ -105,10 +111,7 @@ def test_choice_is_that_of_the_density_of_the_data(true):
 @pytest.fixture(scope="module")
 def flown():
     """16 s at 250 Hz inside the model, as whitened moments."""
-    samples = fly_cell(
-        Vehicle(), EXCITATIONS["aggressive"], DISTURBANCES["none"],
-        flights=1, seconds=16.0, rate=250.0, seed=31,
-    )[0]  # fmt: skip
+    samples = cell("aggressive", 16.0, seed=31)
     estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)
     record = estimator.record.whitened
@@ -160,10 +163,7 @@ def test_score_and_information_are_those_of_a_fit_with_the_deviations(flown):
 
 @pytest.mark.slow
 def test_nothing_is_chosen_on_an_ideal_flight():
-    samples = fly_cell(
-        Vehicle(), EXCITATIONS["doublets"], DISTURBANCES["none"],
-        flights=1, seconds=12.0, rate=250.0, seed=41,
-    )[0]  # fmt: skip
+    samples = cell("doublets", 12.0, seed=41)
     estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
     estimator.update(samples)
     fit = estimator.fit().rotation
@@ -203,10 +203,7 @@ def test_intervals_hold_where_the_vehicle_deviates(fly, physics, seed, kinds):
 @pytest.mark.slow
 def test_intervals_hold_where_one_rotor_is_read_later_than_the_others():
     """By 8 ms Ixx was 3.9 standard deviations off."""
-    samples = fly_cell(
-        Vehicle(), EXCITATIONS["aggressive"], DISTURBANCES["none"],
-        flights=1, seconds=12.0, rate=250.0, seed=32,
-    )[0]  # fmt: skip
+    samples = cell("aggressive", 12.0, seed=32)
     late = samples.speeds.copy()
     late[2:, 1] = late[:-2, 1]
     estimator = OnlineEstimator(QUAD, T, EstimatorTuning())
@@ -257,10 +254,7 @@ def fit_to(samples, geometry, **given):
 @pytest.fixture(scope="module")
 def lively():
     """16 s inside the model, at its own speeds."""
-    return fly_cell(
-        Vehicle(), EXCITATIONS["aggressive"], DISTURBANCES["none"],
-        flights=1, seconds=16.0, rate=250.0, seed=33,
-    )[0]  # fmt: skip
+    return cell("aggressive", 16.0, seed=33)
 
 
 @pytest.mark.slow

@@ -17,24 +17,10 @@ from gcs_sysid.model.airframe import (
     read_airframe_table,
 )
 
-ROTORS = """
-[[rotor]]
-x = 0.2
-y = 0.3
-spin = "ccw"
-[[rotor]]
-x = -0.2
-y = -0.3
-spin = "CCW"
-[[rotor]]
-x = 0.2
-y = -0.3
-spin = "cw"
-[[rotor]]
-x = -0.2
-y = 0.3
-spin = "cw"
-"""
+ROTORS = "".join(
+    f'[[rotor]]\nx = {x}\ny = {y}\nspin = "{spin}"\n'
+    for x, y, spin in ((0.2, 0.3, "ccw"), (-0.2, -0.3, "CCW"), (0.2, -0.3, "cw"), (-0.2, 0.3, "cw"))
+)
 
 
 @pytest.fixture

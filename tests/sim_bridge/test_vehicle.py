@@ -12,26 +12,10 @@ from sim_bridge.simulated_vehicle import Vehicle, allocation, stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle, vehicle_names
 from tests.known_theta import TABLE_1
 
-AIRFRAME = """
-name = "mine"
-mass = 1.2
-[[rotor]]
-x = 0.2
-y = 0.2
-spin = "ccw"
-[[rotor]]
-x = -0.2
-y = -0.2
-spin = "ccw"
-[[rotor]]
-x = 0.2
-y = -0.2
-spin = "cw"
-[[rotor]]
-x = -0.2
-y = 0.2
-spin = "cw"
-"""
+AIRFRAME = 'name = "mine"\nmass = 1.2\n' + "".join(
+    f'[[rotor]]\nx = {x}\ny = {y}\nspin = "{spin}"\n'
+    for x, y, spin in ((0.2, 0.2, "ccw"), (-0.2, -0.2, "ccw"), (0.2, -0.2, "cw"), (-0.2, 0.2, "cw"))
+)
 SIMULATION = """
 [simulation]
 Ixx = 0.012
