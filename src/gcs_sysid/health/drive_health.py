@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.command_curve import Commanded, Curve, gentle_of, thrust_of
-from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
+from gcs_sysid.health.hover import Windows, held, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.vehicle_health import Health, HoverCommand, MotorCurrent
@@ -199,22 +199,15 @@ def idle_output(streams: Streams) -> float | None:
     for (t, output), (speed_t, speed) in zip(
         streams.commands.outputs, streams.speeds.samples, strict=True
     ):
-        turning = _held_at(speed_t, speed > 0.0, t)
+        turning = held(speed_t, speed, t, 0.5) > 0.0
         later = np.searchsorted(t, t - 1.0)
-        held = (output == output[later]) & (t - t[0] > 1.0) & (output > output.min())
+        stays = (output == output[later]) & (t - t[0] > 1.0) & (output > output.min())
         run = np.append(0.0, np.cumsum(~turning | (output != np.roll(output, 1))))
-        whole = held & (run[1:] - run[later + 1] == 0.0)
+        whole = stays & (run[1:] - run[later + 1] == 0.0)
         if not whole.any():
             return None
         lowest.append(float(output[whole].min()))
     return max(lowest)
-
-
-def _held_at(t: Array, values: Array, at: Array) -> Array:
-    """(n,) the last value before each time; False before the first and long after one."""
-    i = np.searchsorted(t, at, side="right") - 1
-    out: Array = (i >= 0) & values[np.maximum(i, 0)] & (at - t[np.maximum(i, 0)] < 0.5)
-    return out
 
 
 def battery_of(streams: Streams) -> tuple[float, float, float] | None:

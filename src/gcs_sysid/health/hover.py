@@ -433,17 +433,16 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
         return np.empty(0), np.empty(0, bool)
     grid = np.arange(0.0, float(max(ends)) + TUNING.judged_every, TUNING.judged_every)
 
-    def held(stream: Stream) -> Array:
+    def state(stream: Stream) -> Array:
         times, values = streams.tracks.get(stream, (np.empty(0), np.empty((0, 1))))
-        return _held(times, values[:, 0], grid) if len(times) else np.full(len(grid), np.nan)
+        return held(times, values[:, 0], grid) if len(times) else np.full(len(grid), np.nan)
 
-    speeds = np.column_stack([_held(t, v, grid) for t, v in source.samples])
+    speeds = np.column_stack([held(t, v, grid) for t, v in source.samples])
     position = np.full((len(grid), 3), np.nan)
     if Stream.VELOCITY in streams.tracks:
         times, values = streams.tracks[Stream.VELOCITY]
-        position = np.column_stack([_held(times, column, grid) for column in values[:, 3:6].T])
-    reported = held(Stream.IN_AIR)
-    armed = held(Stream.ARMED)
+        position = np.column_stack([held(times, column, grid) for column in values[:, 3:6].T])
+    reported, armed = state(Stream.IN_AIR), state(Stream.ARMED)
     imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
     felt = windowed_means(imu_t, imu[:, :6], grid, TUNING.judged_every)
     thrust = np.column_stack(
@@ -521,9 +520,9 @@ def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:
     return out
 
 
-def _held(times: Array, values: Array, grid: Array) -> Array:
-    """(n,) the last value reported, for a while; NaN after that and before the first."""
+def held(times: Array, values: Array, grid: Array, seconds: float = TUNING.state_holds) -> Array:
+    """(n,) the last value reported, for so many seconds; NaN after that and before the first."""
     i = np.searchsorted(times, grid, side="right") - 1
-    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < TUNING.state_holds)
+    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < seconds)
     out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)
     return out

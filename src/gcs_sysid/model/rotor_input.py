@@ -73,7 +73,7 @@ class RotorInput(StrEnum):
             return np.sqrt(load)
         # In the form that holds at c = 0; above the top of an odd curve, the command there.
         root = np.sqrt(np.maximum((1.0 - curve) ** 2 + 4.0 * curve * load, 0.0))
-        return 2.0 * load / (1.0 - curve + root)
+        return 2.0 * load / np.maximum(1.0 - curve + root, 1e-6)
 
     def turning(self, value: Array, curve: Array) -> Array:
         """What the rotors' angular momentum grows with.

@@ -21,6 +21,7 @@ from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.rows.actuator_dynamics import Coordinate, LagOf, motor_filter
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.recursions import lfilter
 
@@ -85,7 +86,7 @@ class Actuator:
         return out
 
     def _share(self, u: Array) -> Array:
-        return np.maximum((1.0 - self.curve) * u + self.curve * u * u, 0.0)
+        return np.maximum(RotorInput.COMMAND.load(u, np.array(self.curve)), 0.0)
 
 
 @dataclass(frozen=True)

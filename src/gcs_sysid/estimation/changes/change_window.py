@@ -19,6 +19,7 @@ from gcs_sysid.estimation.changes.change_reference import N_X, TOTAL, Reference,
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.records import Samples
 
 _TENTHS = 10.0
@@ -231,7 +232,7 @@ def covariates(window: AlarmWindow, reference: Reference) -> dict[int, Array]:
 def _by_curve(window: AlarmWindow, reference: Reference, c: float) -> Array:
     """(n,) change of thrust with the curve, kappa such that mean thrust stays."""
     share = window.squares
-    w = _command_of(share, c)
+    w = RotorInput.COMMAND.at_load(share, np.array(c))
     slope = (w * w - w).sum(axis=1)
     usual = slice(0, max(window.at, 1))
     total = share.sum(axis=1)
@@ -422,13 +423,6 @@ def means(parts: Array, least: float = 0.0) -> Array:
 
 def _rate(values: Array, window: AlarmWindow) -> Array:
     return np.gradient(values, window.index * window.step)
-
-
-def _command_of(share: Array, c: float) -> Array:
-    """Command of a share of full thrust: (1 - c) w + c w^2 = share."""
-    linear = 1.0 - c
-    root = np.sqrt(np.maximum(linear * linear + 4.0 * c * share, 0.0))
-    return 2.0 * share / np.maximum(linear + root, 1e-6)
 
 
 def _velocity(samples: Samples, dt: float) -> Array:
