@@ -1,11 +1,12 @@
 """What objections may rest on: the estimates of a flight and all that is known around them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.model.airframe import Airframe, ScaleKind
 from gcs_sysid.model.estimate import Estimate
+from gcs_sysid.model.parameters import REGISTRY, Parameter
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
@@ -152,3 +153,12 @@ class Evidence:
     imu_loss: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
     apart: Mapping[str, float] = field(default_factory=dict)
+
+    def names(self, which: Callable[[Parameter], bool]) -> frozenset[str]:
+        """Parameters of this kind that there are estimates of."""
+        return frozenset(name for name in self.estimates if which(REGISTRY[name]))
+
+    def share_of(self, names: Collection[str], share: float) -> dict[str, float]:
+        """Name -> this share of its value, of those of these parameters that have one."""
+        known = {n: e.value for n, e in self.estimates.items() if n in names}
+        return {n: share * abs(value) for n, value in known.items() if value is not None}

@@ -132,12 +132,12 @@ def misread_gyro(evidence: Evidence) -> Iterator[Objection]:
     forces = ("translation",) if misscaled else ("translation", "scale")
     yield Objection(
         reason,
-        frozenset(
-            name
-            for name in evidence.estimates
-            if any(axes[axis] for axis in REGISTRY[name].axes)
-            or REGISTRY[name].fit in forces
-            or (misscaled and REGISTRY[name].rigid_body)
+        evidence.names(
+            lambda p: (
+                any(axes[axis] for axis in p.axes)
+                or p.fit in forces
+                or (misscaled and p.rigid_body)
+            )
         ),
         cap="weak",
         verdict="partial",

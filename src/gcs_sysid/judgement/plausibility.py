@@ -18,7 +18,7 @@ from gcs_sysid.judgement.evidence import Evidence
 from gcs_sysid.judgement.status import LINES, READINGS
 from gcs_sysid.model.airframe import Airframe, own_units_words
 from gcs_sysid.model.estimate import KNOWN, Objection
-from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, REGISTRY
+from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_readings import AGE, APART
@@ -179,11 +179,7 @@ def differing_rotors(evidence: Evidence) -> Iterator[Objection]:
             frozenset({"k_T", "k_M"}),
             cap="weak",
             verdict="identified",
-            widening={
-                name: share * abs(e.value)
-                for name, e in evidence.estimates.items()
-                if name in ("k_T", "k_M") and e.value is not None
-            },
+            widening=evidence.share_of(("k_T", "k_M"), share),
             evidence={"share": share},
             how=how,
         )
@@ -207,17 +203,8 @@ def unlike_spins(evidence: Evidence) -> Iterator[Objection]:
         return  # one rotor that reads otherwise does as much
     names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
     for found in of_spins(evidence.spins):
-        share = abs(found.evidence["share"])
-        yield replace(
-            found,
-            parameters=names,
-            cap="weak",
-            widening={
-                name: share * abs(e.value)
-                for name, e in evidence.estimates.items()
-                if name in names and e.value is not None
-            },
-        )
+        widening = evidence.share_of(names, abs(found.evidence["share"]))
+        yield replace(found, parameters=names, cap="weak", widening=widening)
 
 
 def of_spins(share: float | None) -> Iterator[Objection]:
@@ -268,7 +255,7 @@ def aged_readings(evidence: Evidence) -> Iterator[Objection]:
 
     A speed that is read wrong looks so, too. One that was held at times was so unseen at others.
     """
-    by_rotation = frozenset(n for n in evidence.estimates if REGISTRY[n].fit == "rotation")
+    by_rotation = evidence.names(lambda p: p.fit == "rotation")
     if evidence.stale:
         yield Objection(
             evidence.stale,

@@ -80,11 +80,7 @@ def explained(evidence: Evidence) -> Iterator[Objection]:
             worst = int(np.argmin(shares))
             yield Objection(
                 f"the rotors explain {_percent(shares[worst])} of the motion in {AXES[worst]}",
-                frozenset(
-                    name
-                    for name in evidence.estimates
-                    if not (p := REGISTRY[name]).mean_torque and any(axes[i] for i in p.axes)
-                ),
+                _resting_on(evidence, axes, lambda p: not p.mean_torque),
                 cap=cap,
                 stated=False,
                 evidence=_by_axis(shares),
@@ -122,14 +118,13 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
     yield Objection(
         "the vehicle does not move like a rigid body (gyroscopic torque on roll, pitch, yaw "
         f"{share} times expected): Izz, products of inertia and rotor torque are not observable",
-        frozenset(name for name in evidence.estimates if REGISTRY[name].rigid_body),
+        evidence.names(lambda p: p.rigid_body),
         cap="unobservable",
         verdict="partial",
-        widening={
-            name: RULES.not_rigid * abs(e.value)
-            for name, e in evidence.estimates.items()
-            if (p := REGISTRY[name]).theta and p.scale == "thrust" and not p.rigid_body and e.value
-        },
+        widening=evidence.share_of(
+            evidence.names(lambda p: bool(p.theta) and p.scale == "thrust" and not p.rigid_body),
+            RULES.not_rigid,
+        ),
         evidence=_by_axis(test.share),
     )
     least = STATUS_RULES.explained(whitened=rotation.of_steps)[0]
@@ -137,11 +132,7 @@ def rigid_body(evidence: Evidence) -> Iterator[Objection]:
         # A gust leaves gyroscopic torque as it is; a speed read wrong spoils both, and the CG.
         yield Objection(
             "neither the motion on every axis nor gyroscopic torque agrees with the rotors' speeds",
-            frozenset(
-                name
-                for name in evidence.estimates
-                if REGISTRY[name].theta or REGISTRY[name].fit == "translation"
-            ),
+            evidence.names(lambda p: bool(p.theta) or p.fit == "translation"),
             cap="weak",
             verdict="partial",
             how="check the motor order, and that every ESC reads true: its pole count first",
@@ -314,19 +305,21 @@ def _motors(evidence: Evidence, axes: Mask) -> frozenset[str]:
         return frozenset()
     if not rotation.full_covariance[Unknown.CURVE, Unknown.CURVE] > 0.0:
         return frozenset()
-    return frozenset(n for n in evidence.estimates if REGISTRY[n].inputs == THROUGH_MOTORS)
+    return evidence.names(lambda p: p.inputs == THROUGH_MOTORS)
 
 
 def _on(
     evidence: Evidence, axes: Mask, which: Callable[[Parameter], bool] = lambda _: True
 ) -> frozenset[str]:
     """Parameters that rest on any of (3,) axes, but for those that are known to be small."""
-    return frozenset(
-        name
-        for name, e in evidence.estimates.items()
-        if any(axes[axis] for axis in REGISTRY[name].axes) and which(REGISTRY[name])
-        if e.status != "zero"
-    )
+    small = {name for name, e in evidence.estimates.items() if e.status == "zero"}
+    return _resting_on(evidence, axes, which) - small
+
+
+def _resting_on(
+    evidence: Evidence, axes: Mask, which: Callable[[Parameter], bool]
+) -> frozenset[str]:
+    return evidence.names(lambda p: any(axes[axis] for axis in p.axes) and which(p))
 
 
 def _percent(share: float) -> str:

@@ -82,7 +82,7 @@ def missing_data(evidence: Evidence) -> Iterator[Objection]:
     if fit.other_layout is not None:
         yield Objection(
             f"{fit.other_layout}: corrected, it would explain the motion far better",
-            frozenset(name for name in evidence.estimates if REGISTRY[name].axes),
+            evidence.names(lambda p: bool(p.axes)),
             cap="unobservable",
             verdict="refused",
             by=ROTORS,
@@ -146,11 +146,7 @@ def slow_imu(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(
             f"the IMU comes at {1.0 / evidence.interval:.1f} Hz; identification{with_motors} needs "
             f"{NEEDED_RATE:.0f} Hz",
-            frozenset(
-                name
-                for name in evidence.estimates
-                if motors or REGISTRY[name].fit in ("rotation", "actuator")
-            ),
+            evidence.names(lambda p: motors or p.fit in ("rotation", "actuator")),
             cap="weak",
             verdict="refused" if too_slow else "partial",
             how="log or request it faster",
