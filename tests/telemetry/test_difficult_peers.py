@@ -13,18 +13,7 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import parse_url
-
-WAIT = 5.0
-"""s: a bound for what comes at once on loopback; nothing waits for it to pass."""
-
-
-def receive(receiver, count):
-    frames = []
-    for _ in range(200):
-        frames += receiver.poll(WAIT / 200)
-        if len(frames) >= count:
-            break
-    return frames
+from tests.telemetry.test_link import WAIT, receive
 
 
 @pytest.fixture

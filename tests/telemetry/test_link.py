@@ -1,6 +1,5 @@
 """Links by name, over real sockets and a real serial path."""
 
-import os
 import socket
 import sys
 import threading
@@ -209,31 +208,6 @@ def test_tcpin_takes_one_connection_after_another(sender):
                 vehicle.sendall(beat.raw)
                 assert receive(receiver, 1) == [beat]
         assert not link.ended
-
-
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
-def test_serial_carries_frames_both_ways_and_notices_unplugging(stream):
-    data, expected = stream
-    vehicle, port = os.openpty()
-    name = os.ttyname(port)
-    with open_link(LinkUrl("serial", name, device=name, baud=921600)) as link:
-        os.close(port)
-        receiver = Receiver(link)
-        frames = []
-        for at in range(0, len(data), 512):
-            os.write(vehicle, data[at : at + 512])
-            frames += receiver.poll(0.01)
-        frames += receive(receiver, len(expected) - len(frames))
-        assert frames == expected
-        Gate(link.send).heartbeat()
-        assert os.read(vehicle, 100)[0] == 0xFD
-        os.close(vehicle)
-        for _ in range(100):
-            receiver.poll(0.01)
-            if link.ended:
-                break
-        assert link.ended
-        link.send(b"into the void")
 
 
 def test_a_port_in_use_gives_its_line():

@@ -1,7 +1,6 @@
 """Messages as structured arrays hold what pymavlink reads, of every type and every log."""
 
 import random
-import struct
 
 import numpy as np
 import pytest
@@ -12,12 +11,7 @@ from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.messages import LAYOUTS, message_arrays
 from gcs_sysid.telemetry.tlog import TlogReader, read_messages
-
-START = 1_750_000_000_000_000
-
-
-def as_log(raws):
-    return b"".join(struct.pack(">Q", START + 4000 * i) + raw for i, raw in enumerate(raws))
+from tests.telemetry.test_tlog_scan import START, STEP, as_log
 
 
 @pytest.fixture
@@ -85,7 +79,7 @@ def test_every_type_is_read_as_pymavlink_reads_it(tmp_path, make_sender, make_me
     theirs = {}
     for i, raw in enumerate(raws):
         message = parser.decode(bytearray(raw))
-        message._timestamp = (START + 4000 * i) * 1e-6
+        message._timestamp = (START + STEP * i) * 1e-6
         theirs.setdefault(message.get_type(), []).append(message)
     assert set(ours) == set(theirs) == {layout.name for layout in LAYOUTS.values()}
     assert (counts.frames, counts.bad_crc, counts.garbage_bytes) == (len(raws), 0, 0)

@@ -11,6 +11,7 @@ from gcs_sysid.telemetry.link import (
     ReceivedBytes,
     open_link,
 )
+from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -157,10 +158,14 @@ def test_a_serial_port_pulled_out_and_plugged_in_again(clock, stream, tmp_path):
                 got += receiver.poll(0.01)
             got += until(receiver, lambda more, got=got: len(got) + len(more) >= len(expected))
             assert got == expected
-            breaks = link.breaks
+            Gate(link.send).heartbeat()
+            assert os.read(vehicle, 100)[0] == 0xFD
+            breaks, unsent = link.breaks, link.unsent
             os.close(vehicle)
             name.unlink()
             until(receiver, lambda _, breaks=breaks: link.breaks > breaks)
+            link.send(b"into the void")
+            assert link.unsent == unsent + 1
             for _ in range(100):
                 assert receiver.poll(0.01) == []
             vehicle, port = plug_in()
