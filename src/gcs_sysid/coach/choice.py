@@ -186,22 +186,10 @@ MOST = 300.0
 
 
 @dataclass(frozen=True)
-class Step:
-    """One maneuver of a plan.
-
-    Attributes:
-        start: s after the plan's start.
-        manoeuvre: to fly.
-        now: shares before, see `shares`.
-        expected: shares after.
-        names: parameters that it narrows, the widest first.
-    """
+class Step(Choice):
+    """One of a plan; `start` is s after the plan's start."""
 
     start: float
-    manoeuvre: Manoeuvre
-    now: Mapping[str, float | None]
-    expected: Mapping[str, float | None]
-    names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -269,7 +257,7 @@ def make_plan(
         if found is None:
             break
         flown = found.manoeuvre
-        steps.append(Step(seconds, flown, now, found.expected, tuple(found.names)))
+        steps.append(Step(**vars(found), start=seconds))
         prospect = prospect.then(found.added, flown.seconds, flown.effective_seconds)
         now = judge(prospect.after())
         seconds += flown.seconds + PAUSE

@@ -405,12 +405,7 @@ class PredictedInformation:
     def then(self, added: Array, seconds: float, full: float) -> "PredictedInformation":
         """What is known once a maneuver has been flown as expected; arguments as of `after`."""
         after = self.after(added, seconds, full)
-        fit = Fit(
-            after.rotation,
-            self.fit.translation,
-            after.seconds,
-            rigid_body_test=self.fit.rigid_body_test,
-        )
+        fit = replace(after, translation=self.fit.translation, running=False)
         _, freedom = self._spread(added, full)
         return replace(self, fit=fit, information=self.information + full * added, freedom=freedom)
 

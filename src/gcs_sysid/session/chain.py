@@ -45,6 +45,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results import summary
 from gcs_sysid.results.history import History, HistoryRecorder
 from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_data import Scale
 from gcs_sysid.results.snapshot import Event
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
@@ -501,28 +502,25 @@ class Chain:
         own, changes = self.options.tuning, self.options.changes
         self.cutoffs = gyro, loop = self._known_cutoffs()
         sigma = self.airframe.uncertainty
-        tuning = replace(
-            own,
-            gyro_cutoff=gyro,
-            speed_interval=rotors.interval,
-            rotor_place=sigma.rotor_position.of(self.airframe.arm),
-            imu_place=sigma.imu_position.amount,
-            imu_turn=math.radians(sigma.imu_rotation.amount),
-        )
         if rotors.kind.motors:
             curve = self.airframe.command.thrust_curve
             usual = tuning_for(rotors.kind, dt)
             tuning = replace(
                 usual,
-                gyro_cutoff=gyro,
                 loop_cutoff=loop,
-                rotor_place=tuning.rotor_place,
-                imu_place=tuning.imu_place,
-                imu_turn=tuning.imu_turn,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=usual.curves if curve is None else (curve,),
             )
+        else:
+            tuning = replace(own, speed_interval=rotors.interval)
+        tuning = replace(
+            tuning,
+            gyro_cutoff=gyro,
+            rotor_place=sigma.rotor_position.of(self.airframe.arm),
+            imu_place=sigma.imu_position.amount,
+            imu_turn=math.radians(sigma.imu_rotation.amount),
+        )
         return Tracker(
             self.airframe.geometry,
             dt,
@@ -635,14 +633,14 @@ class Findings:
             {name: e for name, e in estimates.items() if REGISTRY[name].section == section}
             for section in ("parameters", "timing")
         )
-        past, own = self._past_values(), chain.airframe.own_units
+        past = [chain.values(segment.fit, scale) for segment, scale in self._past]
         return Result(
             verdict=found.verdict,
             reasons=found.reasons,
             objections=found.objections,
             source="",
             vehicle={},
-            scale=None if own else summary.scale_of(anchor),
+            scale=self._scale_shown(anchor),
             rotor_input=chain.rotor_input,
             parameters=parameters,
             estimator="online" if isinstance(offline, str | None) else "offline",
@@ -769,15 +767,14 @@ class Findings:
         known = self.chain.known_beforehand(anchor)
         return Given(self.chain.airframe, anchor, self.chain.rotor_input, known)
 
-    def _past_values(self) -> list[dict[str, Estimate]]:
-        if self.chain.tracker is None:
-            return []
-        return [
-            self.chain.values(segment.fit, anchor)
-            for segment, anchor in zip(
-                self.chain.tracker.segments, self.chain.anchors, strict=False
-            )
-        ]
+    @property
+    def _past(self) -> list[tuple[Segment, ScaleReference]]:
+        """Segments before this one, and their scales."""
+        segments = [] if self.chain.tracker is None else self.chain.tracker.segments
+        return [*zip(segments, self.chain.anchors, strict=False)]
+
+    def _scale_shown(self, anchor: ScaleReference) -> Scale | None:
+        return None if self.chain.airframe.own_units else summary.scale_of(anchor)
 
     def _bounds(self) -> dict[str, Estimate]:
         if isinstance(self.chain.offline, str | None):
@@ -787,11 +784,9 @@ class Findings:
         return {n: v for n, v in bounds.items() if REGISTRY[n].fit in ("rotation", "actuator")}
 
     def _changes(self, values: list[dict[str, Estimate]]) -> tuple[dict[str, Any], ...]:
-        if self.chain.tracker is None:
-            return ()
         out = []
         before = 0
-        for event in self.chain.tracker.events:
+        for event in () if self.chain.tracker is None else self.chain.tracker.events:
             after = None
             if event.segment is not None:
                 before, after = event.segment, values[event.segment + 1]
@@ -801,15 +796,11 @@ class Findings:
         return tuple(out)
 
     def _segments(self) -> tuple[dict[str, Any], ...]:
-        if self.chain.tracker is None:
-            return ()
         return tuple(
             {
                 "start": segment.start,
                 "end": segment.end,
-                "scale": (
-                    None if self.chain.airframe.own_units else summary.scale_of(anchor).as_json()
-                ),
+                "scale": scale.as_json() if (scale := self._scale_shown(anchor)) else None,
                 "parameters": {
                     name: estimate.as_json()
                     for name, estimate in self._in_units(
@@ -820,9 +811,7 @@ class Findings:
                 },
                 "validation": summary.validation_of(segment.fit),
             }
-            for segment, anchor in zip(
-                self.chain.tracker.segments, self.chain.anchors, strict=False
-            )
+            for segment, anchor in self._past
         )
 
     def _assumptions(self) -> Iterator[dict[str, Any]]:

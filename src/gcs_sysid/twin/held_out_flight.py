@@ -128,16 +128,15 @@ def _flown(
         flown = analyze_log(
             log, vehicle, wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )
-        before, rest = _settled(times, since, cut), FlightPart(cut, np.inf)
-        judged = [(rest, before)]
+        judged = [((cut, np.inf), _settled(times, since, cut))]
         spans = ((cut, float(times[-1])),)
         if flown.verdict != "identified":
             notes.append(f"the fit to the first part alone is {flown.verdict}")
     else:
         middle = float(times[len(times) // 2])
-        first, second = _settled(times, since, middle), FlightPart(middle, np.inf)
+        first, second = _settled(times, since, middle), (middle, np.inf)
         judged = [(first, second), (second, first)]
-        spans = ((first.since, float(times[-1])),)
+        spans = ((first[0], float(times[-1])),)
         notes.append("noise and disturbances of each half of the log are taken from the other half")
     notes += _doubts(flown)
     record = record.of_body(np.radians(found_in_flight(flown, "imu_rotation", (3,))))
@@ -165,7 +164,7 @@ def _flown(
 def _settled(times: Array, since: float, until: float) -> FlightPart:
     """The part of a flight from when the filters have settled, up to a time."""
     begin = max(float(times[0]), since)
-    return FlightPart(begin + min(_SETTLING, _SETTLING_SHARE * (until - begin)), until)
+    return begin + min(_SETTLING, _SETTLING_SHARE * (until - begin)), until
 
 
 def is_same_flight(result: Result, whole: Result, log: Path) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.rows.rotor_signals import butterworth, steady_state
@@ -55,16 +55,18 @@ class MeasuredFlight:
         """Whether any velocity was measured."""
         return bool(np.isfinite(self.velocity).all(axis=1).any())
 
-    def runs(self, since: float, until: float) -> list[slice]:
-        """Stretches without a gap between two times, s; the velocity may be missing."""
+    def _there(self, since: float, until: float) -> Mask:
+        """(n,) where all is there between two times, s; the velocity may be missing."""
         there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
-        there &= (self.t >= since) & (self.t <= until)
-        return [part for part, ok in runs(there) if ok]
+        return there & (self.t >= since) & (self.t <= until)
+
+    def runs(self, since: float = -np.inf, until: float = np.inf) -> list[slice]:
+        """Stretches without a gap between two times, s; the velocity may be missing."""
+        return [part for part, ok in runs(self._there(since, until)) if ok]
 
     def flown(self, since: float = 0.0) -> Array:
         """(k,) times at which all is there."""
-        there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
-        return self.t[there & (self.t >= since)]
+        return self.t[self._there(since, np.inf)]
 
     def of_body(self, turn: Array) -> "MeasuredFlight":
         """The motion of the body, whose IMU is turned by (3,) rad."""
@@ -75,12 +77,10 @@ class MeasuredFlight:
             attitude=quaternions.multiply(self.attitude, quaternions.conjugate(back)),
         )
 
-    def one_step(self, model: FlightModel, part: slice) -> tuple[Array, Array, Array]:
-        """What one step of the model leaves, summed up: (n, 3) each of a gapless part.
+    def one_step(self, model: FlightModel, part: slice) -> Array:
+        """(n, 3) sums of what one step of the model leaves of the rates of a gapless part, rad/s.
 
-        Returns:
-            Rates in rad/s, turn of the attitude in rad (body axes), velocity in m/s: their
-            increments over any time are what the model, fed with the measured motion, does not say.
+        Increments over any time are what the model, fed with the measured motion, does not say.
         """
         rates, q, velocity, rotors = (
             values[part] for values in (self.rates, self.attitude, self.velocity, self.rotors)
@@ -88,17 +88,11 @@ class MeasuredFlight:
         v = np.where(np.isfinite(velocity), velocity, 0.0)
         start = MotionState(rates[:-1], q[:-1], v[:-1])
         if self.rotor_input.motors:
-            lagged = model.lagged(self.t[part], rotors)
-            start = MotionState(rates[:-1], q[:-1], v[:-1], rotors=lagged[:-1])
+            start = replace(start, rotors=model.lagged(self.t[part], rotors)[:-1])
         pairs = np.stack([rotors[:-1], rotors[1:]], axis=1)
         flown = model.simulate([0.0, self.dt], pairs, start)
-        turn = quaternions.to_rotation_vector(
-            quaternions.multiply(quaternions.conjugate(flown.attitude[:, 1]), q[1:])
-        )
-        left = rates[1:] - flown.rates[:, 1], turn, velocity[1:] - flown.velocity[:, 1]
-        sums = (np.concatenate([np.zeros((1, 3)), np.cumsum(each, axis=0)]) for each in left)
-        w, a, u = sums
-        return w, a, u
+        left = rates[1:] - flown.rates[:, 1]
+        return np.concatenate([np.zeros((1, 3)), np.cumsum(left, axis=0)])
 
 
 class FlightRecorder:

@@ -21,14 +21,14 @@ of the flight that is not judged; an axis without anything that lasts has none.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
 from gcs_sysid.model.parameters import AXES, THETA
@@ -143,7 +143,7 @@ def _averaged(left: Array, dt: float, memory: float) -> Array:
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """s, lengths of the stretches."""
 QUANTITIES = ("rates", "attitude", "velocity")
-UNITS = {"rates": "rad/s", "attitude": "rad", "velocity": "m/s"}
+"""In rad/s, rad and m/s."""
 _ROTATION = tuple(f.name for f in fields(FlightModel) if f.name in THETA)
 """Fields of the flight model that turn it and are not of the basic one."""
 _OVERLAP = 4
@@ -155,7 +155,7 @@ class Accuracy:
     """Errors of one quantity over stretches of one length.
 
     Attributes:
-        rms: of the three axes, at the end of the stretch; `UNITS`.
+        rms: of the three axes, at the end of the stretch; unit: `QUANTITIES`.
         band: rms of the half width of the 95 % band.
         band_parameters: rms of 1.96 standard deviations by the covariance alone.
         inside: share of the errors inside the band.
@@ -194,17 +194,8 @@ class Growth:
     guess: dict[str, Array]
 
 
-@dataclass(frozen=True)
-class FlightPart:
-    """A part of a flight: to be judged, or to estimate the noise.
-
-    Attributes:
-        since: s.
-        until: s.
-    """
-
-    since: float
-    until: float
+FlightPart = tuple[float, float]
+"""Begin and end in s of a part of a flight: to be judged, or to estimate the noise."""
 
 
 @dataclass(frozen=True)
@@ -224,10 +215,6 @@ class _Errors:
     measured: dict[str, Array]
     parameters: dict[str, Array]
     basic: dict[str, Array]
-
-    @property
-    def count(self) -> int:
-        return len(self.error["rates"])
 
 
 class Twin:
@@ -252,7 +239,7 @@ class Twin:
         ahead, most = max(1, round(span / record.dt)), max(1, int(span / record.dt))
         candidates = [2**k for k in range(int(np.log2(most)) + 1)]
         power = np.zeros(len(candidates))
-        for run in record.runs(part.since, part.until):
+        for run in record.runs(*part):
             if run.stop - run.start < most + ahead + 2:
                 continue
             left = self._one_step(run)
@@ -265,7 +252,7 @@ class Twin:
 
     def choose_carried(self, part: FlightPart) -> None:
         """Carry a disturbance on as predicts best in a part of the flight."""
-        runs = self._record.runs(part.since, part.until)
+        runs = self._record.runs(*part)
         self.carried = choose_carried(
             [self._one_step(run) for run in runs if run.stop - run.start > 1], self._record.dt
         )
@@ -274,7 +261,7 @@ class Twin:
         """(n, 3) sums of what one step leaves of the rates."""
         key = run.start, run.stop
         if key not in self._left:
-            self._left[key] = self._record.one_step(self._model, run)[0]
+            self._left[key] = self._record.one_step(self._model, run)
         return self._left[key]
 
     def starts(self, part: FlightPart, seconds: float, overlap: int = 1) -> tuple[Array, int]:
@@ -284,12 +271,12 @@ class Twin:
         room = int(np.ceil(record.settling / record.dt)) + self.averaged
         found = [
             np.arange(run.start + room, run.stop - steps, max(1, steps // overlap))
-            for run in record.runs(part.since, part.until)
+            for run in record.runs(*part)
         ]
         return np.concatenate([np.empty(0, np.int64), *found]).astype(np.int64), steps
 
-    def errors(self, part: FlightPart, seconds: float, overlap: int = 1) -> _Errors:
-        """Fly every stretch of a length; of those for the noise no ensemble is flown."""
+    def errors(self, part: FlightPart, seconds: float, overlap: int = 1) -> _Errors | None:
+        """Fly every stretch of a length, if there is any; for the noise no ensemble is flown."""
         record = self._record
         starts, steps = self.starts(part, seconds, overlap)
         rows = starts[:, None] + np.arange(steps + 1)
@@ -299,9 +286,7 @@ class Twin:
             "velocity": record.velocity[rows],
         }
         if not len(starts):
-            empty = {name: np.empty((0, steps, 3)) for name in QUANTITIES}
-            ends = {name: np.empty((0, 3)) for name in QUANTITIES}
-            return _Errors(empty, empty, empty, ends, ends)
+            return None
         rates = self._averaged_rates(starts)
         velocity = np.where(np.isfinite(measured["velocity"]), measured["velocity"], 0.0)[:, 0]
         start = MotionState(rates, measured["attitude"][:, 0], velocity)
@@ -341,38 +326,32 @@ class Twin:
             room = int(np.ceil(record.settling / record.dt))
             before = starts[:, None] + np.arange(-room, 1)
             lagged = model.lagged(record.dt * np.arange(room + 1), record.rotors[before])
-            start = MotionState(
-                start.rates, start.attitude, start.velocity, rotors=lagged[..., -1, :]
-            )
+            start = replace(start, rotors=lagged[..., -1, :])
         return model.simulate(t, record.rotors[rows], start, angular_disturbance=carried)
 
     def _forecast(self, starts: Array, steps: int) -> Array | None:
         """(stretches, steps, 3) rad/s^2 of what is carried on; None: nothing is."""
         if not self.carried.any:
             return None
-        record, known = self._record, np.zeros((len(starts), 3))
-        for run in record.runs(-np.inf, np.inf):
+        dt, known = self._record.dt, np.zeros((len(starts), 3))
+        for inside, at, left in self._before(starts):
+            known[inside] = self.carried.at(left, dt)[at]
+        return self.carried.forecast(known, steps, dt)
+
+    def _before(self, starts: Array) -> Iterator[tuple[Mask, Array, Array]]:
+        """Which starts are in a gapless part, where in it, and what one step leaves there."""
+        for run in self._record.runs():
             inside = (starts >= run.start) & (starts < run.stop)
             if inside.any():
-                at = self.carried.at(self._one_step(run), record.dt)
-                known[inside] = at[starts[inside] - run.start]
-        return self.carried.forecast(known, steps, record.dt)
+                yield inside, starts[inside] - run.start, self._one_step(run)
 
     def _averaged_rates(self, starts: Array) -> Array:
         """(stretches, 3) rates at the start, by those of the past carried on by the model."""
-        record, m = self._record, self.averaged
-        rates = record.rates[starts]
-        if m == 1:
-            return rates
-        before = starts[:, None] + np.arange(-m + 1, 1)
-        out = np.empty_like(rates)
-        for run in record.runs(-np.inf, np.inf):
-            inside = (starts >= run.start) & (starts < run.stop)
-            if inside.any():
-                left = self._one_step(run)
-                mean = left[before[inside] - run.start].mean(axis=1)
-                out[inside] = rates[inside] - (left[starts[inside] - run.start] - mean)
-        return out
+        rates, m = self._record.rates[starts], self.averaged
+        for inside, at, left in self._before(starts) if m > 1 else ():
+            mean = left[at[:, None] + np.arange(-m + 1, 1)].mean(axis=1)
+            rates[inside] -= left[at] - mean
+        return rates
 
 
 def basic_model(model: FlightModel) -> FlightModel:
@@ -411,7 +390,7 @@ def judge(
             twin.choose_carried(noise)
             errors = twin.errors(part, seconds)
             predicted = twin.errors(noise, seconds, _OVERLAP)
-            if errors.count and predicted.count:
+            if errors is not None and predicted is not None:
                 found.append((errors, predicted))
         if not found:
             continue
