@@ -103,7 +103,7 @@ def as_log(raws: list[bytes]) -> bytes:
 
 
 def _plain(frames: list[Frame]) -> list[tuple[bytes, str]]:
-    return [(frame.raw, str(frame.valid)) for frame in frames]
+    return [(frame.raw, frame.valid.name.lower()) for frame in frames]
 
 
 def check_frames(data: bytes) -> None:

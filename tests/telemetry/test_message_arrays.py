@@ -7,7 +7,7 @@ import pytest
 from pymavlink import mavutil
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import BAD_CRC, FrameBlock
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.messages import LAYOUTS, message_arrays
 from gcs_sysid.telemetry.tlog import TlogReader, read_messages
@@ -54,7 +54,7 @@ def assert_same(name, rows, messages):
 def test_only_the_frames_asked_for_with_a_right_checksum(make_sender):
     sender = make_sender()
     frames = FrameBlock.of([sender.heartbeat(custom_mode=i) for i in range(4)])
-    frames.validity[1] = BAD_CRC
+    frames.validity[1] = Validity.BAD_CRC
     found = message_arrays(frames, ("HEARTBEAT",), np.array([True, True, False, True]))
     assert found["HEARTBEAT"]["custom_mode"].tolist() == [0, 3]
 

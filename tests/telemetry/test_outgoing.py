@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as everything
 
 import gcs_sysid
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.outgoing import (
     ADMITTED,
     FILE_HEADER,
@@ -192,7 +192,7 @@ def speak(gate):
 def test_everything_the_gate_offers_passes_and_is_ours(gate, sent):
     assert all(speak(gate))
     frames = [read_frame(raw) for raw in sent]
-    assert all(frame.valid == "ok" for frame in frames)
+    assert all(frame.valid is Validity.OK for frame in frames)
     assert {(frame.system, frame.component) for frame in frames} == {(245, 190)}
     assert [frame.sequence for frame in frames] == list(range(13))
     interval = unpack(76, frames[1].payload)

@@ -6,7 +6,7 @@ import tracemalloc
 
 import pytest
 
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK
+from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.tlog import ScanCounts, Scanner, TlogReader
 
 START = 1_750_000_000_000_000
@@ -52,8 +52,8 @@ def test_what_is_lost_is_counted_by_its_reason(raws):
     assert counts == ScanCounts(
         frames=41, bad_crc=1, unknown=1, garbage_bytes=59, resyncs=1, repaired_times=0
     )
-    assert validities.count(OK) == 39
-    assert validities[5] == BAD_CRC
+    assert validities.count(Validity.OK) == 39
+    assert validities[5] == Validity.BAD_CRC
 
 
 def test_a_damaged_time_is_replaced_by_the_one_before(raws):
@@ -131,7 +131,7 @@ def test_a_whole_type_of_another_definition_keeps_the_chain(sender):
         raw = sender.imu(1.0 + 0.004 * i).raw
         raws += [raw[:-1] + bytes([raw[-1] ^ 1]), sender.attitude(1.0 + 0.004 * i).raw]
     _, validities, counts = scan(as_log(raws))
-    assert validities == [BAD_CRC, OK] * 2000
+    assert validities == [Validity.BAD_CRC, Validity.OK] * 2000
     assert (counts.bad_crc, counts.garbage_bytes, counts.resyncs) == (2000, 0, 0)
 
 
@@ -158,5 +158,5 @@ def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
         raw[1] += size + 8  # to the record after the next one
         raws[lost] = bytes(raw)
     _, validities, counts = scan(as_log(raws))
-    assert validities == [OK] * 17
+    assert validities == [Validity.OK] * 17
     assert (counts.garbage_bytes, counts.resyncs) == (3 * (size + 8), 3)

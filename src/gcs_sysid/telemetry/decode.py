@@ -28,7 +28,7 @@ from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_table import MOST_ROTORS, STAMP_FIELDS, Message, Preference
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_arrays, picker
-from gcs_sysid.telemetry.track_collector import TrackCollector
+from gcs_sysid.telemetry.track_collector import TrackCollector, usable
 
 _param_value = picker("PARAM_VALUE", "param_id", "param_type", "param_value")
 
@@ -487,14 +487,9 @@ class RecordDecoder:
     ) -> None:
         """Pass on what has a time and is finite."""
         timed = np.isfinite(t)
-        finite = complete_rows(values)
-        if stream is Stream.IMU and not finite.all():
-            # Nearly everything depends on the gyro: one without an accelerometer is of use.
-            lame = timed & ~complete_rows(values[:, 3:])
-            self._drop("accelerometer not finite", lame)
-            values = values.copy()
-            values[lame, 3:] = np.nan
-            finite = complete_rows(values[:, :3])
+        if stream is Stream.IMU:
+            self._drop("accelerometer not finite", timed & ~complete_rows(values[:, 3:]))
+        values, finite = usable(stream, values)
         sound = timed & finite
         if not sound.all():
             self._drop("no time", ~timed)

@@ -100,9 +100,6 @@ def _equal_lengths(data: Array, at: Array, size: int, extra: Array) -> Array:
     return state if size % 2 else (state >> 8) ^ _BYTE[(state ^ extra) & 0xFF]
 
 
-_VALIDITY = tuple(Validity)
-OK, UNKNOWN, BAD_CRC, REPEATED = range(len(_VALIDITY))
-_NUMBERS = {validity: number for number, validity in enumerate(_VALIDITY)}
 _ROOM = bytes(LONGEST_FRAME)
 
 
@@ -125,7 +122,7 @@ class FrameBlock:
         system: (n,) uint8.
         component: (n,) uint8.
         version: (n,) uint8, 1 or 2.
-        validity: (n,) uint8: `OK`, `UNKNOWN`, `BAD_CRC` or `REPEATED`.
+        validity: (n,) uint8 of `Validity`.
     """
 
     data: Array
@@ -154,7 +151,7 @@ class FrameBlock:
             [
                 (
                     len(raw), frame.message_id, len(frame.payload), frame.sequence, frame.system,
-                    frame.component, frame.version, _NUMBERS[frame.valid],
+                    frame.component, frame.version, frame.valid,
                 )
                 for frame, raw in zip(frames, raws, strict=True)
             ],
@@ -228,7 +225,7 @@ class FrameBlock:
             signed = version == 2 and raw[2] == FLAG_SIGNED
             yield time_us, Frame(
                 system, component, sequence, message_id, payload, raw, version, signed,
-                _VALIDITY[valid],
+                Validity(valid),
             )  # fmt: skip
 
 
@@ -259,7 +256,7 @@ class SeenFrames:
 
     def mark(self, frames: FrameBlock) -> FrameBlock:
         """Frames in the order received; those that repeat one before are `REPEATED`."""
-        rows = np.flatnonzero(frames.validity == OK)
+        rows = np.flatnonzero(frames.validity == Validity.OK)
         every = frames.keys[rows]
         keys = every.tolist()
         senders = frames.system[rows].astype(int) * 256 + frames.component[rows]
@@ -289,7 +286,7 @@ class SeenFrames:
             return frames
         self.repeated += int(np.count_nonzero(again))
         validity = frames.validity.copy()
-        validity[rows[again]] = REPEATED
+        validity[rows[again]] = Validity.REPEATED
         return replace(frames, validity=validity)
 
     def _doubtful(self, every: Array, keys: list[int]) -> Array:

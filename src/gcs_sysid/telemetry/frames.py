@@ -14,7 +14,7 @@ The answer depends on the bytes alone, never on how they were cut into pieces.
 
 import re
 from collections.abc import Iterable
-from enum import StrEnum
+from enum import IntEnum
 from typing import NamedTuple
 
 from fastcrc import crc16
@@ -45,21 +45,17 @@ LONGEST_1 = tuple(
 more begins no good frame; that is seen before a checksum is taken of what may be garbage."""
 
 
-class Validity(StrEnum):
+class Validity(IntEnum):
     """Validity of a frame."""
 
-    OK = "ok"
+    OK = 0
     """The checksum is right."""
-    UNKNOWN = "unknown"
+    UNKNOWN = 1
     """No CRC_EXTRA is known for the type: the content is unchecked."""
-    BAD_CRC = "bad_crc"
+    BAD_CRC = 2
     """Checksum wrong although the chain is intact: a changed definition, or corrupted."""
-    REPEATED = "repeated"
+    REPEATED = 3
     """The same frame, byte for byte, came before, as over a second radio."""
-
-
-_VALIDITIES = tuple(Validity)
-_MARK_OF = {validity: bytes([number]) for number, validity in enumerate(_VALIDITIES)}
 
 
 class Frame(NamedTuple):
@@ -155,7 +151,7 @@ def read_frame(data: bytes, at: int = 0) -> Frame | None:
 
 def join_frames(frames: Iterable[Frame]) -> bytes:
     """Frames as bytes, each behind what its checksum was found to be; `split_frames` undoes it."""
-    return b"".join([_MARK_OF[frame.valid] + frame.raw for frame in frames])
+    return b"".join([bytes([frame.valid]) + frame.raw for frame in frames])
 
 
 def split_frames(data: bytes) -> list[Frame]:
@@ -164,7 +160,7 @@ def split_frames(data: bytes) -> list[Frame]:
     while at < len(data):
         header = _header(data, at + 1, len(data))
         assert header is not None, "what was a frame there is one here"
-        frames.append(_cut(data, at + 1, header, _VALIDITIES[data[at]]))
+        frames.append(_cut(data, at + 1, header, Validity(data[at])))
         at += 1 + header[0]
     return frames
 

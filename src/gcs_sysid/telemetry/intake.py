@@ -13,8 +13,8 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.clock import ClockDrift, Stamp
 from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, REPEATED, FrameBlock, SeenFrames, counts_of
-from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.frame_block import FrameBlock, SeenFrames, counts_of
+from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, field_bytes, picker
 from gcs_sysid.telemetry.monitor import Monitor
@@ -149,7 +149,7 @@ class Intake:
 
     def _take_some(self, frames: FrameBlock, out: TrackCollector) -> int:
         """Take frames up to one by which the vehicle may change; returns how many."""
-        good = frames.validity == OK
+        good = frames.validity == Validity.OK
         stop = self._next_mark(frames, good)
         if stop == 0:
             self._note("reset", "estimate reset by the user")
@@ -218,10 +218,10 @@ class Intake:
         assert chosen is not None
         dropped, clock = self.decoder.dropped_messages, self.decoder.clock
         before, reboots = clock.now, clock.reboots
-        chosens = self._from(frames, chosen) & (frames.validity != REPEATED)
-        taken = self.decoder.decode(frames, (frames.validity == OK) & chosens, out)
+        chosens = self._from(frames, chosen) & (frames.validity != Validity.REPEATED)
+        taken = self.decoder.decode(frames, (frames.validity == Validity.OK) & chosens, out)
         frames, chosens = frames.part(0, taken.frames), chosens[: taken.frames]
-        good = frames.validity == OK
+        good = frames.validity == Validity.OK
         if not counted:
             self._count(frames)
         if clock.reboots != reboots:
@@ -233,7 +233,7 @@ class Intake:
             frames.sequence[chosens],
             frames.size[chosens],
             now[chosens],
-            frames.validity[chosens] == BAD_CRC,
+            frames.validity[chosens] == Validity.BAD_CRC,
         )
         self.monitor.imu_loss.add_times(taken.imu_times)
         states = np.logical_or.reduce([frames.message_id == number for number in _STATES])
@@ -279,7 +279,7 @@ class Intake:
 
     def _count(self, frames: FrameBlock) -> None:
         self.monitor.count_frames(frames.validity)
-        good = frames.validity == OK
+        good = frames.validity == Validity.OK
         self.selector.note_senders(frames.system[good], frames.component[good])
 
     def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:

@@ -192,19 +192,18 @@ def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> Sig
     time = _text(path, f"{name}: time", table.get("time", common["time"]), "")
     if not time:
         raise InputError(f'{path}: time is missing: time = "name of the column of times"')
-    label = f"{name}: " if name else ""
     return SignalColumns(
         tuple(columns),
-        _choice(path, f"{label}unit", table.get("unit", next(iter(units))), units),
+        _choice(path, f"{name}: unit", table.get("unit", next(iter(units))), units),
         time,
-        _name(path, f"{label}frame", table.get("frame", common["frame"] or "FRD"), _BODIES),
+        _name(path, f"{name}: frame", table.get("frame", common["frame"] or "FRD"), _BODIES),
         _name(
             path,
-            f"{label}world",
+            f"{name}: world",
             table.get("world", common["world"] or "NED"),
             (*_WORLDS, "body") if name == "velocity" else _WORLDS,
         ),
-        _name(path, f"{label}order", table.get("order", "wxyz"), _ORDERS),
+        _name(path, f"{name}: order", table.get("order", "wxyz"), _ORDERS),
         inverse,
         low,
         high,

@@ -12,7 +12,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of, rows_of
+from gcs_sysid.telemetry.frame_block import FrameBlock, counts_of, rows_of
+from gcs_sysid.telemetry.frames import Validity
 
 HEADER = [
     ("_time_us", "<u8"),
@@ -141,7 +142,7 @@ def message_arrays(
         KeyError: the dialect has no message of a name.
     """
     wanted = set(LAYOUTS) if names is None else {MESSAGE_IDS[name] for name in names}
-    good = frames.validity == OK
+    good = frames.validity == Validity.OK
     if among is not None:
         good &= among
     arrays: dict[str, Array] = {}

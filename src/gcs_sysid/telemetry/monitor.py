@@ -18,7 +18,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
+from gcs_sysid.telemetry.frame_block import counts_of
+from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
 
@@ -310,9 +311,9 @@ class Monitor:
     def count_frames(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
         counts = counts_of(validity)
-        self.received += counts.get(OK, 0)
-        self.unknown += counts.get(UNKNOWN, 0)
-        self.bad_crc += counts.get(BAD_CRC, 0)
+        self.received += counts.get(Validity.OK, 0)
+        self.unknown += counts.get(Validity.UNKNOWN, 0)
+        self.bad_crc += counts.get(Validity.BAD_CRC, 0)
 
     def restart(self) -> None:
         """From now on another vehicle is the chosen one; totals over all senders continue."""

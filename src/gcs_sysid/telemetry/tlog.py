@@ -21,9 +21,6 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import StretchSearch, check_regular, file_windows
 from gcs_sysid.telemetry.frame_block import (
-    BAD_CRC,
-    OK,
-    UNKNOWN,
     FrameBlock,
     checksums_agree,
     rows_of,
@@ -150,8 +147,8 @@ class Scanner:
             **{name: column[:kept] for name, column in head.items()},
         )
         counts.frames += kept
-        counts.bad_crc += int(np.count_nonzero(block.validity == BAD_CRC))
-        counts.unknown += int(np.count_nonzero(block.validity == UNKNOWN))
+        counts.bad_crc += int(np.count_nonzero(block.validity == Validity.BAD_CRC))
+        counts.unknown += int(np.count_nonzero(block.validity == Validity.UNKNOWN))
         return block, done
 
     def _times(
@@ -223,7 +220,9 @@ def _headers(data: Array, at: Array) -> dict[str, Array]:
         "system": np.where(second, head[:, 5], head[:, 3]),
         "component": np.where(second, head[:, 6], head[:, 4]),
         "version": second + np.uint8(1),
-        "validity": np.where(extra < 0, UNKNOWN, np.where(right, OK, BAD_CRC)).astype(np.uint8),
+        "validity": np.select(
+            [extra < 0, right], [Validity.UNKNOWN, Validity.OK], Validity.BAD_CRC
+        ).astype(np.uint8),
     }
 
 
@@ -324,7 +323,7 @@ class _RecordChain:
             )
         ]
         head = _headers(self.data, at)
-        return at[(head["validity"] == OK) & (at + head["size"] <= len(self._content))]
+        return at[(head["validity"] == Validity.OK) & (at + head["size"] <= len(self._content))]
 
     def _detour(self, chain: Array, record: int) -> tuple[list[int], int]:
         """Frames from a hunt on until they meet the chain again, and where in it they do."""
@@ -344,7 +343,7 @@ class _RecordChain:
 
         A damaged length can lead to another magic byte by chance.
         """
-        bad = np.flatnonzero(head["validity"] == BAD_CRC)
+        bad = np.flatnonzero(head["validity"] == Validity.BAD_CRC)
         if not len(bad):
             return bad
         begin = chain[bad]

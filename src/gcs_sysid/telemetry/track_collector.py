@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.model.attitude import align_signs
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.records import Record, Stream
@@ -150,14 +150,7 @@ class Recording:
         if stream is Stream.ATTITUDE:
             values = upright(values)
         believable = believable_times(t)
-        whole = np.isfinite(values)
-        finite = whole.all(axis=1)
-        if stream is Stream.IMU:
-            # Nearly everything depends on the gyro: one without an accelerometer is of use.
-            finite = whole[:, :3].all(axis=1)
-            if not whole.all():
-                values = values.copy()
-                values[finite & ~whole.all(axis=1), 3:] = np.nan
+        values, finite = usable(stream, values)
         self._drop("no time", ~believable)
         self._drop("not finite", believable & ~finite)
         sound = believable & finite
@@ -224,6 +217,17 @@ def in_order(
         ),
         tuple(sorted(records)),
     )
+
+
+def usable(stream: Stream, values: Array) -> tuple[Array, Mask]:
+    """(n, width) values of a stream, and (n,) those of them that are finite, or of use."""
+    finite = complete_rows(values)
+    if stream is Stream.IMU and not finite.all():
+        # Nearly everything depends on the gyro: one without an accelerometer is of use.
+        values = values.copy()
+        values[~finite, 3:] = np.nan
+        finite = complete_rows(values[:, :3])
+    return values, finite
 
 
 def upright(q: Array) -> Array:

@@ -60,35 +60,28 @@ TOPICS = (
 """Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
 _GPS = ("vehicle_gps_position", "sensor_gps")
 """The receiver that is used, and every one; the first is read where there are both."""
-READ = {
-    _MOTORS, _ESCS, _LANDED, _BATTERY, *_GPS,
-    *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
-    *(name for halves in _HALVES for name, _ in halves),
-}  # fmt: skip
-"""Topics that are read at all."""
+_OFFSETS = dict(row.offset for row in TOPICS if row.offset is not None)
 _FIELDS = {
     _MOTORS: {"control"},
+    _ESCS: {"esc_count", "esc_rpm", "esc_current", "actuator_function"},
     _LANDED: {"landed"},
     _BATTERY: {"voltage_v"},
     **{name: {"time_utc_usec"} for name in _GPS},
     **{row.name: {*_names_in(row.fields)} for row in TOPICS},
-    **{row.offset[0]: {*_names_in(row.offset[1])} for row in TOPICS if row.offset is not None},
+    **{name: {*_names_in(fields)} for name, fields in _OFFSETS.items()},
     **{name: {*_names_in(fields)} for halves in _HALVES for name, fields in halves},
 }
 _FIELDS[_STATUS] |= {"nav_state", "system_id", "component_id", "system_type"}
-"""Topic -> fields that are read."""
-_ESC_FIELDS = {"esc_count", "esc_rpm", "esc_current", "actuator_function"}
-"""Of each ESC."""
-_NEEDED_BY_OTHERS = {_STATUS, *(row.offset[0] for row in TOPICS if row.offset is not None)}
+"""Topic -> fields that are read, of it or of each ESC in it."""
+READ = {*_FIELDS}
+"""Topics that are read at all."""
+_NEEDED_BY_OTHERS = {_STATUS, *_OFFSETS}
 
 
 def is_read(topic: str, column: str) -> bool:
     """Whether a column of one of the topics in `READ` is needed."""
-    if column == "timestamp":
-        return True
-    if topic == _ESCS:
-        return column.rpartition(".")[2] in _ESC_FIELDS
-    return column.partition("[")[0] in _FIELDS[topic]
+    name = column.rpartition(".")[2].partition("[")[0]
+    return column == "timestamp" or name in _FIELDS[topic]
 
 
 def read_ulog(path: Path) -> Recording:

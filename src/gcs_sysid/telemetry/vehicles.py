@@ -7,8 +7,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
-from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.frame_block import FrameBlock, counts_of
+from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 
@@ -195,7 +195,7 @@ class VehicleSelector:
 
     def listen(self, frames: FrameBlock) -> None:
         """Note frames of anybody, heartbeats too."""
-        good = frames.validity == OK
+        good = frames.validity == Validity.OK
         self.note_senders(frames.system[good], frames.component[good])
         for row in np.flatnonzero(good & (frames.message_id == _HEARTBEAT)).tolist():
             self.notice(frames.frame(row))
