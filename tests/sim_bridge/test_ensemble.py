@@ -31,10 +31,10 @@ def test_an_ensemble_equals_its_single_flights(paper_vehicle: Vehicle) -> None:
         for i in range(3)
     ]
     mission = MISSIONS["all-axes"]
-    together = fly_ensemble(stack_vehicles(vehicles), mission, 100.0, duration=3.0, turbulence=0.01)
-    assert together.gyro.shape == (3, 301, 3)
+    together = fly_ensemble(stack_vehicles(vehicles), mission, 100.0, duration=2.0, turbulence=0.01)
+    assert together.gyro.shape == (3, 201, 3)
     for i, vehicle in enumerate(vehicles):
-        alone = fly_ensemble(vehicle, mission, 100.0, duration=3.0, turbulence=0.01)
+        alone = fly_ensemble(vehicle, mission, 100.0, duration=2.0, turbulence=0.01)
         for name in FIELDS:
             got, expected = getattr(together, name)[i], getattr(alone, name)[0]
             scale = max(1.0, abs(expected).max())
