@@ -24,7 +24,7 @@ from gcs_sysid.health.assessment import ReadLog, health_of
 from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.rotor_condition import compare_loads, load_of
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
-from gcs_sysid.model.airframe import USUAL, Airframe, Rotor
+from gcs_sysid.model.airframe import USUAL, Airframe, CommandRange, Rotor
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.significance import Z95
 from sim_bridge.doublets import DoubletMission
@@ -93,7 +93,7 @@ def vehicles(
         for scatter in (True, False):
             scores = _scores(numbers, folder, mission, seconds, speeds=speeds, scatter=scatter)
             kind = "speeds" if speeds else "commands"
-            what = "rotors 3 %, places 0.5 % off" if scatter else "rotors alike, flight alone"
+            what = "rotors 3 %, places 0.2 % off" if scatter else "rotors alike, flight alone"
             yield f"| **{kind}, {what}** | | | | |"
             for score in scores:
                 yield score.row()
@@ -122,6 +122,7 @@ def _scores(
             fly(log, drawn, mission, number, traits, seconds)
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
+        airframe = replace(airframe, command=CommandRange(given=True))
         told = (
             ReadLog(log).health(HealthOptions(airframe)) if speeds else _by_commands(log, airframe)
         )
