@@ -130,11 +130,11 @@ def _scores(
             print(f"vehicle {number}: {told.reasons}")
             continue
         assert told.cg is not None
-        assert told.scale is not None
         v = drawn.vehicle
         for place, truth in zip(told.cg, (v.cg_x, v.cg_y), strict=True):
             places.add(place if scatter else flown_alone(place), truth)
-        scale.add(told.scale[1], v.k_T if speeds else v.T_max, relative=True)
+        if told.scale is not None:
+            scale.add(told.scale[1], v.k_T if speeds else v.T_max, relative=True)
         if told.curve is not None:
             curves.add(told.curve.c, v.thrust_curve)
         if told.thrust_to_weight is not None:
