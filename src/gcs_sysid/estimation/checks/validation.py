@@ -9,7 +9,8 @@ residual's power in the one, noise fixes its power in the other. Neighboring row
 share samples: their residual is to have the color that white gyro noise gets from it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,38 +63,6 @@ class Validation:
     def fitted_share(self) -> float:
         """Share of the rows that were fitted."""
         return 1.0 - float(np.diff(self.held_out).sum())
-
-
-def judge_prediction(
-    rest: Array, fit: RotationFit, held_out: Array, whiteness: Array, whiteness_p: Array
-) -> Validation:
-    """Hold a fit against what it has not seen.
-
-    Args:
-        rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates; or
-            (1 or 3, WIDTH, WIDTH) where each axis has its own.
-        fit: to the others.
-        held_out: (n, 2) as of `Validation`.
-        whiteness: (3,) of what it leaves.
-        whiteness_p: (3,) its p-value.
-    """
-    Q = fit.Q
-    each = np.broadcast_to(rest, (3, *rest.shape[-2:]))
-    axes = np.arange(3)
-    measured = each[axes, N_X + axes, N_X + axes]
-    predicted = np.einsum("ai,aij,aj->a", Q, each[:, :N_X, :N_X], Q)
-    shared = np.einsum("ai,ai->a", Q, each[axes, :N_X, N_X + axes])
-    error = np.maximum(measured - 2.0 * shared + predicted, 0.0)
-    tiny = 1e-300
-    return Validation(
-        r_squared=1.0 - error / np.maximum(measured, tiny),
-        theil=np.sqrt(error) / np.maximum(np.sqrt(measured) + np.sqrt(predicted), tiny),
-        held_out=held_out,
-        whiteness=whiteness,
-        whiteness_p=whiteness_p,
-        Q=Q,
-        coordinates=fit.coordinates,
-    )
 
 
 def whiteness_of(summed: Array, expected: Array, counts: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -155,16 +124,15 @@ def predict_held_out(
     whiteness = whiteness_of(
         *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
     )
-    if len(found) == 1:
-        return replace(found[0].validation, whiteness=whiteness[0], whiteness_p=whiteness[1])
     measured = np.stack([fold.measured for fold in found])
-    share = measured / np.maximum(measured.sum(axis=0), 1e-300)
-    return replace(
-        found[-1].validation,
-        r_squared=(share * [fold.validation.r_squared for fold in found]).sum(axis=0),
-        theil=(share * [fold.validation.theil for fold in found]).sum(axis=0),
-        whiteness=whiteness[0],
-        whiteness_p=whiteness[1],
+    share, last = measured / np.maximum(measured.sum(axis=0), 1e-300), found[-1]
+    return Validation(
+        (share * [fold.r_squared for fold in found]).sum(axis=0),
+        (share * [fold.theil for fold in found]).sum(axis=0),
+        last.held_out,
+        *whiteness,
+        last.fit.Q,
+        last.fit.coordinates,
     )
 
 
@@ -173,14 +141,43 @@ class _Fold:
     """A held-out part of a flight, predicted.
 
     Attributes:
-        validation: of it, without whiteness.
-        measured: (3,) power of its acceleration.
+        rest: (1 or 3, WIDTH, WIDTH) moments of its rows [x, y], as each axis has them, at the
+            coordinates of
+        fit: to the others.
+        held_out: (n, 2) as of `Validation`.
         power: for its whiteness, see `whiteness_of`.
     """
 
-    validation: Validation
-    measured: Array
+    rest: Array
+    fit: RotationFit
+    held_out: Array
     power: tuple[Array, Array, NDArray[np.int64]]
+
+    @cached_property
+    def measured(self) -> Array:
+        """(3,) power of the acceleration measured."""
+        return own_power(self.rest)
+
+    @cached_property
+    def _predicted(self) -> tuple[Array, Array]:
+        """(3,) power of that predicted, and of what it is off by."""
+        Q, axes = self.fit.Q, np.arange(3)
+        each = np.broadcast_to(self.rest, (3, *self.rest.shape[-2:]))
+        predicted = np.einsum("ai,aij,aj->a", Q, each[:, :N_X, :N_X], Q)
+        shared = np.einsum("ai,ai->a", Q, each[axes, :N_X, N_X + axes])
+        return predicted, np.maximum(self.measured - 2.0 * shared + predicted, 0.0)
+
+    @property
+    def r_squared(self) -> Array:
+        """(3,) as of `Validation`."""
+        return 1.0 - self._predicted[1] / np.maximum(self.measured, 1e-300)
+
+    @property
+    def theil(self) -> Array:
+        """(3,) likewise."""
+        predicted, error = self._predicted
+        both = np.sqrt(self.measured) + np.sqrt(predicted)
+        return np.sqrt(error) / np.maximum(both, 1e-300)
 
 
 def _predicted(
@@ -211,12 +208,7 @@ def _predicted(
     rest = P @ batches[kept].sum(axis=0) @ P.T
     ends = np.append(0, np.cumsum(data.counts)) / data.counts.sum()
     spans = np.array([ends[[run.start, run.stop]] for run, out in runs(held_out) if out])
-    nothing = np.full(3, np.nan)
-    return _Fold(
-        judge_prediction(rest, fit, spans, nothing, nothing),
-        own_power(rest),
-        _slow_power(data, basis, kept, fit),
-    )
+    return _Fold(rest, fit, spans, _slow_power(data, basis, kept, fit))
 
 
 def _slow_power(
