@@ -284,6 +284,8 @@ def _settled(
         solved = bank.solve(solved.trial.pick, solved.point.unknowns)
         batches = data.of_axes(solved.pick)
     power = axis_power(_innovation_maker(solved), batches) / data.counts[:, None]
+    # Without noise rounding alone is left, of either sign.
+    power = np.maximum(power, np.finfo(float).eps * solved.point.variance[0])
     # Over the median: geometric mean of the axes.
     relative = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
     if data.is_whole or _gain(relative[kept]) > MOST_WEIGHT:
