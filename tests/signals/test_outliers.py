@@ -125,15 +125,21 @@ def test_what_stands_still_repeats_all_columns():
     x[33, 0] = x[32, 0]
     x[35:37] = [1.0, np.nan, np.nan]
     standstill = Standstill(3)
-    found = np.concatenate([standstill.update(part) for part in (x[:32], x[32:36], x[36:])])
+    t, parts = times(40, 500.0), (slice(32), slice(32, 36), slice(36, None))
+    found = np.concatenate([standstill.update(t[part], x[part]) for part in parts])
     assert np.flatnonzero(found).tolist() == [32, 36]
 
 
 def test_without_noise_values_stand_from_one_step_of_their_format_to_the_next():
-    x = 0.1 * np.round(multisine(times(2000, 500.0)) / 0.1)
+    t = times(2000, 500.0)
+    x = 0.1 * np.round(multisine(t) / 0.1)
     assert (np.diff(x, axis=0) == 0.0).all(axis=1).mean() > 0.6
-    assert Standstill(3).update(x).mean() < 0.001
-    assert Standstill(3).update(np.repeat(x[::8], 8, axis=0)).mean() > 0.6
+    assert Standstill(3).update(t, x).mean() < 0.001
+    assert Standstill(3).update(t, np.repeat(x[::8], 8, axis=0)).mean() > 0.6
+    x[800:] = x[800] = x[799] + 0.1  # it stops one step on: a second shows that it did
+    stands = Standstill(3).update(t, x)[800:]
+    assert stands[501:].all()
+    assert not stands[:500].any()
 
 
 QUIET = 0.01 * np.resize([1.0, -1.0, 0.5, -0.5, 0.8, -1.2, 0.3], 140)

@@ -23,6 +23,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.imu_checks import Saturation
 from gcs_sysid.signals.stream_buffer import (
+    BREAK,
     FAR,
     StreamBuffer,
     as_known,
@@ -100,8 +101,8 @@ class Standstill:
 
     Noise changes some value with every sample. Without it, as in a simulator, values stand until
     they have moved by a step of their number format: a repeat after a change of one step at most in
-    each column is a measurement. Steps are the least changes so far, so that only samples before
-    count, in any grouping.
+    each column is a measurement, unless the change is longer ago than any interval. Steps are the
+    least changes so far, so that only samples before count, in any grouping.
 
     Args:
         width: columns of the samples.
@@ -110,21 +111,22 @@ class Standstill:
     def __init__(self, width: int) -> None:
         self._last = np.full((1, width), np.nan)
         self._steps = np.full((1, width), np.inf)
-        self._small = False
-        """Whether the latest change was of single steps."""
+        self._moved = -np.inf
+        """s of the latest change, if that was of single steps."""
 
-    def update(self, x: Array) -> Mask:
-        """(n,) which of the next (n, width) samples, NaN where missing, measure nothing."""
+    def update(self, t: Array, x: Array) -> Mask:
+        """(n,) which of the next (n, width) samples at (n,) s measure nothing; NaN: missing."""
         before, self._last = np.vstack([self._last, x[:-1]]), x[-1:].copy()
         change = np.where(np.isnan(x) & np.isnan(before), 0.0, np.abs(x - before))
         least = np.where(change > 0.0, change, np.inf)
         steps = np.minimum.accumulate(np.vstack([self._steps, least]))
         self._steps = steps[-1:]
         repeats = (change == 0.0).all(axis=1)
-        small = np.append(self._small, (change < 2.0 * steps[1:]).all(axis=1))
+        small = (change < 2.0 * steps[1:]).all(axis=1)
+        moved = np.append(self._moved, np.where(small, t, -np.inf))
         latest = np.maximum.accumulate(np.append(0, np.where(repeats, 0, np.arange(1, len(x) + 1))))
-        self._small = bool(small[latest[-1]])
-        return repeats & ~small[latest[1:]]
+        self._moved = float(moved[latest[-1]])
+        return repeats & (t - moved[latest[1:]] > BREAK)
 
 
 def _may_spike(x: Array, least: float) -> bool:
@@ -291,7 +293,7 @@ class InertialBuffer(StreamBuffer):
             marks = np.concatenate([[0], np.cumsum(there)])[marks]
             t, values = t[there], values[there]
         if len(t):
-            values = np.column_stack([values, self._standstill.update(values)])
+            values = np.column_stack([values, self._standstill.update(t, values)])
         super().extend(t, values, marks)
 
     def settled(self) -> Array:

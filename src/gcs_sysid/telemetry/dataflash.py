@@ -238,9 +238,11 @@ class _EntryReader:
             return first
         measured = {}
         for instance in _known(number).tolist():
-            values = self._named(row.name, row.fields, number == instance)
+            rows = number == instance
+            values = self._named(row.name, row.fields, rows)
             assert values is not None
-            measured[instance] = int(np.count_nonzero(~Standstill(values.shape[1]).update(values)))
+            stands = Standstill(values.shape[1]).update(self._times(row.name)[rows], values)
+            measured[instance] = int(np.count_nonzero(~stands))
         own, best = min(measured), max(measured, key=measured.__getitem__)
         if measured[own] > 0.9 * measured[best]:  # a loop now and then is faster than its sensor
             return first
