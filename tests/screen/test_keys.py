@@ -61,6 +61,7 @@ async def test_marks_are_numbered_and_a_recording_goes_on_in_another_file(run_sc
     async with run_screen(fake.snapshot()) as s:
         await s.press("m", "m")
         assert s.source.calls == ["mark 'mark 1'", "mark 'mark 2'"]
+        await s.serve(s.source.snapshot)  # the marks are events, too
         await s.press("o")
         assert s.source.calls[2:] == ["record"]
         assert s.answer() == "recording stopped"
