@@ -24,7 +24,7 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.telemetry.log_formats import LOG_SUFFIXES
-from testbed.hover_flights import hover_of, streams_in
+from testbed.hover_flights import between_flights, hover_of, streams_in
 from testbed.recordings import rectangle
 from testbed.study import arguments
 
@@ -106,12 +106,9 @@ def between(folder: Path) -> Iterator[str]:
             value, std = np.array(pairs).T
             if len(value) < 3:
                 continue
-            weight = std**-2.0
-            mean = float(weight @ value / weight.sum())
-            reduced = float(weight @ (value - mean) ** 2) / (len(value) - 1)
             yield (
                 f"| {name} | {number} | {len(value)} | {value.std(ddof=1):.3g} "
-                f"| {np.sqrt(np.mean(std**2)):.3g} | {reduced:.2f} |"
+                f"| {np.sqrt(np.mean(std**2)):.3g} | {between_flights(pairs):.2f} |"
             )
 
 

@@ -3,7 +3,7 @@
 IMU comes at 25 Hz, rotors at 10 Hz; rotors scatter by what the intervals of health assume.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,3 +141,11 @@ def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
         load = load_of(part, thrust_of(part, curve), curve)
         if load is not None:
             yield load
+
+
+def between_flights(pairs: Sequence[Sequence[float]]) -> float:
+    """Chi-square per degree of freedom of (n, 2) values and their standard deviations."""
+    values, stds = np.array(pairs).T
+    weights = stds**-2.0
+    mean = (weights * values).sum() / weights.sum()
+    return float((weights * (values - mean) ** 2).sum()) / max(len(values) - 1, 1)

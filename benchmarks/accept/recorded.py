@@ -29,6 +29,7 @@ from gcs_sysid.significance import Z95
 from gcs_sysid.telemetry.tlog import TlogReader
 from testbed import judge as truth_judge
 from testbed import recordings, study
+from testbed.hover_flights import between_flights
 from testbed.recordings import AIR_TIMES, OPEN_LOOP, SHARED, given
 
 Outcomes = Sequence[dict[str, Any]]
@@ -352,10 +353,7 @@ def _field_figures(outcomes: Outcomes) -> list[Figure]:
 
 def _disagreement(pairs: Sequence[Sequence[float]]) -> float:
     """Of values with standard deviations: by what factor chi-square is off its expectation."""
-    values, stds = np.array(pairs).T
-    weights = stds**-2.0
-    mean = (weights * values).sum() / weights.sum()
-    reduced = float((((values - mean) / stds) ** 2).sum()) / max(len(values) - 1, 1)
+    reduced = between_flights(pairs)
     return max(reduced, 1.0 / max(reduced, 1e-9))
 
 
