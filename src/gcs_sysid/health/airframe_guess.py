@@ -7,9 +7,10 @@ of a second rotors turn a vehicle more than gusts do, which over seconds they on
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
+from operator import ne
 
 import numpy as np
 
@@ -183,7 +184,7 @@ def layout_by_motion(
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
-    likeliest, rival = _likeliest(count, seen)
+    likeliest, rival = _likeliest([_ranked(_layouts(count, *each), *each) for each in seen])
     ours = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, _least(own))
     best = likeliest is not None and not likeliest.differs(ours)
     shown = _least(own) >= (TUNING.least_explained if best else TUNING.surely_explained)
@@ -235,9 +236,8 @@ class _Candidate:
         )
 
 
-def _likeliest(count: int, seen: Sequence[tuple[Array, Array]]) -> tuple[_Candidate | None, float]:
-    """The layout that explains the motion best, and what the best with rotors elsewhere does."""
-    ranked = [_ranked(count, *motion) for motion in seen]
+def _likeliest(ranked: Sequence[list[_Candidate]]) -> tuple[_Candidate | None, float]:
+    """The layout that explains any motion best, and what the best with rotors elsewhere does."""
     best = max(filter(None, ranked), key=lambda layouts: layouts[0].least, default=None)
     if best is None:  # no usual layout has as many rotors
         return None, 0.0
@@ -254,8 +254,8 @@ def _contradiction(first: _Candidate, own: _Candidate) -> str:
 
 
 def _moved_in_flight(own: _Candidate, seen: Sequence[tuple[Array, Array]]) -> str:
-    """Where the motors are in a third of a flight that another layout explains, while the airframe
-    surely explains another third; empty: in none.
+    """Where the motors are in a third of a flight that the airframe's places in another order
+    explain, while it surely explains another third; empty: in none.
     """
     own_geometry = Airframe(own.name, own.rotors).geometry
     long = [motion for motion in seen if len(motion[0]) >= 3 * TUNING.fewest_for_order]
@@ -268,7 +268,7 @@ def _moved_in_flight(own: _Candidate, seen: Sequence[tuple[Array, Array]]) -> st
     if max(owns) < TUNING.surely_explained:
         return ""
     for part, least in zip(parts, owns, strict=True):
-        first, rival = _likeliest(len(own.rotors), [part])
+        first, rival = _likeliest([_ranked(_reordered(own), *part)])
         here = replace(own, least=least)
         clear = max(TUNING.surely_explained, TUNING.more_explained * rival)
         if first is not None and first.least >= clear and (places := _contradiction(first, here)):
@@ -276,10 +276,12 @@ def _moved_in_flight(own: _Candidate, seen: Sequence[tuple[Array, Array]]) -> st
     return ""
 
 
-def _ranked(count: int, thrust: Array, turning: Array) -> list[_Candidate]:
-    """All layouts, the best first, their spins as yaw has them."""
+def _ranked(
+    layouts: Iterable[tuple[str, tuple[Rotor, ...]]], thrust: Array, turning: Array
+) -> list[_Candidate]:
+    """Layouts, the best first, their spins as yaw has them."""
     found = []
-    for name, rotors in _layouts(count, thrust, turning):
+    for name, rotors in layouts:
         shares = _explained(Airframe(name, rotors).geometry, thrust, turning)
         if shares[2] < 0.0:
             rotors = tuple(Rotor(r.x, r.y, -r.spin) for r in rotors)
@@ -399,6 +401,14 @@ def _coupled(geometry: Array, thrust: Array, turning: Array) -> float:
 
 def _most_coupled(airframe: Airframe, seen: Sequence[tuple[Array, Array]]) -> float:
     return max(_coupled(airframe.geometry, *motion) for motion in seen)
+
+
+def _reordered(own: _Candidate) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
+    """The same places in every order; of more than four rotors, with two that change places."""
+    places = range(len(own.rotors))
+    for order in permutations(places):
+        if len(places) == 4 or sum(map(ne, order, places)) <= 2:
+            yield own.name, tuple(own.rotors[i] for i in order)
 
 
 def _layouts(count: int, thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
