@@ -20,11 +20,10 @@ from gcs_sysid.__main__ import main
 from gcs_sysid.cli import live_command as live_command
 from gcs_sysid.cli import screens as screens
 from gcs_sysid.live import live_session as live_session
-from gcs_sysid.live.reception import Reception, SessionRecording
+from gcs_sysid.live.reception import Reception
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Link, ReceivedBytes
 from gcs_sysid.telemetry.tlog import TlogReader
-from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from tests.autopilots import GROUPS, INTERVALS, MESSAGES, READS, SETS, Autopilot
 from tests.terminals import PATIENCE, OnTerminal
@@ -76,7 +75,7 @@ def pass_time(monkeypatch, capsys):
         air = Air(vehicle, silent)
 
         def receiver(url, *, record_to, **settings):
-            return Reception(Transceiver(air, **settings), SessionRecording(record_to))
+            return Reception(air, record_to, **settings)
 
         monkeypatch.setattr(live_command, "ReceiverProcess", receiver)
         monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: air.now))

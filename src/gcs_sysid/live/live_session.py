@@ -26,7 +26,6 @@ from gcs_sysid.live.reception import (
     Reception,
     RecordingCut,
     ResetMark,
-    SessionRecording,
     Toggled,
 )
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, ScaleReference
@@ -35,7 +34,7 @@ from gcs_sysid.results.snapshot import FoundVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.tlog_writer import unused_path
-from gcs_sysid.telemetry.transceiver import ReceivedFrames, Transceiver
+from gcs_sysid.telemetry.transceiver import ReceivedFrames
 
 _LOADED_AHEAD = ("scipy.optimize",)
 """What else a flight loads where it first needs it, in the air: data would wait 0.1 s and more."""
@@ -114,10 +113,12 @@ class LiveSession(Session):
     ) -> None:
         super().__init__("session")
         if isinstance(source, Link):
-            transceiver = Transceiver(
-                source, listen_only=options.listen_only, signing_key=options.signing_key
+            source = Reception(
+                source,
+                record_to,
+                listen_only=options.listen_only,
+                signing_key=options.signing_key,
             )
-            source = Reception(transceiver, SessionRecording(record_to))
         self._source: Source = source
         self._options = options
         self._station = GroundStation(

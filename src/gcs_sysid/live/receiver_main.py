@@ -30,17 +30,15 @@ from gcs_sysid.live.receiver_process import (
     packed,
     read_message,
 )
-from gcs_sysid.live.reception import POLL, Failure, Item, Reception, SessionRecording
+from gcs_sysid.live.reception import POLL, Failure, Item, Reception
 from gcs_sysid.telemetry.link import PersistentLink, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.transceiver import ReceivedFrames, Transceiver
+from gcs_sysid.telemetry.transceiver import ReceivedFrames
 from gcs_sysid.telemetry.urls import LinkUrl
 
 GATHER, FEW = 0.004, 64
 """s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
 costs most."""
-_OF_RECEPTION = ("follow", "mark_reset", "start_recording", "stop_recording", "cut_recording")
-"""Orders that are its methods."""
 
 
 class Outbox:
@@ -203,7 +201,7 @@ class ReceiverMain:
                 threading.Thread(target=self._flush, args=arguments, daemon=True).start()
             case "finish":
                 self._finish()
-            case _ if name in _OF_RECEPTION:
+            case _:
                 getattr(self._reception, name)(*arguments)
         self._reported = -float("inf")
 
@@ -260,12 +258,11 @@ def open_reception(
     """
     link = PersistentLink(open_link(url))
     try:
-        transceiver = Transceiver(link, listen_only=listen_only, signing_key=signing_key)
-        recording = SessionRecording(record_to)
+        reception = Reception(link, record_to, listen_only=listen_only, signing_key=signing_key)
     except GcsSysidError:
         link.close()
         raise
-    return Reception(transceiver, recording), RequestsDone(transceiver.gate)
+    return reception, RequestsDone(reception.gate)
 
 
 def main() -> int:

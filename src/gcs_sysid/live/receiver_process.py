@@ -15,9 +15,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, Concatenate, NamedTuple, ParamSpec, cast
 
 from gcs_sysid.errors import LinkError
 from gcs_sysid.live.reception import Item, Reception, RecordingReport
@@ -125,6 +125,23 @@ class RelayedRequests:
         if not self.listen_only:
             self._send(name, self.version, *arguments)
         return not self.listen_only
+
+
+_Arguments = ParamSpec("_Arguments")
+
+
+def _ordered(
+    method: Callable[Concatenate[Any, _Arguments], None],
+) -> Callable[Concatenate["ReceiverProcess", _Arguments], None]:
+    """A method of `Reception`, done there."""
+
+    @wraps(method)
+    def order(
+        self: "ReceiverProcess", /, *arguments: _Arguments.args, **_: _Arguments.kwargs
+    ) -> None:
+        self._order(method.__name__, *arguments)
+
+    return order
 
 
 class ReceiverProcess:
@@ -244,25 +261,12 @@ class ReceiverProcess:
             events.append(self._events.popleft())
         return events
 
-    def follow(self, vehicle: tuple[int, int]) -> None:
-        """Answer to this vehicle from now on."""
-        self._order("follow", vehicle)
-
-    def mark_reset(self) -> None:
-        """Have a `ResetMark` recorded and handed over."""
-        self._order("mark_reset")
-
-    def start_recording(self, path: Path) -> None:
-        """Record into another file from now on."""
-        self._order("start_recording", path)
-
-    def stop_recording(self) -> None:
-        """End the recording."""
-        self._order("stop_recording")
-
-    def cut_recording(self, path: Path) -> None:
-        """Go on in another file, if it is recorded at all."""
-        self._order("cut_recording", path)
+    follow = _ordered(Reception.follow)
+    mark_reset = _ordered(Reception.mark_reset)
+    start_recording = _ordered(Reception.start_recording)
+    stop_recording = _ordered(Reception.stop_recording)
+    cut_recording = _ordered(Reception.cut_recording)
+    finish = _ordered(Reception.finish)
 
     def flushed_recording(self) -> Path | None:
         """The latest recording, all that was written so far in the file; None without one."""
@@ -273,10 +277,6 @@ class ReceiverProcess:
         with self._wake:
             self._wake.wait_for(lambda: self._flushed.number >= number or self._over, 15.0)
             return self._flushed.path
-
-    def finish(self) -> None:
-        """End: what is left is handed over, and `Ended`."""
-        self._order("finish")
 
     def close(self) -> None:
         """End it, if it has not ended; what was not taken is recorded all the same."""

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.tlog_writer import TlogWriter, reset_mark
-from gcs_sysid.telemetry.transceiver import LinkReport, ReceivedFrames, Transceiver
-from gcs_sysid.telemetry.urls import LinkUrl
+from gcs_sysid.telemetry.transceiver import ReceivedFrames, Transceiver
 
 POLL = 0.05
 """s; the longest that an order waits."""
@@ -155,57 +154,48 @@ class Ended(NamedTuple):
 Item = ReceivedFrames | ResetMark | RecordingCut | Toggled | Failure | Ended
 
 
-class Reception:
+class Reception(Transceiver):
     """Receives, records and hands over, whenever it is asked to.
 
-    `close` closes the transceiver.
+    Args:
+        link: as are the next two, of the transceiver.
+        record_to: the first recording; None: nothing is recorded until it is started.
+        listen_only: see above.
+        signing_key: see above.
+
+    Raises:
+        InputError: the recording exists, or there is no key.
     """
 
     withheld = 0
     waiting = 0.0
     """Taking never waits; the rest is in the system's buffer."""
 
-    def __init__(self, transceiver: Transceiver, recording: SessionRecording) -> None:
-        self._transceiver = transceiver
-        self._recording = recording
+    def __init__(
+        self,
+        link: Link,
+        record_to: Path | None,
+        *,
+        listen_only: bool = False,
+        signing_key: Path | None = None,
+    ) -> None:
+        super().__init__(link, listen_only=listen_only, signing_key=signing_key)
+        self._recording = SessionRecording(record_to)
         self._items: list[Item] = []
         self._finished = False
-
-    @property
-    def url(self) -> LinkUrl:
-        """Of the link."""
-        return self._transceiver.url
-
-    @property
-    def gate(self) -> Gate:
-        """Decides what is sent."""
-        return self._transceiver.gate
-
-    @property
-    def link_report(self) -> LinkReport:
-        """As things stand."""
-        return self._transceiver.link_report
 
     @property
     def recording_report(self) -> RecordingReport:
         """As things stand."""
         return self._recording.report
 
-    def follow(self, vehicle: tuple[int, int]) -> None:
-        """Answer to this vehicle from now on."""
-        self._transceiver.follow(vehicle)
-
     def next_items(self, timeout: float) -> list[Item]:
         """Wait up to `timeout` s; what came, recorded."""
-        if not self._finished and not self._items:
-            self._receive(timeout)
-        items, self._items = self._items, []
-        return items
-
-    def _receive(self, timeout: float) -> None:
-        for batch in self._transceiver.receive(timeout):
+        for batch in self.receive(timeout) if not self._finished and not self._items else ():
             self._recording.write(batch.time_us, batch.frames)
             self._items.append(batch)
+        items, self._items = self._items, []
+        return items
 
     def take_events(self) -> list[str]:
         """What happened to the recording since this was last asked, one line each."""
@@ -240,7 +230,7 @@ class Reception:
         """Close link and recording; nothing more comes."""
         if not self._finished:
             self._finished = True
-            self._transceiver.close()
+            super().close()
             self._recording.finish()
             self._items.append(Ended())
 
