@@ -5,6 +5,8 @@ to a terminal, line breaks that forge lines, marks that turn text around. Shown 
 """
 
 from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
 
 LONGEST_LINE = 1000
 """Characters; the middle of a longer line is left out."""
@@ -56,6 +58,29 @@ class LinkError(GcsSysidError):
 
 class NoAnswerError(InputError):
     """Data that can be read and do not allow an answer (exit status 1)."""
+
+
+_EXTRAS = {
+    "pyarrow": "fleet", "distributed": "cluster", "mcap": "mcap", "pandas": "notebook",
+    "matplotlib": "notebook",
+}  # fmt: skip
+"""Library -> the optional dependencies of this package that it is among."""
+
+
+def needed(module: str, purpose: str) -> Any:
+    """A module of an optional library, loaded.
+
+    `purpose` is what the library is needed for, in words.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    library = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ImportError as error:
+        extra = _EXTRAS[library]
+        raise InputError(f'{purpose} needs {library}: pip install "gcs-sysid[{extra}]"') from error
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -186,7 +186,7 @@ def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     status, err = batch(logs, "-o", tmp_path / "out", *PAPER)
     assert (status, err.count("\n")) == (2, 1)
-    assert "pip install pyarrow" in err
+    assert 'pip install "gcs-sysid[fleet]"' in err
 
 
 class DeadlyAirframe(Airframe):

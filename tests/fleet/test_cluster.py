@@ -88,7 +88,7 @@ def test_no_scheduler_is_a_line(batch, logs, distributed, tmp_path, monkeypatch)
         logs, "-o", tmp_path / "out", "--airframe", "paper", "--scheduler", "tcp://x"
     )
     assert (status, err.count("\n")) == (2, 1)
-    assert "pip install distributed pyarrow" in err
+    assert 'pip install "gcs-sysid[cluster]"' in err
 
 
 @pytest.mark.thorough

@@ -198,7 +198,7 @@ def test_html_is_escaped():
 def test_what_is_not_installed_is_named(monkeypatch, library, use):
     monkeypatch.setitem(sys.modules, library, None)
     monkeypatch.delitem(sys.modules, f"{library}.figure", raising=False)
-    with pytest.raises(InputError, match=f"needs {library}.*pip install {library}"):
+    with pytest.raises(InputError, match=rf"needs {library}: pip install .gcs-sysid\[notebook\]"):
         use(result())
 
 

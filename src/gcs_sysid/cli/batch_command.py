@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gcs_sysid.cli.airframe_choice import airframe_of, given_of, given_scale, is_auto
 from gcs_sysid.cli.output import Deliveries, on_signals, say
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.fleet import batch as table
 from gcs_sysid.fleet.batch import (
     AIRFRAME_FILE,
@@ -29,7 +29,7 @@ from gcs_sysid.telemetry.log_formats import usual_endings
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no log allows an answer, 2 when none can be read."""
-    table.require()
+    needed("pyarrow.parquet", "the fleet's table")
     logs = find_logs(map(Path, options.logs), None if options.csv is None else Path(options.csv))
     if not logs:
         raise InputError(f"{', '.join(options.logs)}: contains no {usual_endings(' or ')} file")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from gcs_sysid.cli.output import say
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.fleet import batch as table
 from gcs_sysid.fleet.batch import TABLE
@@ -13,7 +13,7 @@ from gcs_sysid.fleet.trend import render, vehicles_of
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no log of the fleet has a result."""
-    table.require()
+    needed("pyarrow.parquet", "the fleet's table")
     fleet, target = Path(options.fleet), Path(options.output)
     file = fleet / TABLE if fleet.is_dir() else fleet
     if fleet.is_dir() and not file.is_file():

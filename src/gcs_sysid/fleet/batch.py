@@ -61,18 +61,6 @@ _SCALE = ("anchor", "value", "unit", "std")
 Row = dict[str, Any]
 
 
-def require() -> None:
-    """See beforehand that tables can be written and read.
-
-    Raises:
-        InputError: PyArrow is not installed.
-    """
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError as error:
-        raise InputError("fleet tables need PyArrow: pip install pyarrow") from error
-
-
 def row(
     job: Job,
     task: Task | None,
@@ -160,30 +148,20 @@ def _schema() -> Any:
         numbers = ("value", "std", "std_given", "now")
         return pa.struct([(n, pa.float64() if n in numbers else pa.string()) for n in parts])
 
-    columns = [
-        ("path", pa.string()),
-        ("sha256", pa.string()),
-        ("bytes", pa.int64()),
-        ("result", pa.string()),
-        ("error", pa.string()),
-        ("verdict", pa.string()),
-        ("reasons", pa.list_(pa.string())),
-        ("vehicle", pa.string()),
-        ("airframe", pa.string()),
-        ("sysid", pa.int16()),
-        ("compid", pa.int16()),
-        ("autopilot", pa.string()),
-        ("recorded", pa.timestamp("ms")),
-        ("rotor_input", pa.string()),
-        ("estimator", pa.string()),
-        ("scale", struct(_SCALE)),
-        ("changes", pa.int32()),
-        ("version", pa.string()),
-        ("health", pa.struct([(name, pa.float64()) for name in _HEALTH])),
-        ("hover", pa.list_(struct(_HOVER))),
-        ("proposed", pa.list_(struct(_PROPOSED))),
-        *((name, struct(_ESTIMATE)) for name in REGISTRY),
-    ]
+    others = {
+        "bytes": pa.int64(),
+        "reasons": pa.list_(pa.string()),
+        "sysid": pa.int16(),
+        "compid": pa.int16(),
+        "recorded": pa.timestamp("ms"),
+        "scale": struct(_SCALE),
+        "changes": pa.int32(),
+        "health": pa.struct([(name, pa.float64()) for name in _HEALTH]),
+        "hover": pa.list_(struct(_HOVER)),
+        "proposed": pa.list_(struct(_PROPOSED)),
+        **dict.fromkeys(REGISTRY, struct(_ESTIMATE)),
+    }
+    columns = [(name, others.get(name, pa.string())) for name in row(Job(Path(), None), None, None)]
     return pa.schema(columns, metadata={"schema": _OF_TABLE})
 
 

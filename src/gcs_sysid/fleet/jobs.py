@@ -36,7 +36,7 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.files import digest_of, split_log
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_trend import series_of
@@ -358,10 +358,7 @@ class ClusterPool:
 
     def __init__(self, address: str, work: Callable[[Task], Document] = analyze) -> None:
         self._work = work
-        try:
-            import distributed
-        except ImportError as error:
-            raise InputError("--scheduler needs Dask: pip install distributed pyarrow") from error
+        distributed = needed("distributed", "--scheduler")
         try:
             self._client = distributed.Client(address, timeout=10, set_as_default=False)
         except (OSError, ValueError) as error:

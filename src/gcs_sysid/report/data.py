@@ -14,7 +14,6 @@ import json
 import platform
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ import scipy
 
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import digest_of, log_file
 from gcs_sysid.live.acceleration_prediction import (
@@ -306,14 +305,8 @@ def writer_of(path: Path) -> Callable[[Table], bytes]:
     suffix = path.suffix.lower()
     if suffix not in _WRITERS:
         raise InputError(f"{path}: --signals writes .csv, .parquet or .mcap")
-    package, extra = _NEEDS.get(suffix, ("", ""))
-    if package:
-        try:
-            import_module(package)
-        except ImportError as error:
-            raise InputError(
-                f'{path}: writing {suffix} needs {package}: pip install "gcs-sysid[{extra}]"'
-            ) from error
+    if suffix in _NEEDS:
+        needed(_NEEDS[suffix], f"{path}: writing {suffix}")
     return _WRITERS[suffix]
 
 
@@ -360,4 +353,4 @@ _WRITERS: Mapping[str, Callable[[Table], bytes]] = {
     ".parquet": _as_parquet,
     ".mcap": _as_mcap,
 }
-_NEEDS = {".parquet": ("pyarrow", "fleet"), ".mcap": ("mcap", "mcap")}
+_NEEDS = {".parquet": "pyarrow", ".mcap": "mcap"}

@@ -3,14 +3,13 @@
 pandas and matplotlib are loaded when they are asked for, and are not needed otherwise.
 """
 
-import importlib
 from collections.abc import Callable, Mapping
 from html import escape
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.result_data import ResultData
 from gcs_sysid.results.result_view import parameter_rows, rows
@@ -24,23 +23,6 @@ if TYPE_CHECKING:
 
 PlotKind = Literal["convergence", "correlation", "prediction"]
 _COLORS = ("#1f6fb4", "#c2571a", "#2b8a3e")
-
-
-def needed(module: str, purpose: str) -> Any:
-    """An optional library.
-
-    `purpose` is what the module is needed for.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    library = module.partition(".")[0]
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise InputError(
-            f"{purpose} needs {library}, which is not installed: pip install {library}"
-        ) from error
 
 
 def text(result: ResultData, most: int = 4) -> str:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.errors import InputError, NoAnswerError, needed
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.flight_model import FURTHER, FlightModel
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY
-from gcs_sysid.results.notebook_view import needed
 from gcs_sysid.results.result_data import ResultData
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.files import (
     MOST_BYTES_OF_TEXT,
     parse_toml,
@@ -509,13 +509,8 @@ def _field(
 
 
 def _read_parquet(path: Path, mapping: TableMapping, mapping_path: Path) -> dict[str, Array]:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise InputError(
-            f'{path}: reading Parquet needs pyarrow: pip install "gcs-sysid[fleet]"'
-        ) from error
+    needing = f"{path}: reading Parquet"
+    pa, parquet = needed("pyarrow", needing), needed("pyarrow.parquet", needing)
     try:
         header = parquet.read_schema(path).names
         _check_header(path, mapping, mapping_path, header)

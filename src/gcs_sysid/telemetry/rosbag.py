@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, needed
 from gcs_sysid.files import files_of, parse_toml, reading_log
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry import ulog
@@ -175,10 +175,8 @@ class RosBag:
                 topics[number].add(message, time)
 
     def _read_mcap(self, path: Path) -> None:
-        try:
-            records = _McapRecords(self._topic, self._count_bytes)
-        except ImportError as error:
-            raise InputError('reading MCAP needs mcap: pip install "gcs-sysid[mcap]"') from error
+        needed("mcap", "reading MCAP")
+        records = _McapRecords(self._topic, self._count_bytes)
         with (
             open(path, "rb") as file,
             mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
@@ -191,11 +189,7 @@ class RosBag:
 
 
 class _McapRecords:
-    """The records of an MCAP file, one after the other: a file that was cut short has no index.
-
-    Raises:
-        ImportError: a library is not installed.
-    """
+    """The records of an MCAP file, one after the other: a file that was cut short has no index."""
 
     def __init__(
         self,

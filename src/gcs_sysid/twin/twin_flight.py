@@ -141,7 +141,7 @@ def plot_growth(twin: TwinFlight) -> "Figure":
     Raises:
         InputError: it is not installed.
     """
-    from gcs_sysid.results.notebook_view import needed
+    from gcs_sysid.errors import needed
 
     figures = needed("matplotlib.figure", "plot()")
     names = list(twin.growth.rms)
