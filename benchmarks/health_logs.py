@@ -19,6 +19,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import ReadLog, health_of
+from gcs_sysid.health.autopilot_parameters import determined
 from gcs_sysid.health.health_trend import series_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
@@ -35,6 +36,7 @@ _FLEETS = (
     ("greenreaper", "greenreaper/*.BFL", 0.11, 0.5),
 )
 """Name, files, arm in m and mass in kg of vehicles that flew several times with the same load."""
+_THRUST = ("MOT_THST_EXPO", "MOT_THST_HOVER")
 
 
 def thinned_logs(folder: Path) -> Iterator[str]:
@@ -125,6 +127,7 @@ def _numbers(flights: Sequence[Health]) -> dict[str, list[tuple[float, float]]]:
             "CG forward": cg[0],
             "CG right": cg[1],
             **{f"share of rotor {i}": r.thrust_share for i, r in enumerate(health.rotors, 1)},
+            **{one.name: one.quantity for one in determined([health]) if one.name in _THRUST},
         }
         for name, q in named.items():
             if q is not None and q.value is not None and q.std:

@@ -8,7 +8,6 @@ from flight to flight by what the intervals assume. Counted are intervals that h
 values set that are farther from it than the old ones.
 """
 
-import math
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
@@ -23,7 +22,8 @@ from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.autopilot_parameters import Proposal, determined
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import HealthOptions
-from gcs_sysid.model.airframe import USUAL
+from gcs_sysid.model.airframe import USUAL, CommandRange
+from gcs_sysid.model.rotor_input import RotorInput
 from sim_bridge.simulated_vehicle import Vehicle
 from testbed.hover_flights import LAYOUTS, ORDINARY, fly, streams_in, uneven
 from testbed.study import arguments, markdown
@@ -33,20 +33,17 @@ FLIGHTS = 2
 """Of each vehicle, of which there is one proposal."""
 
 
-def thrust(u: float, c: float) -> float:
-    """Over full thrust."""
-    return (1.0 - c) * u + c * u**2
-
-
 def truths(vehicle: Vehicle, proposals: tuple[Proposal, ...]) -> dict[str, float]:
     """True values: a hover's throttle is that by the curve that the autopilot has afterwards."""
     weight = vehicle.mass * 9.80665 / (len(vehicle.rotors) * vehicle.T_max)
     c = vehicle.thrust_curve
-    u = (math.sqrt((1.0 - c) ** 2 + 4.0 * c * weight) - 1.0 + c) / (2.0 * c) if c else weight
+    command = RotorInput.COMMAND
+    u = command.at_load(np.array(weight), np.array(c))
     curve = next(one for one in proposals if one.name in ("THR_MDL_FAC", "MOT_THST_EXPO"))
     after = c if curve.verdict == "set" else curve.now or 0.0
     found = {"THR_MDL_FAC": c, "MOT_THST_EXPO": c}
-    found |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), thrust(u, after))
+    hover = float(command.load(u, np.array(after)))
+    found |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), hover)
     found["EKF2_MCOEF"] = float(vehicle.linear_drag / vehicle.mass)
     for i, rotor in enumerate(vehicle.rotors):
         found[f"CA_ROTOR{i}_PX"] = rotor.x - vehicle.cg_x
@@ -62,6 +59,7 @@ def of_vehicle(
     random = np.random.default_rng([number, 0x4EA1])
     traits = uneven(drawn, random, USUAL.rotor_thrust.of(1.0))
     airframe = misplaced(drawn.airframe, random)
+    airframe = replace(airframe, command=CommandRange(given=True))
     c, moved = float(drawn.vehicle.thrust_curve), random.standard_normal(2)
     now = dict.fromkeys(("THR_MDL_FAC", "MOT_THST_EXPO"), c)
     if random.random() < 0.7:
