@@ -3,6 +3,7 @@
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import pytest
 from rich.segment import Segment
@@ -11,7 +12,7 @@ from textual._context import visible_screen_stack
 from textual.pilot import Pilot
 
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.screen import Actions, EarlierResult, Scene, SysidApp, Transport
+from gcs_sysid.screen import EarlierResult, Scene, SysidApp
 from gcs_sysid.screen.app import ReplayApp
 
 from . import fake
@@ -91,12 +92,14 @@ def run_screen() -> RunScreen:
         first: Snapshot | None,
         size: tuple[int, int] = (80, 24),
         truth: Mapping[str, float] | None = fake.TRUTH,
-        actions: Actions | None = None,
         baseline: EarlierResult | None = None,
+        replayed: bool = False,
     ) -> AsyncIterator[Running]:
         source, clock = fake.FakeSource(first), Clock()
-        actions = source.actions() if actions is None else actions
-        scene = Scene(truth or {}, actions, None, baseline)
+        scene = Scene(
+            truth or {}, source, None, source.export, fake.TARGETS, source.report, baseline
+        )
+        scene = Scene(replay=source) if replayed else scene
         app = SysidApp(source, scene, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)
@@ -119,9 +122,9 @@ def run_replay():
         def noted(what):
             return lambda *arguments: (asked.append((what, *arguments)), f"{what} it is")[1]
 
-        transport = Transport(*map(noted, ("pause", "speed", "seek", "skip")))
-        actions = Actions(absent="in a replay")
-        scene = Scene(fake.TRUTH, actions, transport)
+        names = {"toggle_pause": "pause", "change_speed": "speed", "seek": "seek", "skip": "skip"}
+        replay = SimpleNamespace(**{name: noted(what) for name, what in names.items()})
+        scene = Scene(fake.TRUTH, replay=replay)
         app = ReplayApp(source, scene, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)

@@ -24,7 +24,6 @@ from gcs_sysid.results.snapshot import (
     Playback,
     Snapshot,
 )
-from gcs_sysid.screen import Actions
 from tests.known_results import result_of
 from tests.known_theta import TABLE_1
 
@@ -265,6 +264,9 @@ def bare() -> Snapshot:
     )
 
 
+TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
+
+
 class FakeSource:
     """A source that serves one snapshot and notes what is asked of it."""
 
@@ -273,19 +275,6 @@ class FakeSource:
         self.calls: list[str] = []
         self.recording = True
         self.broken = False
-
-    def actions(self) -> Actions:
-        """All that can be done with it."""
-        return Actions(
-            self.mark,
-            self.reset,
-            self.toggle_recording,
-            self.set_anchor,
-            self.choose_vehicle,
-            self.export,
-            ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy"),
-            self.report,
-        )
 
     def latest(self) -> Snapshot | None:
         return self.snapshot

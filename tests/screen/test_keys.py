@@ -9,7 +9,7 @@ from textual.command import CommandPalette
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.snapshot import Event, LinkState
-from gcs_sysid.screen import Actions, EarlierResult
+from gcs_sysid.screen import EarlierResult
 from gcs_sysid.screen.key_commands import Choose, HelpScreen
 from gcs_sysid.screen.main_view import PAGES, MainScreen
 from gcs_sysid.screen.plots import Convergence
@@ -189,7 +189,7 @@ async def test_the_command_palette_knows_the_actions(run_screen):
 
 @pytest.mark.slow
 async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
-    async with run_screen(fake.snapshot(), actions=Actions(absent="in a replay")) as s:
+    async with run_screen(fake.snapshot(), replayed=True) as s:
         words = {"m": "Mark", "r": "Reset", "o": "Record", "e": "Export", "h": "Report"}
         for key, what in {**words, "s": "Scale", "v": "Vehicle"}.items():
             await s.press(key)
@@ -229,7 +229,7 @@ async def test_report_is_made_beside_and_said_at_its_end(run_screen):
             assert done.wait(20.0)
             return "written: flight.html"
 
-        s.app.actions = replace(s.app.actions, report=slow)
+        s.app.scene = replace(s.app.scene, report=slow)
         await s.press("h")
         assert s.answer() == "Report: working ..."
         assert going.wait(20.0)
@@ -311,7 +311,7 @@ async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
 
 async def test_a_defect_beside_does_not_end_the_session(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        s.app.actions = replace(s.app.actions, report=lambda: str(1 // 0))
+        s.app.scene = replace(s.app.scene, report=lambda: str(1 // 0))
         await s.press("h")
         for _ in range(100):
             await s.pilot.pause(0.02)

@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from gcs_sysid.screen import Actions, Scene
+from gcs_sysid.screen import Scene
 from gcs_sysid.web.session_page import SessionPage
 from gcs_sysid.web.site import Site
 from gcs_sysid.web.workbench import Workbench
@@ -75,16 +75,7 @@ def source():
 
 @pytest.fixture
 def page(source):
-    acting = Actions(
-        source.mark,
-        source.reset,
-        source.toggle_recording,
-        source.set_anchor,
-        export=source.export,
-        export_targets=("urdf",),
-        absent="in a test",
-    )
-    return SessionPage(source, Scene(fake.TRUTH, acting))
+    return SessionPage(source, Scene(fake.TRUTH, source, None, source.export, ("urdf",)))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import base64
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.results.history import History
 from gcs_sysid.results.notebook_view import text
 from gcs_sysid.results.snapshot import LinkState
-from gcs_sysid.screen import Actions, EarlierResult, Scene, Transport
+from gcs_sysid.screen import EarlierResult, Scene
 from gcs_sysid.screen.formatting import choose_exponents
 from gcs_sysid.web import session_page
 from gcs_sysid.web.page_json import MOST_POINTS, history_view, session_view
@@ -183,7 +184,7 @@ def test_what_a_pilot_asks_for_is_done_once(pilot, source):
         (b'{"action": 3}', "must be a JSON object"),
         (b'{"action": "stop"}', "'stop' is not available here"),
         (b'{"action": "__class__"}', "is not available here"),
-        (b'{"action": "vehicle", "address": [1, 1]}', "is not available here"),
+        (b'{"action": "seek", "position": 1.0}', "is not available here"),
         (b'{"action": "mark", "text": 5}', "text: must be text"),
         (b'{"action": "mark", "text": "' + b"x" * 300 + b'"}', "text: must be text"),
         (b'{"action": "scale", "name": "mass"}', "value: must be a number"),
@@ -219,10 +220,10 @@ def test_a_defect_is_one_line_here_and_there(pilot, page, source, capfd):
 
 def test_a_replay_is_moved(source):
     told = []
-    transport = Transport(
-        lambda: "paused", lambda step: f"step {step}", lambda t: (told.append(t), "to")[1], str
+    replay = SimpleNamespace(
+        change_speed=lambda step: f"step {step}", seek=lambda t: (told.append(t), "to")[1]
     )
-    page = SessionPage(source, Scene(actions=Actions(absent="in a replay"), transport=transport))
+    page = SessionPage(source, Scene(replay=replay))
     source.snapshot = replace(source.snapshot, playback=fake.PLAYING)
     with served(page) as site:
         pilot = Client(site, "pilot")

@@ -21,7 +21,7 @@ from gcs_sysid.live.live_view import Session
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.screen import Actions, EarlierResult, Scene, Transport, app_of
+from gcs_sysid.screen import EarlierResult, Scene, app_of
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.telemetry.tlog_writer import unused_path
 
@@ -55,29 +55,16 @@ def scene_of(
     announcer: Announcer | None = None,
 ) -> Scene:
     """The scene of a live session or a replay."""
-    known = None if baseline is None else EarlierResult(options.baseline, baseline)
-    if isinstance(session, ReplaySession):
-        actions, transport = replay_actions(session, truth, options), transport_of(session)
-        return Scene(truth or {}, actions, transport, known, announcer, options.pilot)
-    assert isinstance(session, LiveSession)
-    actions = live_actions(session, truth, options)
-    return Scene(truth or {}, actions, None, known, announcer, options.pilot)
-
-
-def transport_of(session: ReplaySession) -> Transport:
-    """What moves a replay."""
-    return Transport(session.toggle_pause, session.change_speed, session.seek, session.skip)
-
-
-def replay_actions(
-    session: ReplaySession, truth: Mapping[str, float] | None, options: argparse.Namespace
-) -> Actions:
-    """What can be done with a recorded flight: nothing that would change its numbers."""
-    return Actions(
-        export=export_result,
-        export_targets=EXPORT_TARGETS,
-        report=lambda: report_session(session, truth, options),
-        absent="in a replay",
+    return Scene(
+        truth or {},
+        session if isinstance(session, LiveSession) else None,
+        session if isinstance(session, ReplaySession) else None,
+        export_result,
+        EXPORT_TARGETS,
+        lambda: report_session(session, truth, options),
+        None if baseline is None else EarlierResult(options.baseline, baseline),
+        announcer,
+        options.pilot,
     )
 
 
@@ -143,22 +130,6 @@ def _command(
     if vehicle is not None:
         words += ["--vehicle", ":".join(str(part) for part in vehicle if part is not None)]
     return (*words, "--report", str(target))
-
-
-def live_actions(
-    session: LiveSession, truth: Mapping[str, float] | None, options: argparse.Namespace
-) -> Actions:
-    """All that can be done with a live session."""
-    return Actions(
-        mark=session.mark,
-        reset=session.reset,
-        toggle_recording=session.toggle_recording,
-        set_anchor=session.set_anchor,
-        choose_vehicle=session.choose_vehicle,
-        export=export_result,
-        export_targets=EXPORT_TARGETS,
-        report=lambda: report_session(session, truth, options),
-    )
 
 
 def _show_on_terminal(session: Session, scene: Scene) -> None:

@@ -7,6 +7,6 @@ a session is made in `snapshot_view`, for the page too. Then draw the goldens ag
 """
 
 from gcs_sysid.screen.app import SysidApp, app_of
-from gcs_sysid.screen.view import Actions, EarlierResult, Scene, SnapshotSource, Transport
+from gcs_sysid.screen.view import EarlierResult, Scene
 
-__all__ = ["Actions", "EarlierResult", "Scene", "SnapshotSource", "SysidApp", "Transport", "app_of"]
+__all__ = ["EarlierResult", "Scene", "SysidApp", "app_of"]

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import ClassVar, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeGuard, TypeVar
 
 from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
@@ -40,7 +40,11 @@ from gcs_sysid.screen.main_view import MainScreen, PageBar, PilotScreen
 from gcs_sysid.screen.panels import ParameterRows
 from gcs_sysid.screen.snapshot_view import shares
 from gcs_sysid.screen.terminal import ending_with_its_terminal
-from gcs_sysid.screen.view import EarlierResult, Scene, SnapshotSource, View
+from gcs_sysid.screen.view import EarlierResult, Scene, View
+
+if TYPE_CHECKING:  # see `view`
+    from gcs_sysid.live.live_session import LiveSession
+    from gcs_sysid.live.live_view import Session
 
 T = TypeVar("T")
 
@@ -92,14 +96,14 @@ class SysidApp(App[None]):
 
     def __init__(
         self,
-        source: SnapshotSource,
+        source: "Session",
         scene: Scene | None = None,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self.source = source
         self.scene = scene = scene or Scene()
-        self.actions, self.baseline = scene.actions, scene.baseline
+        self.baseline = scene.baseline
         self._marks = 0
         self._at_work: set[str] = set()
         self.truth = scene.truth
@@ -267,7 +271,7 @@ class SysidApp(App[None]):
     def _offers(self, action: T | None, what: str) -> TypeGuard[T]:
         """Whether the source can do this; where it cannot, that is said."""
         if action is None:
-            self.say(f"{what}: not {self.actions.absent}.")
+            self.say(f"{what}: not {self.scene.absent}.")
         return action is not None
 
     def _in_thread(self, what: str, action: Callable[[], str]) -> None:
@@ -305,12 +309,12 @@ class SysidApp(App[None]):
 
     def action_mark(self) -> None:
         """Mark the present instant with a number; a pilot has no hand free to type."""
-        act = self.actions.mark
-        if not self._offers(act, "Mark"):
+        live = self.scene.live
+        if not self._offers(live, "Mark"):
             return
 
         def mark() -> str:
-            act(f"mark {self._marks + 1}")
+            live.mark(f"mark {self._marks + 1}")
             self._marks += 1
             return f"Marked: mark {self._marks}"
 
@@ -318,12 +322,12 @@ class SysidApp(App[None]):
 
     def action_reset(self) -> None:
         """Restart the estimate, once the user has confirmed: the data so far are discarded."""
-        act = self.actions.reset
-        if not self._offers(act, "Reset"):
+        live = self.scene.live
+        if not self._offers(live, "Reset"):
             return
 
         def reset() -> str:
-            act()
+            live.reset()
             return "Reset: the estimate restarts."
 
         def confirmed(answer: str | None) -> None:
@@ -337,14 +341,14 @@ class SysidApp(App[None]):
 
     def action_record(self) -> None:
         """Start or stop recording."""
-        if self._offers(act := self.actions.toggle_recording, "Record"):
-            self._ask(act)
+        if self._offers(live := self.scene.live, "Record"):
+            self._ask(live.toggle_recording)
 
     # -- files
 
     def action_export(self) -> None:
         """Write the present result for a simulator."""
-        act = self.actions.export
+        act = self.scene.export
         if not self._offers(act, "Export"):
             return
         if self.snapshot is None:
@@ -355,22 +359,22 @@ class SysidApp(App[None]):
         def write(target: str) -> None:
             self._in_thread("Export", lambda: act(target, result))
 
-        targets = [(name, name) for name in self.actions.export_targets]
+        targets = [(name, name) for name in self.scene.export_targets]
         hint = "Writes the present values to a new file."
         choose = Choose("Export for a simulator", targets, hint)
         self._answered(choose, "Export: nothing written.", write)
 
     def action_report(self) -> None:
         """Write a report of the flight so far."""
-        if self._offers(act := self.actions.report, "Report"):
+        if self._offers(act := self.scene.report, "Report"):
             self._in_thread("Report", act)
 
     # -- scale and vehicle
 
     def action_scale(self) -> None:
         """Set the scale: first which quantity, then its value."""
-        act = self.actions.set_anchor
-        if not self._offers(act, "Scale"):
+        live = self.scene.live
+        if not self._offers(live, "Scale"):
             return
         if self.snapshot is None:
             self.say("No result yet.")
@@ -389,24 +393,24 @@ class SysidApp(App[None]):
             value = "" if known is None or known.value is None else f"{known.value:.6g}"
             hint = f"{words[kind]}. Scales all masses, inertias and coefficients."
             enter, unchanged = Enter("Scale", hint, value), "Scale unchanged."
-            self._answered(enter, unchanged, lambda text: self._set_anchor(act, kind, text))
+            self._answered(enter, unchanged, lambda text: self._set_anchor(live, kind, text))
 
         kinds = [(kind, words[kind]) for kind in ("mass", thrust)]
         choose = Choose("What sets the scale?", kinds, f"Now: {now}")
         self._answered(choose, "Scale unchanged.", ask_value)
 
-    def _set_anchor(self, act: Callable[[str, float], str], kind: str, text: str) -> None:
+    def _set_anchor(self, live: "LiveSession", kind: str, text: str) -> None:
         try:
             value = float(text.replace(",", "."))
         except ValueError:
             self.say(f"Not done: {text!r} is not a number ({ANCHORS[kind]} wanted)")  # type: ignore[index]
             return
-        self._ask(lambda: act(kind, value))
+        self._ask(lambda: live.set_anchor(kind, value))
 
     def action_vehicle(self) -> None:
         """Choose among the vehicles on the link."""
-        act = self.actions.choose_vehicle
-        if not self._offers(act, "Vehicle"):
+        live = self.scene.live
+        if not self._offers(live, "Vehicle"):
             return
         received = () if self.snapshot is None else self.snapshot.link.vehicles
         if len(received) < 2:
@@ -418,7 +422,7 @@ class SysidApp(App[None]):
             if by_name[name].chosen:
                 self.say("Vehicle unchanged.")
                 return
-            self._ask(lambda: act(by_name[name].address))
+            self._ask(lambda: live.choose_vehicle(by_name[name].address))
 
         listed = [(v.name, f"{'●' if v.chosen else '○'} {v.name}") for v in received]
         hint = "Another vehicle restarts the session in a new recording."
@@ -557,19 +561,19 @@ class SysidApp(App[None]):
 
 
 class ReplayApp(SysidApp):
-    """The screen on a recorded flight, whose scene has a transport."""
+    """The screen on a recorded flight, which can be moved."""
 
     BINDINGS: ClassVar[list[BindingType]] = [*bindings_of(REPLAY_COMMANDS)]
 
     def __init__(
         self,
-        source: SnapshotSource,
+        source: "Session",
         scene: Scene,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(source, scene, time_source)
-        assert scene.transport is not None
-        self.transport = scene.transport
+        assert scene.replay is not None
+        self.replay = scene.replay
         self._bar = TransportBar()
 
     def on_main_screen_ready(self) -> None:
@@ -583,19 +587,19 @@ class ReplayApp(SysidApp):
 
     def action_pause(self) -> None:
         """Pause the replay, or let it go on."""
-        self._ask(self.transport.toggle_pause)
+        self._ask(self.replay.toggle_pause)
 
     def action_speed(self, step: int) -> None:
         """Faster or slower."""
-        self._ask(lambda: self.transport.change_speed(step))
+        self._ask(lambda: self.replay.change_speed(step))
 
     def action_skip(self, seconds: float) -> None:
         """Go on by so many seconds, or back."""
-        self._ask(lambda: self.transport.skip(seconds))
+        self._ask(lambda: self.replay.skip(seconds))
 
     def action_seek(self, position: float) -> None:
         """Go to so many seconds of the flight."""
-        self._ask(lambda: self.transport.seek(position))
+        self._ask(lambda: self.replay.seek(position))
 
     def action_to_end(self) -> None:
         """Go to the end, where the numbers are final."""
@@ -623,6 +627,6 @@ class ReplayApp(SysidApp):
         yield from super().get_system_commands(screen)
 
 
-def app_of(source: SnapshotSource, scene: Scene) -> SysidApp:
+def app_of(source: "Session", scene: Scene) -> SysidApp:
     """A new application on a source; there may be several."""
-    return (SysidApp if scene.transport is None else ReplayApp)(source, scene)
+    return (SysidApp if scene.replay is None else ReplayApp)(source, scene)

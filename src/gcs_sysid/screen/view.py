@@ -1,8 +1,8 @@
-"""What the screen is given: a source of snapshots, what may be done with it, and how to see one."""
+"""What the screen is given: a session, what can be asked of it, and a snapshot with choices."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.model.parameters import Parameter
@@ -14,72 +14,9 @@ from gcs_sysid.results.summary import before_data
 from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.snapshot_view import notice
 
-
-class SnapshotSource(Protocol):
-    """Whatever makes snapshots: a running session, the replay of a log, a still.
-
-    Both methods are called from the screen's thread while the source runs in its own, so they
-    are thread-safe.
-    """
-
-    def latest(self) -> Snapshot | None:
-        """The newest snapshot, the same object again while there is nothing new.
-
-        Returns at once. None until there is a first one.
-        """
-
-    def stop(self) -> None:
-        """End the session. Called when the user quits; calling it again does nothing."""
-
-
-@dataclass(frozen=True)
-class Actions:
-    """Actions of the screen. None: not with this source, and the screen shows `absent`.
-
-    Each is called from the screen's thread and returns at once, but `export` and `report`, which
-    are called in a thread of their own. What an action changed is the session's to report: it
-    adds an `Event` to its next snapshots, so that the event log, the recording and the headless
-    output agree. An action that fails raises a `GcsSysidError` or an `OSError`; the screen shows
-    its one line and goes on. A text returned says what happened, in one line.
-
-    Attributes:
-        mark: write a mark into the event log at the present instant.
-        reset: forget all information gathered so far and restart the estimate.
-        toggle_recording: start or stop recording; such as "recording to flight.tlog".
-        set_anchor: change the scale reference: "mass", "k_T" or "T_max", and its value in SI.
-        choose_vehicle: restart on another vehicle: its system and component.
-        export: write a result for a simulator: one of `export_targets`; never over another file.
-        export_targets: names of the formats.
-        report: write a report of the flight so far; never over another file.
-        absent: why some are None, in words that follow "not": "in a replay".
-    """
-
-    mark: Callable[[str], None] | None = None
-    reset: Callable[[], None] | None = None
-    toggle_recording: Callable[[], str] | None = None
-    set_anchor: Callable[[str, float], str] | None = None
-    choose_vehicle: Callable[[tuple[int, int]], str] | None = None
-    export: Callable[[str, Result], str] | None = None
-    export_targets: tuple[str, ...] = ()
-    report: Callable[[], str] | None = None
-    absent: str = "here"
-
-
-@dataclass(frozen=True)
-class Transport:
-    """What moves a replay. Each returns at once, with what happens in a few words.
-
-    Attributes:
-        toggle_pause: pause, or go on.
-        change_speed: so many steps faster, or slower.
-        seek: go to so many seconds of the flight.
-        skip: go on by so many seconds, or back.
-    """
-
-    toggle_pause: Callable[[], str]
-    change_speed: Callable[[int], str]
-    seek: Callable[[float], str]
-    skip: Callable[[float], str]
+if TYPE_CHECKING:  # the first frame does not wait for what they need
+    from gcs_sysid.live.live_session import LiveSession
+    from gcs_sysid.live.replay_session import ReplaySession
 
 
 @dataclass(frozen=True)
@@ -95,21 +32,38 @@ class EarlierResult:
 class Scene:
     """All that a screen or a page is made of but its source, wherever it stands.
 
+    What is asked of a session is called from the screen's thread and returns at once, but `export`
+    and `report`, which are called in a thread of their own. What it changed is the session's to
+    report: it adds an `Event` to its next snapshots, so that the event log, the recording and the
+    headless output agree. What fails raises a `GcsSysidError` or an `OSError`; the screen shows its
+    one line and goes on. A text returned says what happened, in one line.
+
     Attributes:
         truth: true values by parameter name, where the vehicle is an emulator that reports them.
-        actions: what can be done with the source.
-        transport: what moves it, where it is a replay.
+        live: the session, where it is of a link; None: what changes one cannot be done.
+        replay: the session, where it is a recorded flight.
+        export: write a result for a simulator: one of `export_targets`; never over another file.
+        export_targets: names of the formats.
+        report: write a report of the flight so far; never over another file.
         baseline: an earlier result to compare with.
         announcer: calls out what is new; None: one that is off.
         large: whether the pilot view comes first.
     """
 
     truth: Mapping[str, float] = field(default_factory=dict)
-    actions: Actions = field(default_factory=Actions)
-    transport: Transport | None = None
+    live: "LiveSession | None" = None
+    replay: "ReplaySession | None" = None
+    export: Callable[[str, Result], str] | None = None
+    export_targets: tuple[str, ...] = ()
+    report: Callable[[], str] | None = None
     baseline: EarlierResult | None = None
     announcer: Announcer | None = None
     large: bool = False
+
+    @property
+    def absent(self) -> str:
+        """Why some of it cannot be done, in words that follow "not"."""
+        return "here" if self.replay is None else "in a replay"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A session on a page: snapshots go out, what a pilot asks for goes in.
 
-What may be asked for is what the terminal's screen offers (`Actions`, `Transport`), by name; it
+What may be asked for is what the terminal's screen offers, by name; it
 goes into the session's command queue as from there. Nothing here knows a link or a message.
 """
 
@@ -13,11 +13,12 @@ from aiohttp import web
 
 from gcs_sysid.errors import InputError, one_line
 from gcs_sysid.files import real_number
+from gcs_sysid.live.live_view import Session
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.report.page import health_picture
 from gcs_sysid.results.health_view import absent_health
 from gcs_sysid.results.snapshot import Snapshot
-from gcs_sysid.screen.view import Scene, SnapshotSource
+from gcs_sysid.screen.view import Scene
 from gcs_sysid.strict_json import json_text
 from gcs_sysid.web.log_request import PICTURE, short_text
 from gcs_sysid.web.page_json import health_view, history_view, session_view
@@ -41,7 +42,7 @@ class SessionPage:
 
     page = "live.html"
 
-    def __init__(self, source: SnapshotSource, scene: Scene) -> None:
+    def __init__(self, source: Session, scene: Scene) -> None:
         self._source, self._scene = source, scene
         self._viewers = 0
         self._serial = 0
@@ -143,8 +144,8 @@ class SessionPage:
             {
                 "role": present_role(),
                 "actions": names,
-                "exports": list(self._scene.actions.export_targets),
-                "absent": self._scene.actions.absent,
+                "exports": list(self._scene.export_targets),
+                "absent": self._scene.absent,
             }
         )
 
@@ -152,27 +153,23 @@ class SessionPage:
 
     def _commands(self) -> Mapping[str, Command]:
         """What is offered: name -> function of the arguments."""
-        actions, transport = self._scene.actions, self._scene.transport
+        live, replay = self._scene.live, self._scene.replay
         out: dict[str, Command] = {}
-        if (mark := actions.mark) is not None:
-            out["mark"] = lambda a: mark(_text(a, "text"))
-        if (reset := actions.reset) is not None:
-            out["reset"] = lambda _: reset()
-        if (record := actions.toggle_recording) is not None:
-            out["record"] = lambda _: record()
-        if (scale := actions.set_anchor) is not None:
-            out["scale"] = lambda a: scale(_scale(a), _real(a, "value"))
-        if (choose := actions.choose_vehicle) is not None:
-            out["vehicle"] = lambda a: choose(_address(a))
-        if (report := actions.report) is not None:
+        if live is not None:
+            out["mark"] = lambda a: live.mark(_text(a, "text"))
+            out["reset"] = lambda _: live.reset()
+            out["record"] = lambda _: live.toggle_recording()
+            out["scale"] = lambda a: live.set_anchor(_scale(a), _real(a, "value"))
+            out["vehicle"] = lambda a: live.choose_vehicle(_address(a))
+        if (report := self._scene.report) is not None:
             out["report"] = lambda _: report()
-        if actions.export is not None:
+        if self._scene.export is not None:
             out["export"] = self._export
-        if transport is not None:
-            out["pause"] = lambda _: transport.toggle_pause()
-            out["speed"] = lambda a: transport.change_speed(1 if _real(a, "step") > 0 else -1)
-            out["seek"] = lambda a: transport.seek(_real(a, "position"))
-            out["skip"] = lambda a: transport.skip(_real(a, "seconds"))
+        if replay is not None:
+            out["pause"] = lambda _: replay.toggle_pause()
+            out["speed"] = lambda a: replay.change_speed(1 if _real(a, "step") > 0 else -1)
+            out["seek"] = lambda a: replay.seek(_real(a, "position"))
+            out["skip"] = lambda a: replay.skip(_real(a, "seconds"))
         return out
 
     async def _act(self, request: web.Request) -> web.StreamResponse:
@@ -190,13 +187,13 @@ class SessionPage:
         return web.json_response({"said": said if isinstance(said, str) else ""})
 
     def _export(self, arguments: Mapping[str, Any]) -> str:
-        target, actions = _text(arguments, "target"), self._scene.actions
+        target, scene = _text(arguments, "target"), self._scene
         snapshot = self._source.latest()
-        if target not in actions.export_targets:
+        if target not in scene.export_targets:
             raise InputError("no such export format")
-        if snapshot is None or actions.export is None:
+        if snapshot is None or scene.export is None:
             raise InputError("no estimate yet")
-        return actions.export(target, snapshot.result)
+        return scene.export(target, snapshot.result)
 
 
 def _event(document: Mapping[str, Any]) -> bytes:
