@@ -61,51 +61,36 @@ class VehicleClock:
     Attributes:
         now: the latest time received, s; None before the first stamp.
         reboots: how often the clock was set back for good.
-        doubted: stamps refused because they jumped and nothing confirmed them.
     """
 
     def __init__(self) -> None:
         self.now: float | None = None
         self.reboots = 0
-        self.doubted = 0
         self.unix_minus_boot: float | None = None
         """s, how far Unix time is ahead of the time since boot; None until it is known."""
         self._suspect: float | None = None
 
-    def stamp_us64(self, time_usec: int) -> float | None:
-        """Time of a 64-bit stamp in us, s; None when it is not to be believed."""
-        t = time_usec * 1e-6
+    def stamp(self, kind: Stamp, raw: int) -> float | None:
+        """Time of a stamp, s; None when it is not to be believed, or while its wraps are unknown.
+
+        32 bits of us wrap too often to drive the clock, so they only follow it; from the first wrap
+        on also where their field has 64, as in RAW_IMU of ArduPilot before 4.0.
+        """
+        now = self.now
+        wrapped = kind is Stamp.US64_OR_32 and now is not None and may_wrap(now)
+        if kind is Stamp.US32 or (wrapped and 0 < raw < 2**32):
+            t = self._unwrap(raw * 1e-6, WRAP_US)
+            return t if now is not None and abs(t - now) < JUMP_AHEAD else None
+        if not raw:
+            return None
+        if kind is Stamp.MS32:
+            return self._follow(self._unwrap(raw * 1e-3, WRAP_MS))
+        t = raw * 1e-6
         if t > UNIX_FROM:
             if self.unix_minus_boot is None:
                 return None
             t -= self.unix_minus_boot
-        return self._follow(t) if time_usec else None
-
-    def stamp_ms32(self, time_boot_ms: int) -> float | None:
-        """Time of a 32-bit stamp in ms, s; None when it is not to be believed."""
-        if not time_boot_ms:
-            return None
-        return self._follow(self._unwrap(time_boot_ms * 1e-3, WRAP_MS))
-
-    def stamp_us32(self, time_usec: int) -> float | None:
-        """Time of a 32-bit stamp in us, s; None while no other stamp resolves the wraps.
-
-        Such stamps wrap too often to drive the clock, so they only follow it.
-        """
-        if self.now is None:
-            return None
-        t = self._unwrap(time_usec * 1e-6, WRAP_US)
-        return t if abs(t - self.now) < JUMP_AHEAD else None
-
-    def stamp_us64_or_32(self, time_usec: int) -> float | None:
-        """Time of a stamp in us that may wrap, although its field has 64 bits.
-
-        ArduPilot before 4.0 puts a 32-bit count into RAW_IMU; from the first wrap on, such
-        stamps follow the clock that others drive.
-        """
-        if self.now is not None and may_wrap(self.now) and 0 < time_usec < 2**32:
-            return self.stamp_us32(time_usec)
-        return self.stamp_us64(time_usec)
+        return self._follow(t)
 
     def gives_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
         """Whether a SYSTEM_TIME relates Unix time to time since boot, and is new.
@@ -141,7 +126,7 @@ class VehicleClock:
             single = 2 * single if done < single else 1
             for row in range(at, min(at + single, len(raw))):
                 before = dict(vars(self))
-                time = self._stamp(int(kind[row]), int(raw[row]))
+                time = self.stamp(Stamp(kind[row]), int(raw[row]))
                 reboots = self.reboots != before["reboots"]
                 if reboots and (row or not may_go_back):
                     vars(self).update(before)
@@ -152,11 +137,6 @@ class VehicleClock:
                 if reboots:
                     return t[:1], now[:1]
         return t, now
-
-    def _stamp(self, kind: int, raw: int) -> float | None:
-        if kind == Stamp.MS32:
-            return self.stamp_ms32(raw)
-        return self.stamp_us64(raw) if kind == Stamp.US64 else self.stamp_us64_or_32(raw)
 
     def _run_on(self, kind: Array, raw: Array, t: Array, now: Array) -> int:
         """Follow stamps as far as the clock simply runs on; (n,) as of `take`, `t` and `now` s.
@@ -207,7 +187,6 @@ class VehicleClock:
             return t
         if self._suspect is None or abs(t - self._suspect) > AGREE:
             self._suspect = t
-            self.doubted += 1
             return None
         self._suspect = None
         self.now = t
@@ -235,7 +214,7 @@ class ClockTimes:
 
 
 def following(time_usec: Array, now: Array) -> Array:
-    """(n,) s of stamps in 32 bits, as `VehicleClock.stamp_us32`; NaN where it gives none.
+    """(n,) s of stamps in 32 bits, as `VehicleClock.stamp` has them; NaN where it gives none.
 
     Args:
         time_usec: (n,) us.
