@@ -75,7 +75,6 @@ class Link(ABC):
         breaks: how often a stream of bytes ended, to be followed by another one or not.
         floods: how often others were found to flood it.
         dropped: datagrams that the system dropped, not read in time.
-        unsent: messages that could not be sent.
     """
 
     datagrams = False
@@ -86,7 +85,6 @@ class Link(ABC):
         self.breaks = 0
         self.floods = 0
         self.dropped = 0
-        self.unsent = 0
 
     @abstractmethod
     def receive(self, timeout: float) -> list[ReceivedBytes]:
@@ -94,7 +92,7 @@ class Link(ABC):
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Send one frame. Only `outgoing.Gate` calls this. Never raises: see `unsent`."""
+        """Send one frame, or lose it; never raises. Only `outgoing.Gate` calls this."""
 
     @abstractmethod
     def close(self) -> None:
@@ -181,16 +179,13 @@ class TcpLink(Link):
     def send(self, data: bytes) -> None:
         """Send to the peer, if there is one."""
         if self._peer is None:
-            self.unsent += 1
             return
         # A few bytes a second: should they not fit at once, the peer has stopped reading. A frame
         # that was cut off is finished before the next one.
-        try:
+        with contextlib.suppress(OSError):
             while self._rest:
                 self._rest = self._rest[self._peer.send(self._rest) :]
             self._rest = data[self._peer.send(data) :]
-        except OSError:
-            self.unsent += 1
 
     def close(self) -> None:
         """Hang up."""
@@ -354,13 +349,9 @@ class UdpLink(Link):
 
     def send(self, data: bytes) -> None:
         """Send to the vehicle's address; nowhere while it is not known."""
-        if self._to is None:
-            self.unsent += 1
-            return
-        try:
-            self._socket.sendto(data, self._to)
-        except OSError:  # network gone for the moment; the next heartbeat tries again
-            self.unsent += 1
+        if self._to is not None:
+            with contextlib.suppress(OSError):  # network gone for the moment; more heartbeats come
+                self._socket.sendto(data, self._to)
 
     def answer_to(self, source: Address | None) -> None:
         """Send to this address from now on (`udpin`); `udpout` keeps to what the user named."""
@@ -417,10 +408,8 @@ class SerialLink(Link):
 
     def send(self, data: bytes) -> None:
         """Write to the port."""
-        try:
+        with contextlib.suppress(OSError):
             self._serial.write(data)
-        except OSError:
-            self.unsent += 1
 
     def close(self) -> None:
         """Give the port back."""
@@ -543,7 +532,6 @@ class PersistentLink(Link):
         self._clock = clock
         self._sleep = sleep
         self._breaks_before = 0
-        self._unsent_while_down = 0
         self._pause = self.FIRST_PAUSE
         self._next_try = 0.0
 
@@ -559,8 +547,7 @@ class PersistentLink(Link):
             return []
         chunks = self._link.receive(timeout)
         self.breaks = self._breaks_before + self._link.breaks
-        self.floods = self._link.floods
-        self._count_unsent()
+        self.floods, self.dropped = self._link.floods, self._link.dropped
         if chunks:
             self._pause = self.FIRST_PAUSE
         if self._link.ended:
@@ -580,7 +567,6 @@ class PersistentLink(Link):
             return
         self._wait_longer()  # unless data come: the other side may hang up at once, every time
         self._breaks_before += self._link.breaks
-        self._unsent_while_down += self._link.unsent
         self._link = link
 
     def _wait_longer(self) -> None:
@@ -588,14 +574,8 @@ class PersistentLink(Link):
 
     def send(self, data: bytes) -> None:
         """Send where the link is there."""
-        if self._link.ended:
-            self._unsent_while_down += 1
-        else:
+        if not self._link.ended:
             self._link.send(data)
-        self._count_unsent()
-
-    def _count_unsent(self) -> None:
-        self.unsent = self._unsent_while_down + self._link.unsent
 
     def answer_to(self, source: Address | None) -> None:
         """As the link does."""

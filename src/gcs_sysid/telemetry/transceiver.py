@@ -167,7 +167,6 @@ class Receiver:
         clock: steady, s.
 
     Attributes:
-        received_bytes: all bytes that arrived.
         check: see above.
         whereabouts: of the vehicle.
         marks: frames that pose as the user's reset, rejected: only recordings have such frames,
