@@ -22,7 +22,7 @@ from gcs_sysid.fleet.batch import Row
 from gcs_sysid.health.balance import pooled
 from gcs_sysid.health.health_trend import Series, slopes
 from gcs_sysid.model.estimate import Estimate, Quantity
-from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING, Parameter
+from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, chart_of, line
 from gcs_sysid.report.parts import (
     Child,
@@ -38,7 +38,8 @@ from gcs_sysid.report.parts import (
 )
 from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_data import Scale
+from gcs_sysid.results.result_data import SCHEMA
+from gcs_sysid.results.result_file import parse_result
 from gcs_sysid.results.result_view import figures, names_text, number_figures
 from gcs_sysid.results.words import PAGE, VERDICT
 from gcs_sysid.significance import FALSE_ALARM_RATE, Z95, normal_limit, student_limit
@@ -228,43 +229,22 @@ def _variance(known: Sequence[Quantity], level: float) -> float:
 
 def result_of(row: Row) -> Result:
     """A row of the table as a result, without what the table does not hold."""
-
-    def estimates(known: Mapping[str, Parameter]) -> dict[str, Estimate]:
-        return {
-            name: _estimate(row[name], parameter.sign == "not negative")
-            for name, parameter in known.items()
-            if row[name] is not None
-        }
-
-    return Result(
-        verdict=row["verdict"],
-        reasons=tuple(row["reasons"] or ()),
-        source=row["path"],
-        vehicle={key: row[key] for key in ("sysid", "compid", "autopilot")},
-        scale=_scale(row["scale"]),
-        rotor_input=row["rotor_input"],
-        parameters=estimates(PARAMETERS),
-        estimator=row["estimator"],
-        timing=estimates(TIMING),
-    )
+    known = {name: _present(row[name]) for name in REGISTRY if row[name] is not None}
+    document = {
+        "schema": SCHEMA,
+        **{key: row[key] for key in ("verdict", "rotor_input", "estimator")},
+        "reasons": row["reasons"] or [],
+        "source": row["path"],
+        "scale": row["scale"] and _present(row["scale"]),
+        "vehicle": {key: row[key] for key in ("sysid", "compid", "autopilot")},
+        "parameters": known,
+        "timing": known,
+    }
+    return parse_result(document, row["path"])
 
 
-def _estimate(entry: dict[str, Any], not_negative: bool) -> Estimate:
-    return Estimate(
-        entry["value"],
-        entry["std"],
-        entry["unit"],
-        entry["status"],
-        rests_on=entry["rests_on"],
-        std_given=entry.get("std_given") or 0.0,
-        not_negative=not_negative,
-    )
-
-
-def _scale(entry: dict[str, Any] | None) -> Scale | None:
-    if entry is None:
-        return None
-    return Scale(entry["anchor"], entry["value"], entry["unit"], entry["std"] or 0.0)
+def _present(entry: dict[str, Any]) -> dict[str, Any]:
+    return {part: value for part, value in entry.items() if value is not None}
 
 
 def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
