@@ -183,7 +183,7 @@ class Ground:
         self.vehicle = vehicle or MavlinkSystem(1, 1, 2, 12)
         gate = Gate(self.raws.append)
         self.restoration = StreamRestoration(gate, 4, folder, "udpin:0.0.0.0:14550")
-        self.requests = StreamRequests(gate, 250.0, restoration=self.restoration, **options)
+        self.requests = StreamRequests(gate, 250.0, self.restoration, **options)
         self.now = 0.0
         self.intervals = {}
         self._told = 0
@@ -329,7 +329,7 @@ def test_a_file_that_is_damaged_is_told_and_passed_over(content, tmp_path):
     (tmp_path / "streams_udpin_0.0.0.0_14550_1_1.json").write_text(content)
     ground = Ground(tmp_path)
     ground.turn()
-    assert any("is damaged" in line for line in ground.requests.take_events())
+    assert any("is damaged" in line for line in ground.restoration.events)
     ground.tell(**ALL)
     ground.turn()
     ground.take()
@@ -340,7 +340,7 @@ def test_a_file_that_is_damaged_is_told_and_passed_over(content, tmp_path):
 def test_a_folder_that_cannot_be_written_costs_the_session_nothing(tmp_path):
     (tmp_path / "state").write_text("a file, not a folder")
     ground = killed(tmp_path / "state")
-    (line,) = ground.requests.take_events()
+    (line,) = ground.restoration.events
     assert "cannot restore the rates" in line
     assert ground.put_back() == OWN
 
@@ -378,7 +378,7 @@ def test_what_another_station_sets_meanwhile_is_not_undone(rate):
     sets = [interval for c, n, interval in said if (c, n) == (511, ATTITUDE)]
     # Too slow for identification, it is asked for again; else it is left as it is.
     assert set(sets) == ({float(theirs)} if rate > 100.0 else {float(theirs), 10_000.0})
-    told = "\n".join(ground.requests.take_events())
+    told = "\n".join(ground.restoration.events)
     assert told.count(f"ATTITUDE was set to {rate:.1f} Hz by another ground station") == 1
     own = ground.put_back()
     assert own.get(ATTITUDE, theirs) == theirs
@@ -393,5 +393,5 @@ def test_an_interval_that_the_autopilot_limits_is_not_taken_for_anothers():
         ground.turn(6.0, **RATES)
         ground.tell(**limited)
     ground.take()
-    assert not ground.requests.take_events()
+    assert not ground.restoration.events
     assert ground.put_back() == OWN

@@ -4,6 +4,7 @@ import struct
 
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.link import Link
+from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.urls import parse_url
 
 
@@ -36,3 +37,40 @@ class Ether(Link):
 
     def close(self):
         self.closed = True
+
+
+class DefaultRates:
+    """Knows the vehicle's own rates at once: its defaults."""
+
+    def __init__(self):
+        self.events = []
+
+    def tick(self, *_):
+        return True
+
+    looked = tick
+
+    def own(self, _):
+        return 0
+
+    def left_over(self, *_):
+        return []
+
+    taken_over = left_over
+
+    def follow(self, *_):
+        pass
+
+    again = remember = requested = restored = close = follow
+
+
+class Asking(StreamRequests):
+    """Requests that begin at once."""
+
+    def __init__(self, gate, rate, **options):
+        self._told = DefaultRates()
+        super().__init__(gate, rate, self._told, **options)
+
+    def take_events(self):
+        events, self._told.events = self._told.events, []
+        return events

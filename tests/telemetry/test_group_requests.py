@@ -5,10 +5,11 @@ import pytest
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.requests import ASK_AGAIN_AFTER, StreamRequests
+from gcs_sysid.telemetry.requests import ASK_AGAIN_AFTER
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import GROUPS
 from testbed.payloads import unpack
+from tests.telemetry.in_memory import Asking
 
 RAW_SENSORS, RC, EXTRA1, POSITION, EXTRA3 = 1, 3, 10, 6, 12
 NAMES = {
@@ -35,7 +36,7 @@ class OldArduPilot:
         self.intervals = 0
         self.now = 0.0
         self.vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3, version)
-        self.requests = StreamRequests(Gate(self.notice), rate, baud=baud)
+        self.requests = Asking(Gate(self.notice), rate, baud=baud)
 
     def notice(self, raw):
         frame = read_frame(raw)
@@ -119,7 +120,7 @@ def test_groups_fit_the_line(baud, hertz):
 def test_arducopter_4_0_to_4_5_is_asked_for_raw_imu_alone():
     """It knows single requests, and no HIGHRES_IMU."""
     raws = []
-    requests = StreamRequests(Gate(raws.append), 250.0)
+    requests = Asking(Gate(raws.append), 250.0)
     vehicle = MavlinkSystem(1, 1, mavlink.MAV_TYPE_QUADROTOR, 3)
     for i in range(200):
         absent = ("HIGHRES_IMU", "ESC_TELEMETRY_1_TO_4")

@@ -5,10 +5,11 @@ import pytest
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.requests import ASKS_AT_MOST, StreamRequests
+from gcs_sysid.telemetry.requests import ASKS_AT_MOST
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 from gcs_sysid.telemetry.wanted_streams import bytes_per_second
 from testbed.payloads import unpack
+from tests.telemetry.in_memory import Asking
 
 VEHICLE = MavlinkSystem(1, 1, 2, 12)
 ARDUPILOT = MavlinkSystem(1, 1, 2, 3)
@@ -49,7 +50,7 @@ def wire():
 
 @pytest.fixture
 def requests(wire):
-    return StreamRequests(wire.gate, 250.0)
+    return Asking(wire.gate, 250.0)
 
 
 def run(requests, wire, until, arriving, start=0.0, **observed):
@@ -113,7 +114,7 @@ def test_after_a_reboot_all_are_asked_for(wire, requests):
 
 
 def test_ardupilot_is_asked_for_its_own_messages_in_whole_milliseconds(wire):
-    requests = StreamRequests(wire.gate, 300.0, rotors=6)
+    requests = Asking(wire.gate, 300.0, rotors=6)
     requests.tick(0.0, ARDUPILOT, {})
     said = dict(wire.take()[1:])
     assert said.keys() == {
@@ -130,7 +131,7 @@ def test_ardupilot_is_asked_for_its_own_messages_in_whole_milliseconds(wire):
 
 
 def test_a_radio_is_asked_for_what_it_carries_and_that_is_said(wire):
-    requests = StreamRequests(wire.gate, 250.0, baud=57600)
+    requests = Asking(wire.gate, 250.0, baud=57600)
     run(requests, wire, 1.0, {})
     hz = requests.asked["HIGHRES_IMU"]
     assert 10.0 < hz < 40.0
@@ -142,7 +143,7 @@ def test_a_radio_is_asked_for_what_it_carries_and_that_is_said(wire):
 
 
 def test_a_link_fast_enough_though_not_for_all_is_no_problem(wire):
-    requests = StreamRequests(wire.gate, 250.0, baud=230400)
+    requests = Asking(wire.gate, 250.0, baud=230400)
     run(requests, wire, 1.0, {})
     assert 50.0 < requests.asked["HIGHRES_IMU"] < 250.0
     (said,) = requests.take_events()
@@ -152,7 +153,7 @@ def test_a_link_fast_enough_though_not_for_all_is_no_problem(wire):
 
 
 def test_on_a_narrow_line_commands_make_room_once_the_speeds_prove_good(wire):
-    requests = StreamRequests(wire.gate, 250.0, baud=460800)
+    requests = Asking(wire.gate, 250.0, baud=460800)
     run(requests, wire, 1.0, {})
     before = requests.asked["HIGHRES_IMU"]
     said = run(requests, wire, 2.0, dict(requests.asked), start=1.0, turning={"ESC_STATUS"})
@@ -163,7 +164,7 @@ def test_on_a_narrow_line_commands_make_room_once_the_speeds_prove_good(wire):
 
 
 def test_a_stream_that_is_absent_takes_no_room(wire):
-    requests = StreamRequests(wire.gate, 250.0, baud=230400)
+    requests = Asking(wire.gate, 250.0, baud=230400)
     run(requests, wire, 1.0, {})
     before = requests.asked["HIGHRES_IMU"]
     arriving = {name: hz for name, hz in requests.asked.items() if name != "ESC_STATUS"}
@@ -223,10 +224,10 @@ def test_a_vehicle_of_version_1_is_answered_in_version_1(wire, requests):
         frame = read_frame(raw)
         versions.append((frame.message_id == 0, frame.version))
     heartbeats = [version for heartbeat, version in versions if heartbeat]
-    assert heartbeats == [2] * StreamRequests.INTRODUCTIONS + [1] * (
-        len(heartbeats) - StreamRequests.INTRODUCTIONS
+    assert heartbeats == [2] * requests.INTRODUCTIONS + [1] * (
+        len(heartbeats) - requests.INTRODUCTIONS
     )
-    assert len(heartbeats) > StreamRequests.INTRODUCTIONS
+    assert len(heartbeats) > requests.INTRODUCTIONS
     assert {version for heartbeat, version in versions if not heartbeat} == {1}
     # Version 1 has no room for the number of ESC_STATUS.
     assert "SERVO_OUTPUT_RAW" in requests.asked

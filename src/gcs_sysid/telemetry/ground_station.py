@@ -4,7 +4,6 @@ Everything here depends on when things happen. Only accepted frames reach the es
 the analysis of a recording ends with the live session's numbers.
 """
 
-from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +40,6 @@ class GroundStation:
 
     LOST_AFTER = 3.0
     """s of silence after which the link counts as lost."""
-    _MOST_EVENTS = 100
-    """Events kept until taken."""
 
     def __init__(
         self,
@@ -58,9 +55,9 @@ class GroundStation:
         self._port = port
         self._connects_once = connects_once
         restoration = StreamRestoration(port.gate, rotors, state_folder, str(port.url))
-        self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate, restoration)
+        self._streams = StreamRequests(port.gate, rate, restoration, rotors, port.url.line_rate)
         self._parameters = ParameterRequests(port.gate, rotors)
-        self._events: deque[str] = deque(maxlen=self._MOST_EVENTS)
+        self._events = restoration.events
         self._reported: set[str] = set()
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
@@ -132,7 +129,6 @@ class GroundStation:
             intake.motor_order.outputs,
         )
         self._parameters.tick(now, intake.vehicle, intake.parameters)
-        self._events += self._streams.take_events()
         report = self._port.link_report
         if report.marks:
             self._report_once("ignored a reset received over the link: only the user may reset")

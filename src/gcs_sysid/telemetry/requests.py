@@ -114,10 +114,10 @@ class StreamRequests:
     Args:
         gate: sends.
         rate: Hz wished for IMU and rotors.
+        restoration: finds out and keeps the vehicle's own rates before others are asked for, and
+            takes the events of both.
         rotors: how many the airframe has.
         baud: of the serial line, where that limits; None elsewhere.
-        restoration: finds out and keeps the vehicle's own rates before others are asked for; None:
-            its defaults are restored.
 
     Attributes:
         asked: message name -> Hz asked for; empty before the vehicle is known.
@@ -136,9 +136,9 @@ class StreamRequests:
         self,
         gate: Gate,
         rate: float,
+        restoration: StreamRestoration,
         rotors: int = 4,
         baud: int | None = None,
-        restoration: StreamRestoration | None = None,
     ) -> None:
         self.asked: dict[str, float] = {}
         self.problem = ""
@@ -157,7 +157,6 @@ class StreamRequests:
         self._turning: set[str] = set()
         self._planned: object = None
         self._reported: set[str] = set()
-        self._events: list[str] = []
         self._loss = _LossCut()
         self._groups: GroupRequests | None = None
         self._restoration = restoration
@@ -192,8 +191,7 @@ class StreamRequests:
         if vehicle is not None and (
             self._vehicle is None or vehicle.address != self._vehicle.address
         ):
-            if self._restoration is not None:
-                self._restoration.follow(vehicle)
+            self._restoration.follow(vehicle)
             self.reboot()
             self.asked = {}
             self._groups = None
@@ -204,7 +202,7 @@ class StreamRequests:
             return
         self._loop_rate, self._outputs = loop_rate, tuple(outputs)
         restoration = self._restoration
-        if restoration is not None and not restoration.tick(now, arriving, intervals):
+        if not restoration.tick(now, arriving, intervals):
             return
         self._came |= {name for name, hz in arriving.items() if hz > 0.0}
         self._turning |= set(turning)
@@ -215,9 +213,8 @@ class StreamRequests:
             self._see_to_groups(self._groups, vehicle, now, arriving)
             return
         self._plan(vehicle)
-        if restoration is not None:
-            for name in restoration.taken_over(now, arriving, intervals):
-                self._restore(name)  # theirs already: nothing to be undone later
+        for name in restoration.taken_over(now, arriving, intervals):
+            self._restore(name)  # theirs already: nothing to be undone later
         if share is not None:
             self._report_loss(share)
         for name, hz in self._rates.items():
@@ -264,10 +261,9 @@ class StreamRequests:
                 self._asked_at.pop(name, None)
         for name in self._rates.keys() - rates.keys():
             self._restore(name)
-        if self._restoration is not None:
-            for name in self._restoration.left_over(rates):
-                self._restore(name, asked=True)
-            self._restoration.remember({n: self._interval(hz) for n, hz in rates.items()})
+        for name in self._restoration.left_over(rates):
+            self._restore(name, asked=True)
+        self._restoration.remember({n: self._interval(hz) for n, hz in rates.items()})
         before, self._rates = self._rates, rates
         if self._baud is not None and not self._loss.capacity:
             self._report_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
@@ -286,10 +282,6 @@ class StreamRequests:
     def _interval(self, hertz: float) -> int:
         assert self._vehicle is not None
         return interval_us(self._vehicle.key, hertz, self._loop_rate)
-
-    def _own_interval(self, name: str) -> int:
-        """To be put back, us."""
-        return 0 if self._restoration is None else self._restoration.own(name)
 
     def _knows_groups_alone(self, vehicle: MavlinkSystem, arriving: Mapping[str, float]) -> bool:
         """Whether this is ArduPilot before 4.0, by what does not come although asked for.
@@ -393,8 +385,7 @@ class StreamRequests:
             self._asks[name] = max(asks, 1)
             self._ask(name, hz, now)
         elif not enough and asks < ASKS_AT_MOST and now - self._asked_at[name] >= ASK_AGAIN_AFTER:
-            restoration = self._restoration
-            if restoration is not None and not restoration.looked(now, name, intervals):
+            if not self._restoration.looked(now, name, intervals):
                 return
             self._asks[name] = asks + 1
             self._ask(name, hz, now)
@@ -411,9 +402,8 @@ class StreamRequests:
     def _ask(self, name: str, hz: float, now: float) -> None:
         assert self._vehicle is not None
         self._asked_at[name] = now
-        interval, own = self._interval(hz), self._own_interval(name)
-        if self._restoration is not None:
-            self._restoration.requested(now, name, interval)
+        interval, own = self._interval(hz), self._restoration.own(name)
+        self._restoration.requested(now, name, interval)
         address = self._vehicle.address
         if self._gate.set_message_interval(address, MESSAGE_IDS[name], interval, own):
             self.asked[name] = hz
@@ -422,28 +412,19 @@ class StreamRequests:
         """Put a stream's own interval back, if another was asked for."""
         asked |= self.asked.pop(name, None) is not None
         if self._vehicle is not None and asked:
-            own = self._own_interval(name)
+            own = self._restoration.own(name)
             self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], own, own)
-            if self._restoration is not None:
-                self._restoration.restored(name)
+            self._restoration.restored(name)
 
     def _report(self, text: str) -> None:
-        if text not in self._events:
-            self._events.append(text)
-
-    def take_events(self) -> list[str]:
-        """Events since this was last asked, one line each."""
-        events, self._events = self._events, []
-        if self._restoration is not None:
-            events += self._restoration.take_events()
-        return events
+        if text not in self._restoration.events:
+            self._restoration.events.append(text)
 
     def reboot(self) -> None:
         """Request again: the vehicle has forgotten, or may have while out of contact."""
         if self._groups is not None:
             self._groups.again()
-        if self._restoration is not None:
-            self._restoration.again()
+        self._restoration.again()
         self._asked_at.clear()
         self._asks.clear()
         self._reported.clear()
@@ -459,8 +440,7 @@ class StreamRequests:
             self.asked = dict(asked)
             for name in asked:
                 self._restore(name)
-        if self._restoration is not None:
-            self._restoration.close()
+        self._restoration.close()
 
 
 class _LossCut:

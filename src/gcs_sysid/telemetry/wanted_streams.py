@@ -13,6 +13,7 @@ says what time it is.
 import json
 import math
 import re
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -234,7 +235,7 @@ class StreamRestoration:
     """Finds out each stream's own interval, and keeps it.
 
     Without a folder for the file nothing is kept beyond the session; `link` is the link's URL: PX4
-    has rates for each link.
+    has rates for each link. `events` are lines for the user, the latest of those not yet taken.
     """
 
     ROUND_EVERY = 0.6
@@ -252,6 +253,7 @@ class StreamRestoration:
     """s after a request in which it has taken effect; s that an answer is waited for."""
 
     def __init__(self, gate: Gate, rotors: int, folder: Path | None = None, link: str = "") -> None:
+        self.events: deque[str] = deque(maxlen=100)
         self._gate = gate
         self._rotors = rotors
         self._folder = folder
@@ -265,7 +267,6 @@ class StreamRestoration:
         self._own: dict[str, int] = {}
         self._asked: dict[str, int] = {}
         self._kept: object = None
-        self._events: list[str] = []
         self._answered: set[str] = set()
         self._became: dict[str, int] = {}
         self._check_at = 0.0
@@ -330,11 +331,12 @@ class StreamRestoration:
             self._settle(name, answers.get(name), arriving.get(name, 0.0))
         self._answered |= answers.keys()
         self._known = True
-        self._check_at, self._received_at_check = (
-            now + self.CHECKED_EVERY,
-            self._received(intervals),
-        )
+        self._check_later(now, intervals)
         return True
+
+    def _check_later(self, now: float, intervals: Mapping[int, tuple[int, int]]) -> None:
+        self._check_at = now + self.CHECKED_EVERY
+        self._received_at_check = self._received(intervals)
 
     @staticmethod
     def _received(intervals: Mapping[int, tuple[int, int]]) -> int:
@@ -362,10 +364,7 @@ class StreamRestoration:
                     found.append(name)
                 self._take_over(name, answer, arriving.get(name, 0.0))
         if now >= self._check_at and self._vehicle is not None:
-            self._check_at, self._received_at_check = (
-                now + self.CHECKED_EVERY,
-                self._received(intervals),
-            )
+            self._check_later(now, intervals)
             for name in self._names:
                 if name in self._answered:
                     self._gate.get_message_interval(self._vehicle.address, MESSAGE_IDS[name])
@@ -409,7 +408,7 @@ class StreamRestoration:
         text = f"{name} was {rate} by another ground station: that is restored at the end"
         if text not in self._reported:
             self._reported.add(text)
-            self._events.append(text)
+            self.events.append(text)
 
     def requested(self, now: float, name: str, interval: int) -> None:
         """A stream is being asked for, every `interval` us."""
@@ -438,11 +437,11 @@ class StreamRestoration:
     @staticmethod
     def _meaning(autopilot: str, answer: int | None, hertz: float) -> int:
         """The interval to restore, by the vehicle's reply and the arrival rate."""
+        if (answer is None or answer <= 0) and hertz > 0.0:
+            # Not reported, or sent as fast as available (-1 of PX4's).
+            answer = round(1e6 / hertz)
         if answer is not None and answer > 0:
             return min(max(answer, SHORTEST_INTERVAL), LONGEST_INTERVAL)
-        if hertz > 0.0:
-            # Not reported, or sent as fast as available (-1 of PX4's).
-            return min(max(round(1e6 / hertz), SHORTEST_INTERVAL), LONGEST_INTERVAL)
         # PX4 reports 0 for a message that it does not send, others for one that they do not have.
         if answer == OFF or (answer == 0 and autopilot == "px4"):
             return OFF
@@ -482,12 +481,7 @@ class StreamRestoration:
             try:
                 path.unlink(missing_ok=True)
             except OSError as error:
-                self._events.append(f"{path}: cannot be removed: {error.strerror}")
-
-    def take_events(self) -> list[str]:
-        """Events since this was last asked, one line each."""
-        events, self._events = self._events, []
-        return events
+                self.events.append(f"{path}: cannot be removed: {error.strerror}")
 
     # -- the file
 
@@ -509,7 +503,7 @@ class StreamRestoration:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, json.dumps(content, indent=1) + "\n", replace=True)
         except (InputError, OSError) as error:
-            self._events.append(
+            self.events.append(
                 f"{error}: if this session is killed, the next one cannot restore the rates"
             )
 
@@ -527,7 +521,7 @@ class StreamRestoration:
                 if name in MESSAGE_IDS and _is_interval(int(own)) and int(asked) > 0
             }
         except (InputError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            self._events.append(f"{path} is damaged: rates that a killed session left stay")
+            self.events.append(f"{path} is damaged: rates that a killed session left stay")
             return
         self._own = {name: own for name, (own, _) in kept.items()}
         self._asked = {name: asked for name, (_, asked) in kept.items()}
