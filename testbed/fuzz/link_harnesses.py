@@ -26,7 +26,7 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.remote_logs import Exchange, RemoteLogs
-from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
+from gcs_sysid.telemetry.signing import SignatureCheck, SigningClock
 from gcs_sysid.telemetry.tlog import STAMP, ScanCounts, Scanner
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
@@ -35,6 +35,7 @@ from sim_bridge.wire import FrameWriter
 from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 from testbed.fuzz.references import checksum, frames_of_log, frames_of_stream
 from testbed.payloads import unpack
+from testbed.signer import Signer
 
 _TYPES = (
     "HEARTBEAT", "HIGHRES_IMU", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED",

@@ -20,9 +20,10 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import PersistentLink, TcpLink, UdpLink
-from gcs_sysid.telemetry.signing import Signer, SigningClock
+from gcs_sysid.telemetry.signing import SigningClock
 from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.urls import LinkUrl
+from testbed.signer import Signer
 
 LISTEN = LiveOptions(listen_only=True, refit_interval=5.0)
 """Sends nothing, and refits seldom, of which the final numbers keep no trace."""

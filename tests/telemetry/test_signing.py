@@ -15,7 +15,6 @@ from gcs_sysid.telemetry.signing import (
     UNITS,
     Refusal,
     SignatureCheck,
-    Signer,
     SigningClock,
     read_key,
 )
@@ -52,7 +51,7 @@ def signing(make_sender):
 
 def test_what_we_sign_pymavlink_believes(clock):
     sent = []
-    gate = Gate(sent.append, signer=Signer(KEY, clock))
+    gate = Gate(sent.append, key=KEY, clock=clock)
     gate.heartbeat()
     gate.set_message_interval((1, 1), 105, 4000)
     gate.read_parameter((1, 1), "INS_GYRO_FILTER")
@@ -68,7 +67,7 @@ def test_what_we_sign_pymavlink_believes(clock):
 
 
 def test_the_key_is_never_sent(clock):
-    gate = Gate(pytest.fail, signer=Signer(KEY, clock))
+    gate = Gate(pytest.fail, key=KEY, clock=clock)
     for dialect in (common, mavlink):
         message = dialect.MAVLink_setup_signing_message(1, 1, list(KEY), NOW)
         with pytest.raises(NotAllowedError, match="SETUP_SIGNING must never be sent"):

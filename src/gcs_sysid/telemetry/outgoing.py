@@ -15,7 +15,7 @@ from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.signing import Signer
+from gcs_sysid.telemetry.signing import SigningClock
 
 OWN_SYSTEM = 245
 """Not 255: autopilots tie their failsafe to the ground station of that number, so that
@@ -177,7 +177,8 @@ class Gate:
         sent: messages sent so far.
         version: of MAVLink, 1 or 2: as the vehicle's.
 
-    `send_bytes` takes each frame; `signer` signs those of version 2 (version 1 has no signatures).
+    `send_bytes` takes each frame; with a key and its clock those of version 2 are signed (version 1
+    has no signatures).
     """
 
     def __init__(
@@ -185,19 +186,21 @@ class Gate:
         send_bytes: Callable[[bytes], None],
         *,
         listen_only: bool = False,
-        signer: Signer | None = None,
+        key: bytes | None = None,
+        clock: SigningClock | None = None,
     ) -> None:
         self.listen_only = listen_only
         self.sent = 0
         self.version = 2
         self._send_bytes = send_bytes
-        self._signer = signer
+        self._clock = clock
         self._packer = mavlink.MAVLink(None, srcSystem=OWN_SYSTEM, srcComponent=OWN_COMPONENT)
+        self._packer.signing.secret_key, self._packer.signing.sign_outgoing = key, self.signing
 
     @property
     def signing(self) -> bool:
         """Whether frames are signed."""
-        return self._signer is not None
+        return self._clock is not None
 
     def send(self, message: Any) -> bool:
         """Send one message of the dialect; False when only listening.
@@ -209,9 +212,9 @@ class Gate:
             raise NotAllowedError(f"{message.msgname} must never be sent to a vehicle")
         if self.listen_only:
             return False
+        if self._clock is not None and self.version == 2:
+            self._packer.signing.timestamp = self._clock.next_time()
         raw = bytes(message.pack(self._packer, force_mavlink1=self.version == 1))
-        if self._signer is not None and self.version == 2:
-            raw = self._signer.sign(raw, message.crc_extra)
         self._packer.seq = (self._packer.seq + 1) % 256
         self._send_bytes(raw)
         self.sent += 1

@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: the key, signatures on what is sent, checks of what comes.
+"""MAVLink 2 signing: the key, the time of what is signed, checks of what comes.
 
 A signature is a link number, a time in units of 10 us since 2015, and the first 6 bytes of
 SHA-256 over key, frame, link number and time. The time of a sender never goes back, which
@@ -17,11 +17,9 @@ from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 
-from fastcrc import crc16
-
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import MOST_BYTES_OF_TEXT, read_bytes, read_text
-from gcs_sysid.telemetry.frames import CHECKSUM, FLAG_SIGNED, SIGNATURE, Frame, Validity
+from gcs_sysid.telemetry.frames import SIGNATURE, Frame, Validity
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
 KEY_SIZE = hashlib.sha256().digest_size
@@ -63,11 +61,6 @@ def _is_text(data: bytes) -> bool:
         return data.decode("utf-8").isprintable()
     except UnicodeDecodeError:
         return False
-
-
-def signature(key: bytes, signed_part: bytes) -> bytes:
-    """The 6 bytes over a frame with its link number and time."""
-    return hashlib.sha256(key + signed_part).digest()[:6]
 
 
 def _now() -> int:
@@ -151,24 +144,6 @@ def _read_state(state: Path | None) -> int:
     return min(int(text), LARGEST_TIME) if text.isdecimal() and len(text) < 20 else 0
 
 
-class Signer:
-    """Signs frames of version 2."""
-
-    def __init__(self, key: bytes, clock: SigningClock) -> None:
-        self._key = key
-        self._clock = clock
-
-    def sign(self, raw: bytes, crc_extra: int) -> bytes:
-        """The frame with its flag set, a new checksum (which covers the flag) and a signature."""
-        body = bytearray(raw[:-CHECKSUM])
-        body[2] |= FLAG_SIGNED
-        checksum = crc16.mcrf4xx(bytes(body[1:]) + bytes([crc_extra]))
-        body += checksum.to_bytes(2, "little")
-        body.append(0)  # there is one link
-        body += self._clock.next_time().to_bytes(6, "little")
-        return bytes(body) + signature(self._key, bytes(body))
-
-
 class Refusal(StrEnum):
     """Why a frame is not accepted."""
 
@@ -218,7 +193,8 @@ class SignatureCheck:
             return None if frame.message_id == _RADIO_STATUS else Refusal.UNSIGNED
         raw = frame.raw
         # The signature first: times of forged frames must leave no trace.
-        if not hmac.compare_digest(signature(self._key, raw[:-6]), raw[-6:]):
+        digest = hashlib.sha256(self._key + raw[:-6]).digest()
+        if not hmac.compare_digest(digest[:6], raw[-6:]):
             return Refusal.WRONG_KEY
         stream = (frame.system, frame.component, raw[-SIGNATURE])
         stamp = int.from_bytes(raw[-12:-6], "little")

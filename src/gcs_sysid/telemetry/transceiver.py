@@ -16,7 +16,7 @@ from gcs_sysid.telemetry.link import Address, Link
 from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM, Gate
-from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
+from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, SigningClock, read_key
 from gcs_sysid.telemetry.tlog_writer import is_reset_mark
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -345,14 +345,14 @@ class Transceiver(Receiver):
         self, link: Link, *, listen_only: bool = False, signing_key: Path | None = None
     ) -> None:
         self._signing: SigningClock | None = None
-        check = signer = None
+        check = key = None
         if signing_key is not None:
             key = read_key(signing_key)
             state = signing_key.with_name(signing_key.name + STATE_SUFFIX)
             self._signing = SigningClock(state)
-            check, signer = SignatureCheck(key, self._signing), Signer(key, self._signing)
+            check = SignatureCheck(key, self._signing)
         super().__init__(link, check)
-        self.gate = Gate(link.send, listen_only=listen_only, signer=signer)
+        self.gate = Gate(link.send, listen_only=listen_only, key=key, clock=self._signing)
 
     @property
     def url(self) -> LinkUrl:
