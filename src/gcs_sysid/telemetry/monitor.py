@@ -364,22 +364,12 @@ class Monitor:
             counts = every if whole else counts_of(message_id[start:end])
             self._add_step(int(steps[start]), counts, int(size[start:end].sum()))
 
-    def _type(self, message_id: int) -> int:
-        """What a message is counted as."""
-        if message_id not in self._known:
-            if len(self._known) >= self._most_known:
-                return OTHER_TYPES
-            self._known.add(message_id)
-        return message_id
-
     def _types(self, message_id: Array) -> Array:
-        """The same of (n,) messages, in order."""
-        unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
-        ids, first = np.unique(message_id[unnamed], return_index=True)
-        for new in ids[np.argsort(first)][: self.MOST_UNNAMED + 1].tolist():
-            self._type(new)
-        counted = np.isin(message_id, np.array(sorted(self._known)))
-        return np.where(counted, message_id, OTHER_TYPES)
+        """What (n,) messages are counted as, in order."""
+        ids, first = np.unique(message_id, return_index=True)
+        new = [i for i in ids[np.argsort(first)].tolist() if i not in self._known]
+        self._known.update(new[: self._most_known - len(self._known)])
+        return np.where(np.isin(message_id, sorted(self._known)), message_id, OTHER_TYPES)
 
     def _go_on(self, now: float) -> None:
         """See whether the clock went back."""
