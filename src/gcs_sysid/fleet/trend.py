@@ -26,13 +26,13 @@ from gcs_sysid.model.parameters import PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.report.drawing import FlightsChart, IntervalPoint, chart_of, line
 from gcs_sysid.report.parts import (
     Child,
-    Column,
     Markup,
     element,
     grid,
     html_page,
     legend,
     note,
+    numbers,
     section,
     table,
 )
@@ -373,13 +373,7 @@ def _overview(vehicles: Sequence[FleetVehicle], unused: Sequence[Row]) -> Markup
         ]
         for place, vehicle in enumerate(vehicles, 1)
     ]
-    columns = [
-        Column("Vehicle"),
-        Column("Flights", numbers=True),
-        Column("First"),
-        Column("Last"),
-        Column("Changes"),
-    ]
+    columns = ["Vehicle", *numbers("Flights"), "First", "Last", "Changes"]
     return section(
         "overview",
         "Has a vehicle changed?",
@@ -409,14 +403,7 @@ def _changes_text(vehicle: FleetVehicle) -> str:
 def _section(place: int, vehicle: FleetVehicle) -> Markup:
     figures = [trend_figure(vehicle, name) for name in shown_names(vehicle)]
     changes = [row for flight in vehicle.changed for row in _change_rows(flight)]
-    columns = [
-        Column("Flight"),
-        Column("Compared with"),
-        Column("Parameter"),
-        Column("Expected", numbers=True),
-        Column("Found", numbers=True),
-        Column("Difference", numbers=True),
-    ]
+    columns = ["Flight", "Compared with", "Parameter", *numbers("Expected", "Found", "Difference")]
     notes = [
         text.replace("the mass of B", f"the mass at flight {flight.number}")
         for flight in vehicle.changed
@@ -460,10 +447,7 @@ def _hover(vehicle: FleetVehicle) -> Iterator[Markup]:
         for name, (estimate, now, flights) in vehicle.proposed.items()
     ]
     if rows:
-        columns = [
-            Column("Parameter"), Column("Now", numbers=True), Column("By hover", numbers=True),
-            Column("Flights", numbers=True),
-        ]  # fmt: skip
+        columns = ["Parameter", *numbers("Now", "By hover", "Flights")]
         about = "Autopilot parameters that fit, with 95 % intervals over the flights"
         yield table(about, columns, rows)
 
@@ -537,13 +521,7 @@ def _flights(vehicle: FleetVehicle) -> Markup:
                 else f"{scale.anchor} {PAGE.number(scale.value, 4)} {PAGE.unit(scale.unit)}",
             ]
         )
-    columns = [
-        Column("Flight"),
-        Column("Recorded"),
-        Column("Log"),
-        Column("Verdict"),
-        Column("Scale", numbers=True),
-    ]
+    columns = ["Flight", "Recorded", "Log", "Verdict", *numbers("Scale")]
     return table("In order of time; those without a time last, by path", columns, rows)
 
 
@@ -553,7 +531,7 @@ def _unused(rows: Sequence[Row]) -> Markup:
         "Logs without a result",
         table(
             "Refused or unreadable",
-            [Column("Log"), Column("Why")],
+            ["Log", "Why"],
             [[row["path"], row["error"] or "; ".join(row["reasons"] or ())] for row in rows],
         ),
     )

@@ -19,7 +19,6 @@ from gcs_sysid.report.page_figures import (
 )
 from gcs_sysid.report.parts import (
     Child,
-    Column,
     Markup,
     element,
     facts,
@@ -27,6 +26,7 @@ from gcs_sysid.report.parts import (
     grid,
     legend,
     note,
+    numbers,
     section,
     table,
 )
@@ -42,7 +42,7 @@ _NEEDED = {
     "attitude": THRESHOLDS.attitude_rate,
 }
 """Hz."""
-AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
+AXIS_COLUMNS = numbers(*(axis.capitalize() for axis in AXES))
 
 
 def prediction(data: ReportData, figures: ChartData) -> Markup:
@@ -83,7 +83,7 @@ def _which_flight(data: ReportData) -> str:
 
 
 def _per_axis(caption: str, rows: Iterable[Sequence[Child]]) -> Markup:
-    return table(caption, [Column("Measure"), *AXIS_COLUMNS], rows, layout="axes")
+    return table(caption, ["Measure", *AXIS_COLUMNS], rows, layout="axes")
 
 
 def _agreement(found: Mapping[str, Any], axis: str) -> str:
@@ -126,7 +126,7 @@ def twin(data: ReportData) -> Child:
                 ]
             )
     titles = ("Error, rms", "95 % band, ±", "Inside", "Basic model", "Constant guess")
-    columns = [Column("Ahead"), *(Column(title, numbers=True) for title in titles)]
+    columns = ["Ahead", *numbers(*titles)]
     spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in data.twin["held_out"])
     return section(
         "twin",
@@ -315,7 +315,7 @@ def events(data: ReportData, figures: ChartData) -> Markup:
         [str(number), f"{PAGE.fixed(event['t'], 2)} s", event_text(event, PAGE)]
         for number, event in enumerate(listed, 1)
     ]
-    columns = [Column("No."), Column("Time", numbers=True), Column("What")]
+    columns = ["No.", *numbers("Time"), "What"]
     return section(
         "events",
         "Events",
@@ -328,7 +328,7 @@ def events(data: ReportData, figures: ChartData) -> Markup:
 def _notes(notes: Iterable[Event]) -> Markup | None:
     """What the analysis itself noted."""
     rows = [[f"{PAGE.fixed(event.t, 2)} s", event.text] for event in notes]
-    columns = [Column("Time"), Column("Note")]
+    columns = ["Time", "Note"]
     return table("Notes of the analysis", columns, rows, layout="axes") if rows else None
 
 
@@ -337,14 +337,9 @@ def telemetry(data: ReportData) -> Markup:
     counts = data.result.telemetry
     streams = data.inspection.get("streams", ())
     columns = [
-        Column("Stream"),
-        Column("Message"),
-        Column("Needed", numbers=True),
-        Column("Got", numbers=True),
-        Column("Gaps", numbers=True),
-        Column("Longest", numbers=True),
-        Column("Missing", numbers=True),
-        Column("Repeats", numbers=True),
+        "Stream",
+        "Message",
+        *numbers("Needed", "Got", "Gaps", "Longest", "Missing", "Repeats"),
     ]
     return section(
         "telemetry",
@@ -430,7 +425,7 @@ def _messages(messages: Mapping[str, Any]) -> Markup | None:
         [name, str(entry["count"]), _number(entry.get("rate"), 1)]
         for name, entry in sorted(messages.items(), key=lambda item: -(item[1]["count"] or 0))
     ]
-    columns = [Column("Message"), Column("Count", numbers=True), Column("Hz", numbers=True)]
+    columns = ["Message", *numbers("Count", "Hz")]
     return element(
         "details",
         element("summary", f"All {len(rows)} kinds of messages"),

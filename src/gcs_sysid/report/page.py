@@ -26,13 +26,13 @@ from gcs_sysid.report.drawing import (
 from gcs_sysid.report.page_figures import ChartData
 from gcs_sysid.report.parts import (
     Child,
-    Column,
     Markup,
     asset,
     element,
     facts,
     html_page,
     note,
+    numbers,
     section,
     table,
 )
@@ -265,12 +265,7 @@ def _settings(data: ReportData) -> Markup:
         ]
         for i, r in enumerate(airframe.rotors, 1)
     ]
-    columns = [
-        Column("Motor"),
-        Column("Forward", numbers=True),
-        Column("Right", numbers=True),
-        Column("Spin, seen from above"),
-    ]
+    columns = ["Motor", *numbers("Forward", "Right"), "Spin, seen from above"]
     return section(
         "settings",
         "Settings to reproduce this",

@@ -8,7 +8,6 @@ import hashlib
 import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
@@ -101,12 +100,15 @@ def asset(name: str, room: str = "report") -> str:
     return file.read_text(encoding="utf-8").replace("\r\n", "\n")
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table: its title, and whether it holds numbers."""
+class NumbersTitle(str):
+    """The title of a column of numbers."""
 
-    title: str
-    numbers: bool = False
+    __slots__ = ()
+
+
+def numbers(*titles: str) -> list[NumbersTitle]:
+    """Titles of columns of numbers, for `table`."""
+    return [*map(NumbersTitle, titles)]
 
 
 def section(name: str, title: str, *children: Child) -> Markup:
@@ -117,7 +119,7 @@ def section(name: str, title: str, *children: Child) -> Markup:
 
 def table(
     caption: str,
-    columns: Sequence[Column],
+    columns: Sequence[str],
     rows: Iterable[Sequence[Child]],
     *,
     layout: Literal["stacked", "axes", "plain"] = "stacked",
@@ -133,10 +135,10 @@ def table(
         *(
             element(
                 "th",
-                column.title,
+                column,
                 scope="col",
                 role="columnheader",
-                class_="number" if column.numbers else None,
+                class_="number" if isinstance(column, NumbersTitle) else None,
             )
             for column in columns
         ),
@@ -151,8 +153,8 @@ def table(
                     cell,
                     scope=None if place else "row",
                     role="cell" if place else "rowheader",
-                    class_="number" if column.numbers else None,
-                    data_title=column.title,
+                    class_="number" if isinstance(column, NumbersTitle) else None,
+                    data_title=column,
                 )
                 for place, (column, cell) in enumerate(zip(columns, row, strict=True))
             ),

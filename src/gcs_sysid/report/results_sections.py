@@ -13,7 +13,6 @@ from gcs_sysid.report.drawing import PlanView
 from gcs_sysid.report.page_figures import ChartData, add_histories
 from gcs_sysid.report.parts import (
     Child,
-    Column,
     Markup,
     element,
     facts,
@@ -22,6 +21,7 @@ from gcs_sysid.report.parts import (
     joined,
     legend,
     note,
+    numbers,
     section,
     table,
 )
@@ -139,18 +139,12 @@ def parameters(data: ReportData) -> Markup:
     ]
     found.sort(key=lambda row: row.name not in core)
     bounded = any(row.estimate.bound is not None for row in found)
-    columns = [
-        Column("Parameter"),
-        Column("Value ± 95 %", numbers=True),
-        Column("95 % interval", numbers=True),
-        Column("Status"),
-        Column("Based on"),
-    ]
+    columns = ["Parameter", *numbers("Value ± 95 %", "95 % interval"), "Status", "Based on"]
     # What no flight reduces, where there is any.
     limited = any(row.estimate.std_given for row in found)
-    columns += [Column("Of it given, 95 %", numbers=True)] if limited else []
-    columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
-    columns += [Column("Truth", numbers=True)] if data.truth else []
+    columns += numbers("Of it given, 95 %") if limited else []
+    columns += numbers("Cramér-Rao bound, 95 %") if bounded else []
+    columns += numbers("Truth") if data.truth else []
     cells = []
     for row in found:
         line = [_name(row), *_numbers(row.estimate), _status(row.estimate.status), row.source]
@@ -233,7 +227,7 @@ def _segments(result: Result) -> Markup | None:
         return None
     parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", segment_estimates(s)) for s in segments]
     parts.append((f"from {segments[-1]['end']:.1f} s on", result.parameters))
-    columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
+    columns = ["Parameter", *numbers(*(title for title, _ in parts))]
     rows = [
         [name, *(_numbers(held[name])[0] if name in held else PAGE.nothing for _, held in parts)]
         for name in result.parameters
