@@ -13,10 +13,14 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import FORMATS
+from gcs_sysid.exports.autopilot_simulators import mission
 from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.records import Samples
+from gcs_sysid.signals.sampling import SampleBlock
 
 from .known import FULL_SPEED, LAG, VALUES, Equations, command_result, speed_result, without
 
@@ -104,11 +108,6 @@ def test_what_is_not_known_keeps_its_value(result):
     assert any("SIH_KDV (linear_drag), SIH_T_TAU" in note for note in notes)
 
 
-def test_full_thrust_is_asked_for(result):
-    with pytest.raises(MissingError, match=r"needs T_max.*--set rotor_speed_max=RAD_S"):
-        FORMATS["px4-sih"].write(assemble(result))
-
-
 def test_full_thrust_and_lag_come_from_hover_where_speeds_have_commands_beside_them(result):
     hover = {"thrust_to_weight": {"value": 2.0, "std": 0.02}, "motor_lag": 0.04}
     vehicle = assemble(replace(result, health=hover))
@@ -127,7 +126,7 @@ def test_full_thrust_and_lag_come_from_hover_where_speeds_have_commands_beside_t
 )
 def test_what_hover_does_not_show_is_still_asked_for(result, ratio):
     vehicle = assemble(replace(result, health={"thrust_to_weight": ratio}))
-    with pytest.raises(MissingError, match="needs T_max"):
+    with pytest.raises(MissingError, match=r"needs T_max.*--set rotor_speed_max=RAD_S"):
         FORMATS["px4-sih"].write(vehicle)
 
 
@@ -175,6 +174,26 @@ def test_layouts(result, change):
     else:
         with pytest.raises(InputError, match="px4-sih"):
             FORMATS["px4-sih"].write(vehicle)
+
+
+def test_the_way_of_a_flight_is_a_mission_of_straight_legs():
+    t = np.arange(0.0, 30.0, 0.1)
+    velocity = np.zeros((len(t), 3))
+    velocity[100:200, 0] = velocity[200:, 1] = 3.0
+    attitude = np.tile(from_euler(0.0, 0.0, 0.5), (len(t), 1))
+    nothing = np.zeros((len(t), 3))
+    samples = Samples(nothing, nothing, np.zeros((len(t), 4)), attitude, nothing, velocity)
+    block = SampleBlock(t, samples, t >= 0.0, 0.1, fresh=True)
+    place = 47.0, 8.0, 400.0
+    items = json.loads(mission([block], place, px4=True))["mission"]["items"]
+    assert [item["command"] for item in items] == [22, 19, 178, 16, 178, 16, 21]
+    assert [items[i]["params"][1] for i in (2, 4)] == pytest.approx([3.0, 3.0], rel=0.05)
+    *_, heading, north, east, height = items[-2]["params"]
+    assert (heading, height) == pytest.approx((math.degrees(0.5), 2.0))
+    assert 111.2e3 * (north - 47.0) == pytest.approx(30.0, abs=1.0)
+    assert 111.3e3 * math.cos(math.radians(47.0)) * (east - 8.0) == pytest.approx(29.0, abs=1.0)
+    with pytest.raises(InputError, match="no flight with velocity"):
+        mission([replace(block, flying=t < 0.0)], place, px4=True)
 
 
 @pytest.mark.thorough

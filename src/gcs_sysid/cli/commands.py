@@ -598,6 +598,12 @@ COMMANDS = (
             RESULT.but("written by --json; with --signals, a log", metavar="RESULT.json|LOG"),
             option("--to", None, "target format", choices=EXPORT_TARGETS),
             OUTPUT,
+            option(
+                "--along",
+                "LOG",
+                "with px4-sih or ardupilot-sitl: also the way of this log's flight as a mission, "
+                "FILE with the ending .plan, to be flown there",
+            ),
             FORCE.but("overwrite FILE"),
             Group(
                 "signals of a flight, instead of a vehicle",

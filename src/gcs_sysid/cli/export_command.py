@@ -8,6 +8,7 @@ from gcs_sysid.cli.airframe_choice import airframe_of, beside_result
 from gcs_sysid.cli.output import check_outputs, print_file, progress_bar, say
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import FORMATS
+from gcs_sysid.exports.autopilot_simulators import mission
 from gcs_sysid.exports.exported_vehicle import (
     ExportedVehicle,
     MissingError,
@@ -16,9 +17,11 @@ from gcs_sysid.exports.exported_vehicle import (
 )
 from gcs_sysid.exports.file_format import Format
 from gcs_sysid.files import check_target, log_file, write_whole
+from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import signal_table, writer_of
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.analysis import aligned_samples, analyze_log
+from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
@@ -34,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
     result = read_result(Path(options.result))
     vehicle = assemble(result, beside_result(options), dict(options.set), options.name)
     target = FORMATS[options.to]
+    plan = _mission(options, vehicle, target, path)
     try:
         text = target.write(vehicle)
         if options.ensemble is not None:
@@ -42,12 +46,30 @@ def run(options: argparse.Namespace) -> int:
             print_file(text)
         else:
             write_whole(path, text, replace=options.force)
+        for place, way in plan:
+            write_whole(place, way, replace=options.force)
     except MissingError as error:
         say(f"gcs-sysid: {options.result}: {error}")
         return 1
     for note in target.notes(vehicle):
         say(f"gcs-sysid: note: {note}")
     return 0
+
+
+def _mission(
+    options: argparse.Namespace, vehicle: ExportedVehicle, target: Format, path: Path | None
+) -> list[tuple[Path, str]]:
+    """The way of a log's flight beside the vehicle that flies it, where that is asked for."""
+    if options.along is None:
+        return []
+    if target.begins is None or path is None:
+        raise InputError("--along goes with -o FILE and a simulator that flies missions: px4-sih, "
+                         "px4-sih-1.17 or ardupilot-sitl")  # fmt: skip
+    place = path.with_suffix(".plan")
+    check_outputs(str(place), force=options.force, sources=[options.along])
+    log = open_log(Path(options.along), options.vehicle)
+    samples = aligned_samples(log, Airframe("result", vehicle.rotors))
+    return [(place, mission(samples, target.begins, target.name.startswith("px4")))]
 
 
 def _signals(options: argparse.Namespace) -> int:

@@ -373,11 +373,11 @@ def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
 def _px4_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
     """IMU_GYRO_NFn_FRQ and BW, and those at the rotors' harmonics by the ESCs."""
     for i in range(2):
-        middle = reader.optional(f"IMU_GYRO_NF{i}_FRQ")
+        middle = reader.get(f"IMU_GYRO_NF{i}_FRQ", 0.0)
         if middle > 0.0:
             width = reader.optional(f"IMU_GYRO_NF{i}_BW", 20.0)
             yield SignalFilter("notch", middle, middle / max(width, 1.0))
-    dynamic = int(reader.optional("IMU_GYRO_DNF_EN"))
+    dynamic = int(reader.get("IMU_GYRO_DNF_EN", 0.0))
     if dynamic & 2:
         reader.notes.append("notches by FFT (IMU_GYRO_DNF_EN) are where they are: left out")
     if dynamic & 1:
@@ -434,7 +434,7 @@ _BY_ROTORS = (2, 3)
 def _ardupilot_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
     """Both harmonic notches, `HarmonicNotchFilter`: one quality for all harmonics."""
     for name in ("INS_HNTCH", "INS_HNTC2"):
-        if not reader.optional(f"{name}_ENABLE"):
+        if not reader.get(f"{name}_ENABLE", 0.0):
             continue
         first = reader.optional(f"{name}_FREQ", 80.0)
         width = min(reader.optional(f"{name}_BW", 40.0), first)
@@ -522,13 +522,13 @@ def _inav(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     """By names of its header, which does not say whether dynamic notches act: it is assumed."""
     cutoffs = (reader.get("gyro_lpf_hz", 60.0), reader.get("gyro_anti_aliasing_lpf_hz", 250.0))
     gyro = [SignalFilter("first", cutoff) for cutoff in cutoffs if cutoff > 0.0]
-    if reader.optional("rpm_gyro_filter_enabled"):
+    if reader.get("rpm_gyro_filter_enabled", 0.0):
         least = reader.optional("rpm_gyro_min_hz", 100.0)
         quality = max(reader.optional("rpm_gyro_q", 500.0), 1.0) / 100.0
         numbers = range(1, int(reader.optional("rpm_gyro_harmonics", 1.0)) + 1)
         for middle in _harmonics(reader, least, numbers):
             gyro += [SignalFilter("notch", max(middle, least), quality)] * len(rotors)
-    least = reader.optional("dynamicGyroNotchMinHz")
+    least = reader.get("dynamicGyroNotchMinHz", 0.0)
     if least:
         reader.notes.append(f"dynamic notches are taken at their lowest, {least:g} Hz")
         quality = max(reader.optional("dynamicGyroNotchQ", 250.0), 1.0) / 100.0
@@ -604,7 +604,7 @@ def _static_notches(reader: _ParameterReader, signal: str) -> Iterator[SignalFil
 
 def _betaflight_notches(reader: _ParameterReader, rotors: int) -> Iterator[SignalFilter]:
     """Those at each rotor's harmonics, and those that look for peaks themselves."""
-    harmonics = int(reader.optional("rpm_filter_harmonics"))
+    harmonics = int(reader.get("rpm_filter_harmonics", 0.0))
     if harmonics and reader.optional("dshot_bidir"):
         least = reader.optional("rpm_filter_min_hz", 100.0)
         fading = max(reader.optional("rpm_filter_fade_range_hz", 50.0), 1.0)
@@ -614,7 +614,7 @@ def _betaflight_notches(reader: _ParameterReader, rotors: int) -> Iterator[Signa
             weight *= min(max((middle - least) / fading, 0.0), 1.0)
             one = SignalFilter("notch", max(middle, least), quality, 1.0 - weight)
             yield from [one] * rotors
-    count = int(reader.optional("dyn_notch_count"))
+    count = int(reader.get("dyn_notch_count", 0.0))
     if count:
         least = reader.optional("dyn_notch_min_hz", 100.0)
         reader.notes.append(f"dynamic notches are taken at their lowest, {least:g} Hz")

@@ -20,19 +20,27 @@ first brace. With u the command between MOT_SPIN_MIN and MOT_SPIN_MAX
 
 Inertia is diagonal there and rotors have no lag. A rotor's torque goes with u times thrust; its
 slope over u in hover is made that of moment_ratio times thrust.
+
+Both fly a mission (.plan of QGroundControl; MAV_CMD of MAVLink's common.xml), whose places are from
+where the simulator begins.
 """
 
 import functools
+import json
 import math
+from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number
-from gcs_sysid.model.parameter_file import INT32, REAL32
+from gcs_sysid.model.attitude import to_euler
+from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
+from gcs_sysid.signals.sampling import SampleBlock
 
 _SIH_OPTIONAL = {
     "SIH_KDV": "linear_drag",
@@ -74,10 +82,8 @@ def _sih_text(old: bool, vehicle: ExportedVehicle, head: list[str]) -> str:
         values[f"CA_ROTOR{i}_PX"], values[f"CA_ROTOR{i}_PY"] = rotor.x, rotor.y
         values[f"CA_ROTOR{i}_KM"] = rotor.spin * vehicle["moment_ratio"]
     whole = {"SIH_VEHICLE_TYPE": kind, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotors)}
-    # PX4 holds single precision; QGroundControl writes 18 decimals.
-    rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{REAL32}\n" for n, v in sorted(values.items())]
-    rows += [f"1\t1\t{n}\t{v}\t{INT32}\n" for n, v in whole.items()]
-    return commented([*head, "", "Vehicle-Id Component-Id Name Value Type"], "#") + "".join(rows)
+    lines = parameter_lines(dict(sorted(values.items())) | whole, {}, ".params")
+    return commented([*head, ""], "#") + "\n".join(lines) + "\n"
 
 
 def _sih_layout(vehicle: ExportedVehicle) -> tuple[int, float, float, Array]:
@@ -134,6 +140,7 @@ PX4_SIH, PX4_SIH_1_17 = (
         uses=tuple(_SIH_OPTIONAL.values()),
         text=functools.partial(_sih_text, old),
         remarks=functools.partial(_sih_remarks, old),
+        begins=(47.397742, 8.545594, 489.4),
     )
     for old in (False, True)
 )
@@ -215,4 +222,80 @@ ARDUPILOT_SITL = Format(
         "linear_drag": "linear_drag is not known: SITL's own refSpd and refAngle are used",
     },
     remarks=_sitl_remarks,
+    begins=(-35.363262, 149.165237, 584.0),
 )
+
+
+def mission(blocks: Iterable[SampleBlock], place: tuple[float, float, float], px4: bool) -> str:
+    """The way of a log's longest flight as a mission, to be loaded by hand.
+
+    Straight legs at even speed that are nowhere off the way by more than a meter; a leg of less is
+    a hover of that long. What the attitude does quickly is not in a mission.
+
+    Args:
+        blocks: of the log.
+        place: deg north and east, m above the sea, where the simulator begins.
+        px4: whether it is PX4's, else ArduPilot's.
+
+    Raises:
+        InputError: the log has no velocity in flight.
+    """
+    rows = [
+        np.column_stack([b.t, b.samples.velocity, to_euler(b.samples.attitude)[:, 2]])[b.flying]
+        for b in blocks
+    ]
+    flown = np.concatenate([np.empty((0, 5)), *rows])
+    flown = flown[complete_rows(flown)]
+    apart = np.flatnonzero(np.diff(flown[:, 0]) > 1.0) + 1
+    flown = max(np.split(flown, apart), key=len)
+    if len(flown) < 2:
+        raise InputError("--along: the log has no flight with velocity and attitude")
+    steps = 0.5 * np.diff(flown[:, :1], axis=0) * (flown[1:, 1:4] + flown[:-1, 1:4])
+    way = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    t = np.arange(flown[0, 0], flown[-1, 0], 0.5)
+    way = np.column_stack([np.interp(t, flown[:, 0], column) for column in way.T])
+    heading = np.degrees(np.interp(t, flown[:, 0], np.unwrap(flown[:, 4]))) % 360.0
+    ends = _legs(t, way, 1.0)
+    items: list[tuple[int, tuple[float | None, ...], Array]] = []
+    way[:, 2] -= max(way[:, 2].max() + 2.0, 0.0)  # nothing flies a leg on the ground
+    items.append((22, (0.0, 0.0, 0.0, heading[0]), way[0]))
+    for first, last in pairwise(ends):
+        seconds, length = t[last] - t[first], float(np.linalg.norm(way[last] - way[first]))
+        if length < 1.0:
+            items.append((19, (seconds, 0.0, 0.0, heading[last]), way[last]))
+            continue
+        items.append((178, (1.0, length / seconds, -1.0, 0.0), np.zeros(3)))
+        items.append((16, (0.0, 1.0, 0.0, heading[last]), way[last]))
+    items.append((21, (0.0, 0.0, 0.0, None), way[-1] * [1.0, 1.0, 0.0]))
+    # By the sphere of WGS84's equator, within centimeters over a kilometer.
+    north = math.degrees(1.0 / 6378137.0)
+    east = north / math.cos(math.radians(place[0]))
+    listed = []
+    for count, (command, parameters, (x, y, z)) in enumerate(items, 1):
+        there = (place[0] + north * x, place[1] + east * y, -z) if command != 178 else (0, 0, 0)
+        listed.append({
+            "type": "SimpleItem", "autoContinue": True, "command": command, "doJumpId": count,
+            "frame": 3 if command != 178 else 2, "params": [*parameters, *there],
+        })  # fmt: skip
+    plan = {
+        "fileType": "Plan", "version": 1, "groundStation": "QGroundControl",
+        "mission": {
+            "version": 2, "firmwareType": 12 if px4 else 3, "vehicleType": 2, "cruiseSpeed": 15,
+            "hoverSpeed": 5, "plannedHomePosition": list(place), "items": listed,
+        },
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+    }  # fmt: skip
+    return json.dumps(plan, indent=1) + "\n"
+
+
+def _legs(t: Array, way: Array, off: float) -> list[int]:
+    """Where straight legs at even speed end that leave (n, 3) places at t by `off` at most."""
+    ends = [0]
+    for k in range(1, len(t)):
+        part = slice(ends[-1], k + 1)
+        share = (t[part] - t[part][0]) / (t[k] - t[part][0])
+        leg = way[part][0] + share[:, None] * (way[k] - way[part][0])
+        if np.linalg.norm(way[part] - leg, axis=1).max() > off:
+            ends.append(k - 1)
+    return [*ends, len(t) - 1]

@@ -35,6 +35,7 @@ class Format:
         absent: parameter -> what to say where it is not known, or known to be zero.
         remarks: what else the user should know of this vehicle in this format.
         rotors: that it flies; None: any number.
+        begins: deg north and east, m above the sea, where a simulator begins that flies missions.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Format:
     absent: Mapping[str, str] = field(default_factory=dict)
     remarks: Callable[[ExportedVehicle], list[str]] = lambda _: []
     rotors: int | None = None
+    begins: tuple[float, float, float] | None = None
 
     def write(self, vehicle: ExportedVehicle) -> str:
         """The file.

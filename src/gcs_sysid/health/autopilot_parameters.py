@@ -45,6 +45,7 @@ from gcs_sysid.model.parameter_file import SUFFIXES, parameter_lines
 _FULL, _EMPTY = 4.2, 3.3
 """V of a LiPo cell: what MOT_BAT_VOLT_MAX and MIN are a pack's multiple of."""
 _CELLS = 24
+_WHOLE = ("MC_BAT_SCALE_EN",)
 
 ParameterVerdict = Literal["set", "leave", "cannot tell"]
 
@@ -737,5 +738,6 @@ def _lines(found: Sequence[Proposal], health: Health, suffix: str) -> list[str]:
         written = value if one.verdict != "set" or one.new is None else one.new
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
-        values[one.name], notes[one.name] = round(written, 6), f"{interval} ({one.note}{now})"
+        values[one.name] = int(written) if one.name in _WHOLE else round(written, 6)
+        notes[one.name] = f"{interval} ({one.note}{now})"
     return parameter_lines(values, notes, suffix, address)

@@ -51,7 +51,9 @@ def parameter_lines(
     suffix: str,
     address: tuple[int, int] = (1, 1),
 ) -> list[str]:
-    """Lines of a file: each parameter, a real number, below what is said of it.
+    """Lines of a file: each parameter below what is said of it.
+
+    An `int` is one of the autopilot's whole numbers: QGroundControl skips what is of another type.
 
     The suffix ".params" is QGroundControl's, ".txt" has whole numbers for Betaflight's CLI, others
     are Mission Planner's.
@@ -64,7 +66,8 @@ def parameter_lines(
         if suffix == ".txt":
             lines.append(f"set {name} = {value:.0f}")
         elif named:
-            lines.append(f"{system}\t{component}\t{name}\t{value:.9g}\t{REAL32}")
+            kind = INT32 if isinstance(value, int) else REAL32
+            lines.append(f"{system}\t{component}\t{name}\t{value:.9g}\t{kind}")
         else:
             lines.append(f"{name},{value:.9g}")
     return lines
