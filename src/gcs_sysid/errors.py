@@ -28,6 +28,11 @@ def one_line(text: str) -> str:
     return text
 
 
+def in_words(defect: BaseException) -> str:
+    """One line about an unforeseen error."""
+    return one_line(f"internal error ({type(defect).__name__}: {' '.join(str(defect).split())})")
+
+
 class GcsSysidError(Exception):
     """Base of every error the program raises on purpose.
 

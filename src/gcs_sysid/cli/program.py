@@ -15,7 +15,7 @@ from pathlib import Path
 from gcs_sysid import __version__
 from gcs_sysid.cli.commands import COMMANDS, PROGRAM, build_parser
 from gcs_sysid.cli.output import abandon_stdout, is_full, say, show
-from gcs_sysid.errors import GcsSysidError, InputError, one_line
+from gcs_sysid.errors import GcsSysidError, InputError, in_words, one_line
 from gcs_sysid.files import TABLE_SUFFIXES, log_file, never_fail_to_print, with_mapping
 from gcs_sysid.telemetry.log_formats import ANY_SUFFIX
 
@@ -43,11 +43,8 @@ def failure_line(error: Exception, log: str = "") -> str:
     if isinstance(error, OSError) and error.filename is not None:
         # The machine's: a folder that may not be looked into, a name that is too long.
         return f"{PROGRAM}: error: " + one_line(f"{error.filename}: {error.strerror}")
-    kind = type(error).__name__
-    return (
-        f"{PROGRAM}: error: {where}internal error ({kind}: {one_line(str(error))}); "
-        "please report it, with GCS_SYSID_DEBUG=1 set"
-    )
+    report = "please report it, with GCS_SYSID_DEBUG=1 set"
+    return f"{PROGRAM}: error: {where}{in_words(error)}; {report}"
 
 
 def is_debugged(error: Exception) -> bool:

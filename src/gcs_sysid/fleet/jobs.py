@@ -36,7 +36,7 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import GIVEN_OPTIONS, GivenName, given_words, with_given
-from gcs_sysid.errors import InputError, needed
+from gcs_sysid.errors import InputError, in_words, needed
 from gcs_sysid.files import digest_of, split_log
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.health_trend import series_of
@@ -471,8 +471,7 @@ def complete(pool: Pool, tasks: Iterator[Task], stopped: Callable[[], bool]) -> 
 
 def reason(error: BaseException) -> str:
     """In a line, why a task has no document."""
-    kind: Any = type(error)
-    if isinstance(error, BrokenExecutor) or kind.__name__ == "KilledWorker":
+    if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
         return "its process died twice (out of memory or time?)"
     if isinstance(error, InputError):
         return str(error)
@@ -480,5 +479,4 @@ def reason(error: BaseException) -> str:
         return "the cluster gave up on it"
     if isinstance(error, MemoryError):
         return "not enough memory for it"
-    text = " ".join(str(error).split())
-    return f"internal error ({kind.__name__}: {text}); please report it"
+    return f"{in_words(error)}; please report it"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, in_words
 from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import HealthOptions
@@ -258,11 +258,6 @@ class LiveEstimate:
         self.chain.observers.clear()
         self._hover = None
         self._on_defect = lambda _: None
-
-
-def in_words(defect: Exception) -> str:
-    """One line about an unforeseen error."""
-    return f"internal error ({type(defect).__name__}: {defect})"
 
 
 _KEPT = 90.0

@@ -14,8 +14,8 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions, in_words
+from gcs_sysid.errors import GcsSysidError, InputError, in_words
+from gcs_sysid.live.live_estimate import Duty, LiveEstimate, LiveOptions
 from gcs_sysid.live.live_view import RESULT_EVERY, Backlog, Session, link_status, with_link
 from gcs_sysid.live.receiver_process import Source
 from gcs_sysid.live.reception import (

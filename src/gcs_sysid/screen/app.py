@@ -16,7 +16,7 @@ from textual.screen import Screen
 from textual.theme import Theme
 from textual.worker import Worker, WorkerState
 
-from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.errors import GcsSysidError, InputError, in_words
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison, compare
@@ -298,8 +298,8 @@ class SysidApp(App[None]):
         if event.worker.is_finished:
             self._at_work.discard(event.worker.name)
         if event.state is WorkerState.ERROR:
-            error = event.worker.error
-            self.say(f"{event.worker.name}: internal error ({type(error).__name__}: {error})")
+            assert event.worker.error is not None
+            self.say(f"{event.worker.name}: {in_words(event.worker.error)}")
 
     def _answered(self, question: Dialog, nothing: str, do: Callable[[str], None]) -> None:
         """Ask, and do something with the answer; say so where there is none."""

@@ -135,8 +135,8 @@ class MainScreen(Screen[None]):
         # Two places for one panel, of which the size of the terminal shows one at most.
         self._motion = AccelerationPanel("motion")
         self._motion_aside = AccelerationPanel("motion-aside")
-        self._health = HealthPanel()
-        self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
+        self._health = HealthPanel("health")
+        self._link, self._attitude, self.events = LinkPanel("link"), AttitudePanel(), EventLog()
 
     def compose(self) -> ComposeResult:
         """The panels; where they stand is up to the style sheet."""
@@ -317,9 +317,6 @@ def _letters(texts: Sequence[str], width: int, largest: int) -> list[str]:
 class PilotView(Lines, Shown):
     """Draws the pilot view of the newest snapshot."""
 
-    def __init__(self) -> None:
-        super().__init__(id="pilot-view")
-
     def lay_out(self, view: View) -> None:
         """Draw the picture in letters for the size."""
         lost = view.snapshot is not None and view.snapshot.link.state is LinkState.LOST
@@ -344,7 +341,7 @@ class PilotScreen(Screen[None]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.picture, self.answer = PilotView(), AnswerLine()
+        self.picture, self.answer = PilotView("pilot-view"), AnswerLine()
 
     def compose(self) -> ComposeResult:
         """The picture over a line of answers."""

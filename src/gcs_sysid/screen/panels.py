@@ -92,9 +92,6 @@ class LinkPanel(ScrolledLines):
 
     BORDER_TITLE = "Link"
 
-    def __init__(self) -> None:
-        super().__init__("link")
-
     def lay_out(self, view: View) -> None:
         """Write figures and messages."""
         lines = self._lines(view)
@@ -311,9 +308,6 @@ class HealthPanel(Lines, Shown):
     """The vehicle's health by the hover of the last minutes, or of a whole log that is played."""
 
     BORDER_TITLE = "Health in hover"
-
-    def __init__(self) -> None:
-        super().__init__(id="health")
 
     def lay_out(self, view: View) -> None:
         """Write the latest look."""

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Address
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.transceiver import Port, Rival
+from gcs_sysid.telemetry.urls import authority
 from gcs_sysid.telemetry.wanted_streams import StreamRestoration
 
 _REFUSED = {
@@ -171,8 +171,8 @@ class GroundStation:
             out["signing"] = {"accepted": report.accepted, "refused": refused}
         if report.rival is not None:
             out["two_senders"] = {
-                "believed": _words(report.rival.address),
-                "other": _words(report.rival.other),
+                "believed": authority(*report.rival.address),
+                "other": authority(*report.rival.other),
                 "passed_over": report.passed_over,
             }
         return out
@@ -190,13 +190,8 @@ class GroundStation:
 def _rival_text(rival: Rival) -> str:
     """Another sender with the vehicle's address, as text."""
     system, component = rival.vehicle
+    believed, other = authority(*rival.address), authority(*rival.other)
     return (
-        f"two senders use the address {system}:{component}: {_words(rival.address)}, taken as the "
-        f"vehicle, and {_words(rival.other)}; unless both are its links, one forges its "
-        "messages, which signing prevents"
+        f"two senders use the address {system}:{component}: {believed}, taken as the vehicle, and "
+        f"{other}; unless both are its links, one forges its messages, which signing prevents"
     )
-
-
-def _words(address: Address) -> str:
-    host, port = address
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -23,8 +23,9 @@ from typing import Any, Literal, Protocol
 
 from aiohttp import web
 
-from gcs_sysid.errors import GcsSysidError, InputError, one_line
+from gcs_sysid.errors import GcsSysidError, InputError, in_words, one_line
 from gcs_sysid.report.parts import asset
+from gcs_sysid.telemetry.urls import authority
 
 Role = Literal["pilot", "viewer"]
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -171,11 +172,6 @@ class Access:
         response.headers["Server"] = "gcs-sysid"
         for name, value in HEADERS.items():
             response.headers.setdefault(name, value)
-
-
-def authority(host: str, port: int) -> str:
-    """Host and port as in an address."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def is_loopback(host: str) -> bool:
@@ -325,7 +321,7 @@ async def _errors_in_a_line(request: web.Request, handler: Handler) -> web.Strea
     except Exception as error:
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
-        text = one_line(f"internal error ({type(error).__name__}: {error})")
+        text = in_words(error)
         print(f"gcs-sysid: web page: {text}; please report it", file=sys.stderr, flush=True)
         return refuse(500, text)
 
