@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pymavlink import mavparm
 
 from benchmarks.params import of_vehicle
 from gcs_sysid.__main__ import main
@@ -114,6 +115,9 @@ def test_the_command_prints_and_writes_what_is_to_be_set(quiver, tmp_path, capsy
     assert [line.partition(",")[0] for line in written] == [
         name for name, verdict in verdicts.items() if verdict == "set"
     ]
+    loaded = mavparm.MAVParmDict()  # MAVProxy's own reader, whose format Mission Planner's is
+    assert loaded.load(str(file))
+    assert len(loaded) == len(written)
     assert all(row["fly"] for row in made["parameters"] if row["verdict"] == "cannot tell")
 
 
@@ -168,6 +172,9 @@ def test_thrust_linear_is_left_with_what_it_would_do_to_the_gains():
         proposal_file([health], determined([health]), ".params")
     with pytest.raises(InputError, match=r"\.params"):
         proposal_file([Health("a.ulg", autopilot="px4")], (), ".txt")
+    whole = Proposal("MC_BAT_SCALE_EN", Quantity(0.0, 0.0, ""), 1.0)
+    text = proposal_file([replace(health, autopilot="px4")], (whole,), ".params")
+    assert "1\t1\tMC_BAT_SCALE_EN\t0\t6\n" in text
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import pytest
-from pymavlink import mavparm
 
 from gcs_sysid.cli.health_command import health_text
 from gcs_sysid.cli.program import run
@@ -24,15 +23,10 @@ QUANTITY = {"value", "std", "ci95", "unit", "std_given", "std_data"}
 
 
 @pytest.fixture(scope="module")
-def ardupilot(fly):
-    return fly(*HOVER, "--autopilot", "ardupilot", "--airframe", "ardupilot-quad-x")
-
-
-@pytest.fixture(scope="module")
 def files(flight, tmp_path_factory):
     """What the command writes and prints of the flight."""
     folder, out = tmp_path_factory.mktemp("health"), io.StringIO()
-    words = ["--json", "h.json", "--picture", "h.svg", "--params", "new.params"]
+    words = ["--json", "h.json", "--picture", "h.svg"]
     words = [str(folder / word) if "." in word else word for word in words]
     with contextlib.redirect_stdout(out):
         assert run(["health", str(flight.tlog), "--airframe", "paper", *words]) == 0
@@ -43,7 +37,7 @@ def files(flight, tmp_path_factory):
 @pytest.mark.slow
 def test_text_json_and_picture(flight, files):
     out = (files / "out.txt").read_text()
-    for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed"):
+    for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed", "CA_ROTOR0_PX"):
         assert word in out
     # A path is as long as it is.
     lines = [line for line in out.splitlines() if not line.startswith("/")]
@@ -83,26 +77,6 @@ def test_the_second_flight_is_held_against_the_first(fly, flight, files, capsys)
 
 
 @pytest.mark.slow
-def test_parameters_for_mission_planner(ardupilot, tmp_path, capsys):
-    file = tmp_path / "new.param"
-    options = ["--arm", "0.25", "--mass", "1.5", "--params", str(file)]
-    assert run(["health", str(ardupilot.tlog), *options]) == 0
-    lines = file.read_text().splitlines()
-    values = dict(line.split(",") for line in lines if not line.startswith("#"))
-    assert {"MOT_THST_EXPO", "MOT_THST_HOVER"} <= set(values)
-    assert all(0.0 <= float(value) <= 1.0 for value in values.values())
-    assert any(line.startswith("# MOT_THST_EXPO: ") and " to " in line for line in lines)
-    # MAVProxy's own reader, whose format Mission Planner's is.
-    loaded = mavparm.MAVParmDict()
-    assert loaded.load(str(file))
-    assert dict(loaded.items()) == {name: float(value) for name, value in values.items()}
-    capsys.readouterr()
-    # What is there is not written over.
-    assert run(["health", str(ardupilot.tlog), *options]) == 2
-    assert "--force" in capsys.readouterr().err
-
-
-@pytest.mark.slow
 def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, files, tmp_path, capsys):
     written = tmp_path / "one.json"
     told = json.loads((files / "h.json").read_text())
@@ -119,21 +93,6 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, files, 
     assert "another vehicle's" in health.apart
     assert "not compared with" in health_text(health)
     assert trend_text([health, replace(health, apart="")]) == []
-
-
-@pytest.mark.slow
-def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, files):
-    assert "  CA_ROTOR0_PX " in (files / "out.txt").read_text()
-    rows = [
-        line.split("\t")
-        for line in (files / "new.params").read_text().splitlines()
-        if line[:1] != "#"
-    ]
-    assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] == "9" for row in rows)
-    values = {row[2]: float(row[3]) for row in rows}
-    for i, rotor in enumerate(load_airframe("paper").rotors):
-        assert values[f"CA_ROTOR{i}_PX"] == pytest.approx(rotor.x - flight.truth["cg_x"], abs=1e-3)
-        assert values[f"CA_ROTOR{i}_PY"] == pytest.approx(rotor.y - flight.truth["cg_y"], abs=1e-3)
 
 
 @pytest.mark.slow
@@ -211,7 +170,6 @@ def one_line(capsys):
     ("options", "word"),
     [
         (["missing.tlog"], "missing.tlog"),
-        (["a.tlog", "--params", "p.txt"], ".params"),
         (["a.tlog", "--k-t", "1e-5"], "--airframe"),
         (["a.tlog", "--mass", "1", "--battery-mass", "2"], "--battery-mass"),
         (["a.tlog", "--baseline", "none.json"], "none.json"),

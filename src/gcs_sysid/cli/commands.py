@@ -539,12 +539,6 @@ COMMANDS = (
         "positions come from the log.",
         (
             *OF_HOVER,
-            option(
-                "--params",
-                "FILE",
-                "suggested autopilot parameters, of all LOGs: .params for QGroundControl, .param "
-                "for Mission Planner; nothing is sent to a vehicle",
-            ),
             option("--picture", "FILE.svg", "the vehicle from above, on a page"),
             FORCE,
         ),

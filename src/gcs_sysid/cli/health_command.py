@@ -9,13 +9,7 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import ReadLog
-from gcs_sysid.health.autopilot_parameters import (
-    Proposal,
-    check_suffix,
-    parameter_file,
-    proposed,
-    suggested,
-)
+from gcs_sysid.health.autopilot_parameters import Proposal, proposed
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
@@ -33,10 +27,8 @@ from gcs_sysid.results.words import PLAIN, TEXT_WIDTH, wrapped
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when nothing hovers in a log."""
-    targets = options.json, options.params, options.picture
+    targets = options.json, options.picture
     output.check_outputs(*targets, force=options.force, sources=options.logs)
-    if options.params is not None:
-        check_suffix(Path(options.params))
     found, failed = flights_of(options)
     usable = [health for health in found if health.available]
     _deliver(options, found, usable)
@@ -88,7 +80,7 @@ def given_of(options: argparse.Namespace) -> HealthOptions:
 
 
 def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Health]) -> None:
-    """Texts and files; parameters are of all flights, the picture of the longest hover."""
+    """Texts and files; the picture is of the longest hover."""
     best = max(usable, key=lambda health: health.seconds, default=None)
     texts = [health_text(health) for health in found]
     if trend := trend_text(found):
@@ -98,9 +90,6 @@ def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Heal
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
         files.append((options.json, lambda: output.as_json(document)))
-    if usable and options.params is not None:
-        suffix = Path(options.params).suffix.lower()
-        files.append((options.params, lambda: parameter_file(usable, suffix)))
     if best is not None and options.picture is not None:
         from gcs_sysid.report.page import health_picture  # only who asks waits for it
 
@@ -127,7 +116,7 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         others = (f"- {reason}" for reason in health.reasons[1:])
         return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
-    parameters = _parameters(suggested(health))
+    parameters = _parameters(proposed([health]))
     whole = [*_head(health, document), "", *_rotors(document), *parameters, *foot]
     return "\n".join([*answer, *whole])
 
@@ -195,7 +184,7 @@ def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:
     if not found:
         return
     yield ""
-    yield f"Autopilot parameters that fit{of} (nothing is sent; --params FILE writes them)"
+    yield f"Autopilot parameters that fit{of} (`gcs-sysid params` says which to set)"
     for one in found:
         assert one.quantity is not None
         half = one.quantity.half or 0.0

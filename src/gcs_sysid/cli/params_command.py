@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     targets = options.json, options.output
     output.check_outputs(*targets, force=options.force, sources=options.logs)
     if options.output is not None:
-        check_suffix(Path(options.output), cli=True)
+        check_suffix(Path(options.output))
     flights, failed = flights_of(options)
     if not flights:
         return 2

@@ -1,6 +1,7 @@
 """What flights determine of the autopilot's parameters, and files that ground stations load.
 
-The one place for that: `params`, `health`, `batch` and `trend` show what is here.
+The one place for that: `params`, `health`, `batch` and `trend` show what is here; `params` alone
+writes it, as a value that fits need not be nearer to the truth than what is there.
 
 Conventions, by the autopilots' own sources and parameter descriptions:
 
@@ -206,11 +207,6 @@ def excluded(health: Health) -> str:
         return "; ".join(health.reasons[:1])
     spoilt = next((f"{f.at}: {f.what}; {f.do}" for f in health.findings if f.spoils), "")
     return health.apart or spoilt
-
-
-def suggested(health: Health) -> tuple[Proposal, ...]:
-    """All values of use that a flight has."""
-    return proposed([health])
 
 
 def proposed(flights: Sequence[Health]) -> tuple[Proposal, ...]:
@@ -657,45 +653,17 @@ def _less(place: float, offset: Quantity, variance: float = 0.0) -> Quantity:
     return found.off_by(given=math.sqrt(variance))
 
 
-def check_suffix(path: Path, *, cli: bool = False) -> None:
+def check_suffix(path: Path) -> None:
     """See that a name's ending stands for a format.
-
-    Args:
-        path: of the file.
-        cli: whether Betaflight's command line is one.
 
     Raises:
         InputError: it stands for none.
     """
-    if path.suffix.lower() not in (*SUFFIXES, *((".txt",) if cli else ())):
-        other = ", .txt (Betaflight's command line)" if cli else ""
+    if path.suffix.lower() not in (*SUFFIXES, ".txt"):
         raise InputError(
-            f"{path}: end its name with .params (QGroundControl) or .param (Mission Planner){other}"
+            f"{path}: end its name with .params (QGroundControl), .param (Mission Planner) or .txt "
+            "(Betaflight's command line)"
         )
-
-
-def parameter_file(flights: Sequence[Health], suffix: str) -> str:
-    """The file of `health`: all values of use.
-
-    Args:
-        flights: of one vehicle, that hover; at least one.
-        suffix: of the file: ".params" is QGroundControl's, others are Mission Planner's.
-
-    Raises:
-        InputError: they suggest no parameter.
-    """
-    found = proposed(flights)
-    names = ", ".join(Path(flight.source).name for flight in flights if not flight.apart)
-    if not found:
-        raise InputError(f"{names}: no hover there suggests parameters of the autopilot")
-    seconds = sum(flight.seconds for flight in flights if not flight.apart)
-    head = [
-        f"# Suggested by gcs-sysid health from {names}, {seconds:.0f} s of hover.",
-        "# Values with 95 % intervals; review each before writing it to the vehicle.",
-        *(f"# Assumed: {text}" for text in flights[-1].assumptions),
-        "#",
-    ]
-    return "\n".join([*head, *_lines(found, flights[-1], suffix)]) + "\n"
 
 
 def proposal_file(flights: Sequence[Health], found: Sequence[Proposal], suffix: str) -> str:
@@ -734,10 +702,10 @@ def _lines(found: Sequence[Proposal], health: Health, suffix: str) -> list[str]:
     notes: dict[str, str] = {}
     for one in found:
         assert one.quantity is not None
+        assert one.new is not None
         value, half = one.quantity.value, one.quantity.half or 0.0
-        written = value if one.verdict != "set" or one.new is None else one.new
         now = "" if one.now is None else f"; was {one.now:.6g}"
         interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
-        values[one.name] = int(written) if one.name in _WHOLE else round(written, 6)
+        values[one.name] = int(one.new) if one.name in _WHOLE else round(one.new, 6)
         notes[one.name] = f"{interval} ({one.note}{now})"
     return parameter_lines(values, notes, suffix, address)

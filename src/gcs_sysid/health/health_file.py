@@ -6,7 +6,7 @@ from typing import Any
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
-from gcs_sysid.health.autopilot_parameters import suggested
+from gcs_sysid.health.autopilot_parameters import proposed
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
 from gcs_sysid.judgement.status import hover_verdict
@@ -64,7 +64,7 @@ def document_of(health: Health) -> dict[str, Any]:
         ),
         "autopilot_parameters": {
             one.name: {**one.quantity.as_json(), "now": one.now, "note": one.note}
-            for one in suggested(health)
+            for one in proposed([health])
             if one.quantity is not None
         },
         "assumptions": list(health.assumptions),
