@@ -89,12 +89,6 @@ class HistoryRecorder:
             self._numbers[1, i, self._count] = np.nan if value.std is None else value.std
         self._count += 1
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._t, self._numbers = _room()
-        self._count = self._skipped = 0
-        self._every = 1
-
     def history(self) -> History:
         """The instants so far; what is given out does not change any more."""
         t, numbers = self._t[: self._count], self._numbers[:, :, : self._count]

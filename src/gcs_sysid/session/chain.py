@@ -317,7 +317,7 @@ class Chain:
         self.anchors = [anchor]
         for segment in () if self.tracker is None else self.tracker.segments:
             self._go_on_after(segment)
-        self._history.clear()
+        self._history = HistoryRecorder()
         scale = summary.scale_of(anchor)
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
@@ -388,11 +388,6 @@ class Chain:
     def anchor(self) -> ScaleReference:
         """The scale in force."""
         return self.anchors[-1]
-
-    @property
-    def used_seconds(self) -> float:
-        """Flight time used by the latest estimate."""
-        return self.fit.seconds
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -568,7 +563,7 @@ class Chain:
         self.tracker, self.contradicted = None, {}
         self.rotor_lines = RotorLines(self.airframe.geometry[2])
         self.fit = Fit(None, None, 0.0)
-        self._history.clear()
+        self._history = HistoryRecorder()
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
