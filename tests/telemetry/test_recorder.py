@@ -164,7 +164,7 @@ def test_an_unwritable_folder_is_told_and_nothing_is_lost_once_it_is_writable(tm
         (told,) = until(writer, "not recording: cannot write")
         assert str(path) in told
         assert "retried every" in told
-        assert not writer.recording
+        assert writer.problem
         write_all(writer, flight)
         writer.flush()  # returns, although there is nothing to flush to
         in_the_way.unlink()

@@ -101,11 +101,6 @@ class TlogWriter:
     # -- the caller's side
 
     @property
-    def recording(self) -> bool:
-        """Whether frames reach the file."""
-        return not self.problem and not self._closing
-
-    @property
     def ended(self) -> bool:
         """Whether all is written and closed."""
         return self._ended.is_set()
