@@ -1,7 +1,7 @@
 """`gcs-sysid health`: the vehicle's condition from any flight that hovers, in lines of text."""
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,6 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import ReadLog
-from gcs_sysid.health.autopilot_parameters import Proposal, proposed
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
@@ -84,7 +83,7 @@ def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Heal
     best = max(usable, key=lambda health: health.seconds, default=None)
     texts = [health_text(health) for health in found]
     if trend := trend_text(found):
-        texts.append("\n".join([*trend, *_parameters(proposed(usable), " (of all flights)")]))
+        texts.append("\n".join(trend))
     documents = [document_of(health) for health in found]
     files: list[tuple[str | None, Callable[[], str]]] = []
     if documents:
@@ -116,9 +115,7 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         others = (f"- {reason}" for reason in health.reasons[1:])
         return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
-    parameters = _parameters(proposed([health]))
-    whole = [*_head(health, document), "", *_rotors(document), *parameters, *foot]
-    return "\n".join([*answer, *whole])
+    return "\n".join([*answer, *_head(health, document), "", *_rotors(document), *foot])
 
 
 def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
@@ -178,19 +175,6 @@ def _rotors(document: Mapping[str, Any]) -> Iterator[str]:
     yield "".join(f"{name:>14}" if i else f"{name:<6}" for i, name in enumerate(columns))
     for number, rotor in enumerate(document["rotors"], 1):
         yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in rotor_cells(rotor, "m/s^2"))
-
-
-def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:
-    if not found:
-        return
-    yield ""
-    yield f"Autopilot parameters that fit{of} (`gcs-sysid params` says which to set)"
-    for one in found:
-        assert one.quantity is not None
-        half = one.quantity.half or 0.0
-        now = "" if one.now is None else f"  now {one.now:.4g}"
-        interval = f" ± {half:.3f}" if half else ""
-        yield f"  {one.name:<{_NAME - 2}}{one.quantity.value:.3f}{interval}{now}"
 
 
 def _foot(health: Health, first: str) -> Iterator[str]:

@@ -54,16 +54,17 @@ from gcs_sysid.report.parts import Markup, element
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.signals.sampling import SampleBlock
 
-_OF_TARGET = {
-    "px4-params": "px4", "ardupilot-param": "ardupilot", "betaflight-cli": "betaflight",
-    "inav-cli": "inav", "betaflight-adrc": "betaflight-adrc",
+_RESPONSE = "frequency-response"
+_TARGETS: dict[str, tuple[str, ...]] = {
+    "px4-params": ("px4", ".params"), "ardupilot-param": ("ardupilot", ".param", ".parm"),
+    "betaflight-cli": ("betaflight", ".txt"), "inav-cli": ("inav", ".txt"),
+    "betaflight-adrc": ("betaflight-adrc", ".txt"), _RESPONSE: ("", ".csv"),
 }  # fmt: skip
-_SUFFIX = {"px4": ".params", "ardupilot": ".param"}
+"""Autopilot, empty for any, and endings of its files."""
 _OWN = {"betaflight": "pid_process_denom", "inav": "dterm_lpf_hz"}
 """Lines of blackbox headers that the other does not write."""
 _PREFIX = {"px4": "MC_", "ardupilot": "ATC_", **_OWN, "betaflight-adrc": _OWN["betaflight"]}
 """That parameters of an autopilot begin with."""
-_RESPONSE = "frequency-response"
 _EFFECTIVENESS = {"indi": "indiflight", "paparazzi": "paparazzi"}
 _COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
 _LOW, _HIGH = 0.5, 300.0
@@ -94,12 +95,8 @@ def _check_outputs(options: argparse.Namespace) -> None:
     check_outputs(options.json, options.output, options.bode, force=options.force, sources=read)
     if (options.json, options.output, options.bode).count("-") > 1:
         raise InputError("--json, --bode and --output: only one can go to standard output")
-    wanted = {
-        "px4-params": (".params",), "ardupilot-param": (".param", ".parm"),
-        "betaflight-cli": (".txt",), "inav-cli": (".txt",), "betaflight-adrc": (".txt",),
-        _RESPONSE: (".csv",),
-    }.get(options.to)  # fmt: skip
-    if wanted is None or options.output == "-" or is_device(options.output):
+    _, *wanted = _TARGETS.get(options.to, ("",))
+    if not wanted or options.output == "-" or is_device(options.output):
         return
     if Path(options.output).suffix not in wanted:
         raise InputError(f"{options.output}: {options.to} is written to a file NAME{wanted[0]}")
@@ -152,7 +149,7 @@ def _change(options: argparse.Namespace, flight: list[SampleBlock] | None) -> Ch
 
 def _gains(options: argparse.Namespace, vehicle: ExportedVehicle) -> int:
     tuning = _tuned(options, vehicle)
-    suffix = _SUFFIX.get(tuning.loop.autopilot, ".txt")
+    suffix = next(each[1] for each in _TARGETS.values() if each[0] == tuning.loop.autopilot)
     responses = options.to == _RESPONSE
     there = tuning.measured if responses else tuning.proposed
     deliver(
@@ -242,7 +239,7 @@ def _autopilot(
     received: str,
     parameters: Mapping[str, Any],
 ) -> Autopilot:
-    wanted = _OF_TARGET.get(options.to)
+    wanted = _TARGETS.get(options.to, ("",))[0]
     received = next((name for name, line in _OWN.items() if line in parameters), received)
     named = options.autopilot or wanted or received or vehicle.result.vehicle.get("autopilot")
     if options.autopilot and wanted and options.autopilot != wanted:

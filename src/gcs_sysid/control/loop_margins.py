@@ -167,15 +167,13 @@ def hover_dynamics(
 
 def hover_point(v: ExportedVehicle) -> HoverPoint:
     """What is known of the rotors in hover."""
-    n, mass, k_T = len(v.rotors), v.get("mass"), v.get("k_T")
-    if mass is None:
+    if v.get("mass") is None:
         return HoverPoint()
-    turning = None if not k_T else math.sqrt(mass * GRAVITY / (n * k_T)) / (2.0 * math.pi)
-    T_max, c = v.get("T_max"), v.get("thrust_curve")
-    if not T_max:
-        return HoverPoint(None, turning)
-    share = np.array(min(mass * GRAVITY / (n * T_max), 1.0))
-    return HoverPoint(float(RotorInput.COMMAND.at_load(share, np.array(c or 0.0))), turning)
+    throttle = v.hover_command(v.get("thrust_curve") or 0.0) if v.get("T_max") else None
+    return HoverPoint(
+        None if throttle is None else min(throttle, 1.0),
+        v.hover_speed / (2.0 * math.pi) if v.get("k_T") else None,
+    )
 
 
 def check_needs(vehicle: ExportedVehicle) -> None:

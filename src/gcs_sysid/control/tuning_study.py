@@ -128,8 +128,9 @@ def propose(dynamics: HoverDynamics, loop: RateLoop) -> RateLoop:
     for axis in range(3):
         loop = loop.with_gains(axis, _axis(few, plant[:, :, axis, axis], loop, axis, omega))
     # With the other axes' loops closed the margins are a little others: what lacks is taken back.
+    least = LIMITS.phase_margin - 0.5, LIMITS.gain_margin - 0.2
     for _ in range(12):
-        short = _short(few, loop)
+        short = (_worst(few, loop, frequencies(loop)) < least).any(axis=1)
         if not short.any():
             return loop
         for lacking in map(int, np.flatnonzero(short)):
@@ -158,17 +159,7 @@ def sure_margins(
         # J_r dT / (2 k_T Omega), of speeds that carry the payload too.
         reaction=LIMITS.battery * later.reaction / np.sqrt(1.0 + LIMITS.payload),
     )
-    loops = [
-        open_loops(each, loop, omega, attitude=attitude)
-        for each in (later, low)
-        for attitude in (True, False)
-    ]
-    least = np.array(
-        [
-            np.min([margins_of(omega, one[:, :, axis]).worst() for one in loops], axis=0)
-            for axis in range(3)
-        ]
-    )
+    least = np.minimum(_worst(later, loop, omega), _worst(low, loop, omega))
     for axis, name in enumerate(AXES):
         flown = measured_margins(measured[name], dynamics, loop, axis) if name in measured else None
         if flown is not None:
@@ -249,16 +240,14 @@ def _least(margins: Array) -> str:
     )
 
 
-def _short(few: HoverDynamics, loop: RateLoop) -> Array:
-    """(3,) whether an axis lacks margin on any draw."""
-    omega = frequencies(loop)
-    short = np.zeros(3, bool)
-    for attitude in (True, False):
-        loops = open_loops(few, loop, omega, attitude=attitude)
-        for axis in range(3):
-            phase, gain = margins_of(omega, loops[:, :, axis]).worst()
-            short[axis] |= phase < LIMITS.phase_margin - 0.5 or gain < LIMITS.gain_margin - 0.2
-    return short
+def _worst(dynamics: HoverDynamics, loop: RateLoop, omega: Array) -> Array:
+    """(3, 2) least phase and gain margin (deg, dB) of each axis, with and without attitude loop."""
+    loops = [open_loops(dynamics, loop, omega, attitude=attitude) for attitude in (True, False)]
+    least = [
+        np.min([margins_of(omega, one[:, :, axis]).worst() for one in loops], axis=0)
+        for axis in range(3)
+    ]
+    return np.array(least)
 
 
 def _scaled(gains: AxisGains, by: float) -> AxisGains:
@@ -951,11 +940,10 @@ def tuning_text(tuning: TuningStudy) -> str:
 
 
 def _interval(values: Array, digits: int) -> str:
-    if not np.isfinite(values[0]):
+    found = _banded(values)
+    if found["value"] is None:
         return "-"
-    finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, BAND)
-    return f"{values[0]:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    return "{value:.{0}f} ({low:.{0}f} to {high:.{0}f})".format(digits, **found)
 
 
 def _response_table(tuning: TuningStudy) -> list[str]:

@@ -166,6 +166,11 @@ class ExportedVehicle:
         return k_T * share_T, ratio * share_M / share_T
 
     @property
+    def hover_speed(self) -> float:
+        """Speed of a rotor in hover, rad/s, after `need` of mass and k_T."""
+        return math.sqrt(self["mass"] * GRAVITY / (len(self.rotors) * self["k_T"]))
+
+    @property
     def hover_load(self) -> float:
         """Thrust of a rotor in hover over its full thrust, after `need` of mass and T_max."""
         return self["mass"] * GRAVITY / (len(self.rotors) * self["T_max"])

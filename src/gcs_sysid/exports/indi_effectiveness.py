@@ -20,7 +20,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.exports.exported_vehicle import ExportedVehicle
 from gcs_sysid.exports.file_format import Format, commented, number, xml_comment
-from gcs_sysid.model.parameters import AXES, GRAVITY, INERTIA
+from gcs_sysid.model.parameters import AXES, INERTIA
 
 _PPRZ, _SCALE, _RATE = 9600.0, 1000.0, 512.0
 """Largest command, INDI_G_SCALING and PERIODIC_FREQUENCY of Paparazzi."""
@@ -80,9 +80,8 @@ def _indiflight_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     rows.append(f"set indi_act_time_const_ms = {_integers(lag, 255)}")
     k_T = vehicle.get("k_T")
     if k_T is not None:
-        hover = math.sqrt(vehicle["mass"] * GRAVITY / (n * k_T))
         full = math.sqrt(vehicle["T_max"] / k_T)
-        for name, speed in (("hover", hover), ("max", full)):
+        for name, speed in (("hover", vehicle.hover_speed), ("max", full)):
             rpm = np.full(n, speed * 60.0 / (2.0 * math.pi))
             rows.append(f"set indi_act_{name}_rpm = {_integers(rpm, 10**6)}")
     c = vehicle.get("thrust_curve")
@@ -107,8 +106,7 @@ def _paparazzi_text(vehicle: ExportedVehicle, head: list[str]) -> str:
     yaw = np.zeros(n)
     if k_T is not None:
         # Omega goes with the root of thrust: dOmega = dT / (2 k_T Omega).
-        speed = math.sqrt(vehicle.hover_load * vehicle["T_max"] / k_T)
-        yaw = g2(vehicle)[2] * vehicle["T_max"] * slope / (2.0 * k_T * speed) * _RATE
+        yaw = g2(vehicle)[2] * vehicle["T_max"] * slope / (2.0 * k_T * vehicle.hover_speed) * _RATE
     rows = [
         *zip(("G1_ROLL", "G1_PITCH", "G1_YAW"), angular, strict=True),
         ("G1_THRUST", force),
